@@ -34,7 +34,7 @@ from mixseq.operations.script import OPERATIONS, read_script
 from mixseq.segmentation import MotionSettings, SilhouetteSettings, SpanningTreeSettings
 from mixseq.shells.fitting import ShellSettings
 from mixseq.shells.shell import Relaxation
-from mixseq.spaces import AnchoredSpace, EdgeSettings, MixedSpace
+from mixseq.spaces import EdgeSettings, MixedSpace, Projection
 from mixseq.spaces.basis import BasisSpace
 from mixseq_io import FORMATS
 from mixseq_io.formats import capabilities, motions
@@ -349,11 +349,12 @@ def test_specification_has_every_array_of_surfaces() -> None:
         ("docs/segmentation.md", "Parts by motion", MotionSettings()),
         ("docs/segmentation.md", "Augmented silhouettes", SilhouetteSettings()),
         ("docs/segmentation.md", "Spanning-tree cut", SpanningTreeSettings()),
+        ("docs/reconstruction.md", "Settings of the mixed space", Projection()),
         ("docs/reconstruction.md", "Frames, vertices, steps", Relaxation()),
         ("docs/reconstruction.md", "Gauss-Newton", ShellSettings()),
         ("docs/spaces.md", "Edge", EdgeSettings()),
     ],
-    ids=["motion", "silhouettes", "spanning tree", "relaxation", "shell", "edge"],
+    ids=["motion", "silhouettes", "spanning tree", "projection", "relaxation", "shell", "edge"],
 )
 def test_defaults_are_those_of_the_code(name: str, heading: str, settings: Any) -> None:
     table = {row[0]: row[1] for row in rows_of(section(name, heading))}
@@ -454,7 +455,7 @@ def run_specification(number: int) -> dict[str, Any]:
 def test_specification_is_enough_to_decode(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
     names, model = run_specification(1), mixseq.load("walk.h5")
-    assert isinstance(model.space, AnchoredSpace)
+    assert isinstance(model.space, MixedSpace)
     assert model.times[0] < names["time"] < model.times[1]
     np.testing.assert_array_equal(names["free"], np.flatnonzero(model.space.free))
     np.testing.assert_array_equal(names["faces"], model.space.seams.faces)

@@ -42,7 +42,6 @@ from mixseq.operations import (
     swap_key,
     transition,
 )
-from mixseq.operations.interpolation import PoseInterpolator
 from mixseq.plots import (
     contact_sheet,
     draw_embedding,
@@ -61,7 +60,6 @@ from mixseq.retargeting.transfer import Transfer, plan
 from mixseq.scene.palettes import CLAY, INK, JOINT_RED, segmentation_colours
 from mixseq.segmentation import METHODS
 from mixseq.signals import Curve, Model
-from mixseq.spaces import MixedSpace
 
 HERE = Path(__file__).parent
 MARKERS = HERE.parents[1] / "scripts" / "benchmarks" / "markers"
@@ -147,17 +145,6 @@ def segmentations(path: Path) -> None:
     for method in METHODS:
         part = mixseq.segment(walk, method)
         columns[f"{method}: {part.max() + 1} parts"] = part, np.full(len(part), -1)
-    from_two_sides(path, walk, columns)
-
-
-def softening(path: Path) -> None:
-    """Joints of two poses, at boundaries only and inside parts."""
-    walk = walk_cycle()
-    columns: dict[str, tuple[Index, Index]] = {}
-    for title, tolerance in (("at boundaries only", None), ("stretch_tolerance=0.01", 0.01)):
-        space = PoseInterpolator.of(walk, among=[0, 12], stretch_tolerance=tolerance).space
-        assert isinstance(space, MixedSpace)
-        columns[title] = space.decomposition.part_of_face, space.decomposition.joint_of_face
     from_two_sides(path, walk, columns)
 
 
@@ -472,7 +459,6 @@ PICTURES: Mapping[str, Callable[[Path], None]] = {
     "parts": parts,
     "walk": moving,
     "segmentations": segmentations,
-    "softening": softening,
     "coding": coding,
     "plot": plot,
     "embedding": embedding,

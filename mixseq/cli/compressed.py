@@ -35,7 +35,6 @@ _OF_FITTING = (
         "segmentation",
         "joint_width",
         "placement",
-        "stretch_tolerance",
     ),
     *("projection", "volume", "labels", "label_source", "knots", "pose"),
 )

@@ -232,12 +232,6 @@ def space_options(command: Command) -> Command:
         help="How parts are placed: by a pose each, or where lengths and angles put them.",
     )
     @setting(
-        "--stretch-tolerance",
-        type=click.FloatRange(min=0, min_open=True),
-        metavar="X",
-        help="Let joints go on inside parts where blending shortens edges by more than this share.",
-    )
-    @setting(
         "--projection",
         type=click.Choice(PROJECTIONS),
         help="How the edge space finds meshes: in a few steps, or by Gauss-Newton.  [default: steps]",
@@ -257,7 +251,7 @@ def space_options(command: Command) -> Command:
 
 
 _MAKING = (
-    *("space", "parts", "segmentation", "joint_width", "placement", "stretch_tolerance"),
+    *("space", "parts", "segmentation", "joint_width", "placement"),
     *("projection", "volume"),
 )
 

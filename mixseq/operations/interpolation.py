@@ -193,8 +193,8 @@ def interpolate(
 
     Other Parameters
     ----------------
-    segmentation, stretch_tolerance, projection, volume, shell : optional
-        As of `mixseq.fit`. The free placement follows lengths and angles more closely with a stretch tolerance of .03.
+    segmentation, projection, volume, shell : optional
+        As of `mixseq.fit`.
 
     Returns
     -------

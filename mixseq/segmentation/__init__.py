@@ -14,7 +14,6 @@ from mixseq.segmentation.observed import Observed, Watched, frames_to_look_at, g
 from mixseq.segmentation.scores import adjusted_rand_index
 from mixseq.segmentation.silhouettes import SilhouetteSettings, segment_by_silhouettes
 from mixseq.segmentation.spanning_tree import SpanningTreeSettings, segment_by_spanning_tree
-from mixseq.segmentation.stretch_tolerance import StretchTolerance
 
 __all__ = [
     "METHODS",
@@ -26,7 +25,6 @@ __all__ = [
     "Segmentation",
     "SilhouetteSettings",
     "SpanningTreeSettings",
-    "StretchTolerance",
     "Watched",
     "adjusted_rand_index",
     "chosen",

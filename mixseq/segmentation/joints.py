@@ -8,8 +8,6 @@ a vertex, ``max_b (w_b - number of edges to the boundary vertex b)``:
 - the faces with a vertex of depth >= 1 are a joint's,
 - vertices of depth >= 2 on all sides are *free*: no part keeps them, only the joint knows where they are.
 
-Where parts bend by themselves joints go on (`mixseq.segmentation.stretch_tolerance`): vertices have a depth there, too.
-
 The width follows the motion: each strip but the first takes up a bend of at most 30 degrees between the two parts
 (their largest relative rotation between any two frames), and `joint_width` is the limit. And it follows the mesh:
 on a coarse mesh full strips would eat whole parts and all joints would run into one, so a part's own limit is the
@@ -32,7 +30,6 @@ from mixseq.errors import SegmentationError, SettingsError
 from mixseq.geometry.rigid import bend
 from mixseq.segmentation.boundaries import Boundaries
 from mixseq.segmentation.observed import Observed, Watched, frames_to_look_at, observe
-from mixseq.segmentation.stretch_tolerance import StretchTolerance
 from mixseq.topology import Topology, face_patches, hinges_inside, spread, vertices_of
 
 CORE = 1.0 / 3.0
@@ -111,7 +108,6 @@ def decompose(
     part_of_face: Index,
     joint_width: int = 3,
     points: FloatArray | Observed | None = None,
-    stretch: StretchTolerance | None = None,
     core: float = CORE,
 ) -> Decomposition:
     """Grow joints around the boundaries of a segmentation.
@@ -128,8 +124,6 @@ def decompose(
         The sequence, or what was seen of its frames: joints are as wide as it bends, and faces must have area in
         every frame. Without it all joints have full width, and faces that collapse in some frame cannot be kept
         out of them.
-    stretch : StretchTolerance, optional
-        Where parts bend by themselves joints go on; by default they are at boundaries only.
     core : float
         Share of its vertices that a part keeps, whatever the width of its joints.
 
@@ -164,10 +158,6 @@ def decompose(
     kept = [inside & (depths[width] <= 1) for inside, width in zip(members, widths, strict=True)]
     touching = np.stack([np.logical_or.reduce(_at_corners(topology, depth >= 1)) for depth in depths])
     in_joint = touching[widths[part_of_face], np.arange(len(topology.faces))]
-    if stretch is not None:
-        free = stretch.depth(topology, kept)
-        kept = [inside & (free <= 1) for inside in kept]
-        in_joint |= np.logical_or.reduce(_at_corners(topology, free >= 1))
     if observed is not None:
         in_joint &= ~observed.flat
 

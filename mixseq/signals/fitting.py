@@ -95,7 +95,7 @@ def fit(
         Largest width of joints, in strips of triangles on each side of a boundary.
     space : {"mixed", "vertex", "gradient", "lri", "edge"}
         The shape space: S_m, vertex positions, deformation gradients, LRI coordinates, or edge lengths and dihedral
-        angles. Only S_m has a use for `placement`, `parts`, `joint_width`, `segmentation` and `stretch_tolerance`.
+        angles. Only S_m has a use for `placement`, `parts`, `joint_width` and `segmentation`.
     progress : callable, optional
         Told about every stage.
     workers : Executor, optional
@@ -105,9 +105,6 @@ def fit(
     ----------------
     segmentation : {"motion", "silhouettes", "spanning-tree"}, optional
         How parts are found; settings of a method, such as `mixseq.segmentation.MotionSettings`, are that method.
-    stretch_tolerance : float, optional
-        Joints go on inside parts where blending would shorten an edge by more than this share of its length, see
-        `mixseq.segmentation.stretch_tolerance`; by default they are at boundaries only.
     projection, volume, shell : optional
         Of the edge space, see `mixseq.spaces.EdgeSettings`.
     knots : int or (n,) array_like, optional

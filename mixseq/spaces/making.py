@@ -17,7 +17,6 @@ from mixseq.progress import Progress, Stages, silent
 from mixseq.segmentation import (
     Observed,
     Segmentation,
-    StretchTolerance,
     Watched,
     chosen,
     decompose,
@@ -56,9 +55,6 @@ class MixedSettings:
         Largest width of joints, in strips of triangles on each side of a boundary.
     segmentation : {"motion", "silhouettes", "spanning-tree"} or settings of one of these
         How parts are found.
-    stretch_tolerance : float, optional
-        Joints go on inside parts where blending would shorten an edge by more than this share of its length, see
-        `mixseq.segmentation.stretch_tolerance`; by default they are at boundaries only.
     purpose : {"sequence", "few numbers", "blends"}
         What the space is for, see `mixseq.spaces.mixed_space`.
     """
@@ -67,7 +63,6 @@ class MixedSettings:
     parts: int | ArrayLike | None = None
     joint_width: int = 3
     segmentation: Segmentation = "motion"
-    stretch_tolerance: float | None = None
     purpose: Purpose = "sequence"
 
 
@@ -83,7 +78,6 @@ class SpaceOptions(TypedDict, total=False):
     """Settings of spaces by name, but for those that are parameters of `mixseq.fit` themselves."""
 
     segmentation: Segmentation
-    stretch_tolerance: float | None
     projection: ProjectionName
     volume: float
     shell: ShellSettings | None
@@ -228,12 +222,9 @@ def _mixed(
     stages.at(0)(0, 1, "finding parts")
     topology = Topology(header.faces, header.vertex_count)
     labels = part_of_faces(frames, settings, topology)
-    looked_at = points[frames_to_look_at(len(points))]
-    watched = Watched.of(topology, labels, looked_at)
+    watched = Watched.of(topology, labels, points[frames_to_look_at(len(points))])
     observed = gather(_told(workers(observe, watched, blocks_of(points)), len(points), stages.at(1)))
-    tolerance = settings.stretch_tolerance
-    softening = None if tolerance is None else StretchTolerance(looked_at, tolerance)
-    decomposition = decompose(topology, labels, settings.joint_width, observed, softening)
+    decomposition = decompose(topology, labels, settings.joint_width, observed)
     return mixed_space(points, topology, decomposition, settings.placement, settings.purpose, stages.at(2))
 
 

@@ -60,7 +60,7 @@ def measure(path: Path, first: int, second: int) -> None:
     show("vertices", ends.mean(axis=0), 0.0, [])
     spaces: tuple[tuple[str, dict[str, Any]], ...] = (
         ("interpolate", {}),
-        ("interpolate, free", {"placement": "free", "stretch_tolerance": 0.03}),
+        ("interpolate, free", {"placement": "free"}),
         ("interpolate, edge", {"space": "edge"}),
         ("interpolate, edge, DSO", {"space": "edge", "projection": "dso"}),
     )

@@ -32,7 +32,7 @@ PAIRS = (
 
 SPACES: dict[str, dict[str, Any]] = {
     "MixIT": {},
-    "MixIT, free": {"placement": "free", "stretch_tolerance": 0.03},
+    "MixIT, free": {"placement": "free"},
 }
 """What `mixseq.interpolate` is told."""
 
@@ -68,8 +68,8 @@ def measure(say: Say) -> Section:
         _measure_pair(section, rows, name, first, second, factor, say)
     section.notes.append(
         "`MixIT` is what `mixseq.interpolate` does: poses agree with what neighbours see of each other, and lengths "
-        "and angles are made to agree from there. `MixIT, free` is the paper's placement, with joints inside parts "
-        "(`stretch_tolerance=0.03`). Both take a fixed number of steps with constant matrices. "
+        "and angles are made to agree from there. `MixIT, free` is the paper's placement. Both take a fixed number of "
+        "steps with constant matrices. "
         "`vertex means` takes no time worth measuring and shows the errors of no method at all. "
         "`full mesh` is Gauss-Newton on all lengths and angles with the kernels, the solver and the criteria of the "
         "joints, from the mean of the vertices or from the linear start, on one thread and on two; the fastest of them "

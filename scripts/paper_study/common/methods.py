@@ -7,7 +7,7 @@ DSO                S_e, the same from the linear start (ours)
 S_e, steps         S_e, frames averaged and steps by constant matrices (ours)
 MixIT, printed     S_m as printed: strips as joints, every joint by itself, registration, stitching
 MixIT, free        S_m, free placement: frames averaged, one back-substitution, steps (ours)
-MixIT              S_m, anchored placement, settled: what `mixseq.interpolate` does (ours)
+MixIT              S_m, anchored placement: what `mixseq.interpolate` does (ours)
 =================  ====================================================================================
 """
 
@@ -15,33 +15,30 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from mixseq.arrays import Float, Index
-from mixseq.geometry.rigid import mean_shape
+from mixseq.choices import PlacementName
 from mixseq.segmentation.joints import Decomposition, decompose
-from mixseq.segmentation.stretch_tolerance import StretchTolerance
 from mixseq.shells.fitting import ShellReport, ShellSettings, fit_shell
 from mixseq.shells.patch import Patch
 from mixseq.shells.reconstruction import rebuild
 from mixseq.spaces.edge import EdgeSettings, EdgeSpace
 from mixseq.spaces.edge.discrete_shell import DiscreteShell
-from mixseq.spaces.mixed import AnchoredSpace, FreeSpace, MixedSpace, mixed_space
+from mixseq.spaces.mixed import MixedSpace, mixed_space
 from mixseq.spaces.mixed.assembly import FreeFrame
-from mixseq.spaces.registered import registered
 from mixseq.threads import one_blas_thread
 from scripts.paper_study.common.poses import Poses
-from scripts.paper_study.common.registered import Registered
+from scripts.paper_study.common.registered import PaperSpace
 from scripts.paper_study.msgi.multiscale import MultiScale
 
 WIDTH = 3
-SHRINK = 0.03
-"""Free placement: joints go on where a blend would take more than this of an edge's length."""
 
 
 class Blended(NamedTuple):
@@ -149,15 +146,42 @@ class Mixed:
     decomposition: Decomposition
 
     @property
+    def rigid(self) -> NDArray[np.bool_]:
+        """Mark the faces ``(F,)`` that parts hold: whose lengths are not stored, but follow from vertices."""
+        raise NotImplementedError
+
+    def prepare(self) -> None:
+        """Do what is done once."""
+        raise NotImplementedError
+
+    def timed(self, weights: Float) -> tuple[Blended, Seconds]:
+        """Blend step by step: seconds to a first mesh, of registration and stitching, and of steps from there."""
+        raise NotImplementedError
+
+    def align(self) -> None:
+        """Register the parts of the poses, which `prepare` does too: to be timed by itself."""
+        _ = PaperSpace(self.poses, self.decomposition).aligned
+
+    def at(self, weights: Float) -> Blended:
+        return self.timed(weights)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Anchored(Mixed):
+    """Parts where poses and neighbours say, then lengths and angles are made to agree."""
+
+    placement: ClassVar[PlacementName] = "anchored"
+
+    @cached_property
     def space(self) -> MixedSpace:
         """The space of the poses."""
-        raise NotImplementedError
+        poses = self.poses
+        return mixed_space(poses.points, poses.topology, self.decomposition, self.placement, "blends")
 
     @property
     def rigid(self) -> NDArray[np.bool_]:
-        """Mark the faces ``(F,)`` that parts hold: whose lengths are not stored, but follow from vertices."""
-        topology = self.poses.topology
-        return np.asarray(~np.isin(topology.face_edges, self.space.edge_ids).all(axis=1))
+        """Faces that are no joint faces."""
+        return ~self.space.joint_faces
 
     @cached_property
     def vectors(self) -> Float:
@@ -170,79 +194,71 @@ class Mixed:
         _ = self.vectors
 
     def timed(self, weights: Float) -> tuple[Blended, Seconds]:
-        """Blend step by step: seconds to a first mesh, of registration and stitching, and of steps from there."""
-        raise NotImplementedError
-
-    def align(self) -> None:
-        """Register the parts of the poses, which `prepare` does too: to be timed by itself."""
-        parts, points = self.decomposition.parts, self.poses.points / self.poses.diagonal
-        shapes = np.concatenate([mean_shape(points[:, part]) for part in parts])
-        for x in points:
-            registered(shapes, parts, x)
-
-    def at(self, weights: Float) -> Blended:
-        return self.timed(weights)[0]
-
-
-@dataclass(frozen=True, eq=False)
-class Anchored(Mixed):
-    """Parts where neighbours see them, then lengths and angles are made to agree."""
-
-    @cached_property
-    def space(self) -> AnchoredSpace:
-        space = mixed_space(self.poses.points, self.poses.topology, self.decomposition, settling_from=0.0)
-        assert isinstance(space, AnchoredSpace)
-        return space
-
-    def timed(self, weights: Float) -> tuple[Blended, Seconds]:
         """Blend; all of it is one step."""
         clock = Clock()
-        shapes, placements = np.split(self.vectors, [self.space.shape_dim], axis=1)
-        vector = np.concatenate([weights @ shapes, self.space.blended_placements(weights, placements)])
-        points = self.space.decode(vector[None])[0]
+        points = self.space.decode((weights @ self.vectors)[None])[0]
         return Blended(points, []), (clock.lap(), 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Free(Mixed):
+class Free(Anchored):
     """The free placement, all at once."""
 
-    @cached_property
-    def space(self) -> FreeSpace:
-        space = mixed_space(self.poses.points, self.poses.topology, self.decomposition, "free")
-        assert isinstance(space, FreeSpace)
-        return space
-
-    @property
-    def rigid(self) -> NDArray[np.bool_]:
-        """Mark the faces ``(F,)`` with all corners in one part."""
-        return self.space.projection.rigid_faces
-
-    def frame(self, weights: Float) -> FreeFrame:
-        """Blend parts, lengths and angles."""
-        (frame,) = self.space.frames((weights @ self.vectors)[None])
-        return frame
+    placement: ClassVar[PlacementName] = "free"
 
     def timed(self, weights: Float) -> tuple[Blended, Seconds]:
         """Blend: a first mesh, and steps; there is no stitching."""
-        assembly, clock = self.space.projection, Clock()
+        space, assembly, clock = self.space, self.space.assembly, Clock()
         with one_blas_thread():
-            frame = self.frame(weights)
+            vector = (weights @ self.vectors)[None]
+            blocks = space.split(vector)
+            frame = FreeFrame(blocks.lengths[0], blocks.angles[0], blocks.unposed[0], space.posed(vector)[0])
             lengths, angles = assembly.targets(frame)
             start = assembly.start(frame, lengths, angles)
             first = clock.lap()
             relaxed = assembly.shell.relaxed(start, lengths, angles, assembly.relaxation.steps)
-            points = assembly.placed(frame, relaxed.points)
-        return Blended(points * self.space.scale, []), (first, 0.0, clock.lap())
+            points = assembly.placed(frame.posed, relaxed.points)
+        return Blended(points * space.scale, []), (first, 0.0, clock.lap())
 
 
 @dataclass(frozen=True, eq=False)
-class Printed(Free):
+class Strips(Free):
+    """The free placement with the paper's joints: every vertex follows one part, and only strips are joints."""
+
+    @cached_property
+    def space(self) -> MixedSpace:
+        cut, topology = self.decomposition, self.poses.topology
+        in_joint = cut.joint_of_face >= 0
+        part = np.zeros(topology.vertex_count, dtype=np.int64)
+        for faces in (in_joint, ~in_joint):  # those of parts last: they count
+            part[topology.faces[faces]] = cut.part_of_face[faces, None]
+        corners = part[topology.faces]
+        places = np.arange(len(part)), part
+        whole = mixed_space(self.poses.points, topology, cut, self.placement, "blends")
+        return replace(
+            whole,
+            skinning_weights=sparse.csr_array((np.ones(len(part)), places), whole.skinning_weights.shape),
+            joint_faces=in_joint | (corners != corners[:, :1]).any(axis=1),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Printed(Mixed):
     """S_m as the paper prints it: every joint by itself, registration, stitching, and no steps afterwards.
 
     A joint knows what S_m holds of it: lengths and angles that no part has, and of the others those of the blended
     part. Joints are found by the linear start and Gauss-Newton; the paper takes MSGI for them.
     """
+
+    @cached_property
+    def space(self) -> PaperSpace:
+        """The space of the poses."""
+        return PaperSpace(self.poses, self.decomposition)
+
+    @property
+    def rigid(self) -> NDArray[np.bool_]:
+        """Faces that have an edge in a part."""
+        return np.asarray(~self.space.free_edges[self.poses.topology.face_edges].all(axis=1))
 
     @cached_property
     def patches(self) -> tuple[Patch, ...]:
@@ -252,41 +268,31 @@ class Printed(Free):
             for joint in self.decomposition.joints
         )
 
-    @cached_property
-    def registered(self) -> Registered:
-        return Registered(self.space)
-
     def prepare(self) -> None:
-        _ = self.vectors, self.registered.overlaps, self.registered.seams.factor
+        _ = self.space.aligned, self.space.overlaps, self.space.seams.factor
         for patch in self.patches:
             patch.prepared()
 
     def timed(self, weights: Float) -> tuple[Blended, Seconds]:
         """Blend step by step."""
         clock, joints, reports = Clock(), [], []
-        typical = self.space.projection.shell.stretch
+        typical = self.space.length_weights
         with one_blas_thread():
-            frame = self.frame(weights)
-            lengths, angles = self.space.projection.targets(frame)
+            frame = self.space.frame(weights)
             for joint, patch in zip(self.decomposition.joints, self.patches, strict=True):
-                wanted = lengths[joint.edge_ids], angles[joint.hinge_ids], typical[joint.edge_ids]
+                wanted = frame.lengths[joint.edge_ids], frame.angles[joint.hinge_ids], typical[joint.edge_ids]
                 nowhere = np.zeros((len(patch.fixed), 3))
                 points, report = rebuild(patch, *wanted, nowhere, ShellSettings())
                 joints.append(points)
                 reports.append(report)
             first = clock.lap()
-            mesh = self.registered.assembled(frame, joints)
-        return Blended(mesh * self.space.scale, reports), (first, clock.lap(), 0.0)
+            mesh = self.space.assembled(frame, joints)
+        return Blended(mesh * self.poses.diagonal, reports), (first, clock.lap(), 0.0)
 
 
 def strips(poses: Poses, labels: Index, width: int = WIDTH, full: bool = False) -> Decomposition:
     """Cut a mesh with the paper's joints; with `full` they are as wide as they can be, wherever little bends."""
     return decompose(poses.topology, labels, width, None if full else poses.points)
-
-
-def softened(poses: Poses, labels: Index, width: int = WIDTH, shrink: float = SHRINK) -> Decomposition:
-    """Cut a mesh with joints that go on where parts bend by themselves."""
-    return decompose(poses.topology, labels, width, poses.points, StretchTolerance(poses.points, shrink))
 
 
 METHODS: dict[str, Callable[[Poses, Index], Method]] = {
@@ -295,7 +301,7 @@ METHODS: dict[str, Callable[[Poses, Index], Method]] = {
     "DSO": lambda poses, _: Edge(poses, EdgeSettings("dso")),
     "S_e, steps": lambda poses, _: Edge(poses, EdgeSettings("steps")),
     "MixIT, printed": lambda poses, labels: Printed(poses, strips(poses, labels)),
-    "MixIT, free": lambda poses, labels: Free(poses, softened(poses, labels)),
+    "MixIT, free": lambda poses, labels: Free(poses, strips(poses, labels)),
     "MixIT": lambda poses, labels: Anchored(poses, strips(poses, labels)),
 }
 """All methods, of poses and the parts ``(F,)`` of the mesh."""

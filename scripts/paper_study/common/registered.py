@@ -1,67 +1,148 @@
-"""P_m as the paper prints it (Section 3.4): joints by themselves, registration of all pieces, stitching, a pose.
+"""S_m and P_m as the paper prints them (Sections 2.2 and 3.4).
 
-mixseq itself does it at once, see `mixseq.spaces.mixed.assembly`.
+A point of S_m is the aligned vertices of parts, the lengths and angles that no part has, and poses. P_m finds joints by
+themselves, registers all pieces, and stitches them. mixseq does it otherwise, see `mixseq.spaces.mixed`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixseq.arrays import Float, Index
-from mixseq.geometry.rigid import transform
-from mixseq.geometry.rotations import rotations_of
-from mixseq.spaces.mixed import FreeSpace
-from mixseq.spaces.mixed.assembly import FreeFrame
+from mixseq.geometry.lengths_angles import sound_lengths
+from mixseq.geometry.rigid import mean_shape, transform
+from mixseq.geometry.rotations import continued, quaternions, rotations_of
+from mixseq.segmentation.joints import Decomposition
+from mixseq.shells.shell_kernels import lengths_and_angles
+from mixseq.spaces.registered import registered
+from scripts.paper_study.common.poses import Poses
 from scripts.paper_study.common.registration import Overlaps, register
 from scripts.paper_study.common.stitching import Seams, stitch
 
 
-@dataclass(frozen=True, eq=False)
-class Registered:
-    """Puts parts, and joints that are found by themselves, together; of one connected mesh."""
+class PaperFrame(NamedTuple):
+    """A point of S_m: p parts with N vertices in all, in diagonals and radians.
 
-    space: FreeSpace
+    Attributes
+    ----------
+    lengths, angles : (E,), (H,) float64
+        Lengths and angles of all edges and hinges: blended, or of the blended part that has them.
+    parts : (N, 3) float64
+        Aligned vertices of all parts.
+    rotations, centres : (p, 4), (p, 3) float64
+        Poses of the parts, of which the first of a group counts; quaternions of any length.
+    """
+
+    lengths: Float
+    angles: Float
+    parts: Float
+    rotations: Float
+    centres: Float
+
+
+@dataclass(frozen=True, eq=False)
+class PaperSpace:
+    """S_m of some poses of one connected mesh, and its parts."""
+
+    poses: Poses
+    decomposition: Decomposition
+
+    @cached_property
+    def shapes(self) -> Float:
+        """Mean shapes ``(N, 3)`` of all parts."""
+        points = self.poses.points / self.poses.diagonal
+        return np.concatenate([mean_shape(points[:, part]) for part in self.decomposition.parts])
+
+    @cached_property
+    def aligned(self) -> tuple[Float, Float, Float]:
+        """Aligned vertices ``(T, N, 3)`` of all parts, and their poses: quaternions and centres."""
+        frames = self.poses.points / self.poses.diagonal
+        found = [registered(self.shapes, self.decomposition.parts, frame) for frame in frames]
+        parts, rotations, centres = (np.stack(each) for each in zip(*found, strict=True))
+        return parts, continued(quaternions(rotations)), centres
+
+    @cached_property
+    def _rows(self) -> tuple[Index, Index]:
+        """Rows of part vertices that edges and hinges connect, -1 where no part has all of them."""
+        topology = self.poses.topology
+        return self._in_one_part(topology.edges), self._in_one_part(topology.hinges)
+
+    def _in_one_part(self, vertices: NDArray[np.integer]) -> Index:
+        """Rows of vertices ``(n, k)`` in the first part that has all k of them, -1 where none has."""
+        result, start = np.full(vertices.shape, -1, dtype=np.int64), 0
+        for part in self.decomposition.parts:
+            place = np.full(self.poses.topology.vertex_count, -1, dtype=np.int64)
+            place[part] = start + np.arange(len(part))
+            rows = place[vertices]
+            inside = (rows >= 0).all(axis=1) & (result[:, 0] < 0)
+            result[inside] = rows[inside]
+            start += len(part)
+        return result
+
+    @cached_property
+    def free_edges(self) -> NDArray[np.bool_]:
+        """Mark the edges ``(E,)`` that no part has both ends of."""
+        return np.asarray(self._rows[0][:, 0] < 0)
+
+    @cached_property
+    def length_weights(self) -> Float:
+        """One over the mean lengths ``(E,)`` of edges."""
+        typical = self.poses.lengths.mean(axis=0) / self.poses.diagonal
+        return np.asarray(np.divide(1.0, typical, out=np.zeros_like(typical), where=typical > 0))
+
+    def frame(self, weights: Float) -> PaperFrame:
+        """Blend poses with weights ``(T,)``."""
+        parts, rotations, centres = (np.tensordot(weights, each, 1) for each in self.aligned)
+        edges, hinges = self._rows
+        lengths, angles = lengths_and_angles(parts, np.maximum(edges, 0), np.maximum(hinges, 0))
+        blended, told = self.poses.target(weights)
+        free, blended = self.free_edges, blended / self.poses.diagonal
+        lengths[free] = sound_lengths(blended[free], self.length_weights[free])
+        angles[hinges[:, 0] < 0] = told[hinges[:, 0] < 0]
+        return PaperFrame(lengths, angles, parts, rotations, centres)
+
+    # Registration and stitching ----------------------------------------------------------------------------
 
     @cached_property
     def pieces(self) -> list[Index]:
         """Vertices of all parts, then of all joints."""
-        cut = self.space.decomposition
+        cut = self.decomposition
         return [*cut.parts, *(joint.vertices for joint in cut.joints)]
 
     @cached_property
     def overlaps(self) -> Overlaps:
         """Which vertices they share."""
-        cut = self.space.decomposition
+        cut = self.decomposition
         # Pairs are judged by their first piece, and pairs of joints (which share no face) do not count.
-        shapes = np.split(self.space.shapes, np.cumsum([len(part) for part in cut.parts])[:-1])
+        shapes = np.split(self.shapes, np.cumsum([len(part) for part in cut.parts])[:-1])
         nowhere = [np.zeros((len(joint.vertices), 3)) for joint in cut.joints]
         return Overlaps.of(self.pieces, [*shapes, *nowhere])
 
     @cached_property
     def seams(self) -> Seams:
         """Their edges."""
-        return Seams.of(self.space.topology, self.pieces)
+        return Seams.of(self.poses.topology, self.pieces)
 
-    def assembled(self, frame: FreeFrame, joints: list[Float]) -> Float:
+    def assembled(self, frame: PaperFrame, joints: list[Float]) -> Float:
         """Return the mesh ``(V, 3)`` of parts and of joints ``(n, 3)``, each anywhere.
 
-        Edges have the lengths that joints say, as far as these are stored, and elsewhere their own.
+        Edges have the lengths that joints say, where no part has them, and elsewhere their own.
         """
-        lengths = np.full(len(self.space.topology.edges), np.nan)
-        lengths[self.space.edge_ids] = frame.lengths
+        lengths = np.where(self.free_edges, frame.lengths, np.nan)
         placed = self._placed(frame, np.concatenate([frame.parts, *joints]))
         return stitch(self.seams, placed, lengths)
 
-    def _placed(self, frame: FreeFrame, points: Float) -> Float:
+    def _placed(self, frame: PaperFrame, points: Float) -> Float:
         """Register all pieces ``(N, 3)``, parts and then joints, and move them to where the poses say."""
-        overlaps, posed = self.overlaps, self.space.projection.posed
+        overlaps = self.overlaps
         rotation, translation = register(overlaps, points)
-        pose = np.searchsorted(posed, overlaps.group)
-        turns = rotations_of(frame.rotations)[pose]
+        turns = rotations_of(frame.rotations)[overlaps.group]
         to_world = turns @ rotation
-        centre = transform(translation[:, None], turns, frame.centres[pose])[:, 0]
+        centre = transform(translation[:, None], turns, frame.centres[overlaps.group])[:, 0]
         owner = np.repeat(np.arange(len(overlaps.sizes)), overlaps.sizes)
         return np.asarray(np.einsum("nij,nj->ni", to_world[owner], points) + centre[owner])

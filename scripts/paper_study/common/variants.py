@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.errors import errors, text
@@ -22,7 +23,7 @@ def row_of(method: Mixed, runs: int = 3) -> Json:
     poses, cut = method.poses, method.decomposition
     best: list[float] = []
     for _ in range(runs):
-        fresh = type(method)(poses.moved(poses.points), cut)
+        fresh = replace(method, poses=poses.moved(poses.points))
         clock = Clock()
         fresh.align()
         align = clock.lap()

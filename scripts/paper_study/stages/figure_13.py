@@ -8,7 +8,7 @@ from pathlib import Path
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.along import along, weights_of
 from scripts.paper_study.common.errors import text
-from scripts.paper_study.common.methods import Free, softened, strips
+from scripts.paper_study.common.methods import Free, Strips, strips
 from scripts.paper_study.common.pictures import envelopes
 from scripts.paper_study.common.poses import MESHES as ALL
 from scripts.paper_study.common.poses import Poses
@@ -20,11 +20,12 @@ WIDTHS = (3, 5)
 
 def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
     labels = poses.segmented()
-    cuts = {
-        f"MixIT, free, strips, width {width}": strips(poses, labels, width, full=True) for width in WIDTHS
+    methods: dict[str, Free] = {
+        f"MixIT, free, strips, width {width}": Strips(poses, strips(poses, labels, width, full=True))
+        for width in WIDTHS
     }
-    cuts |= {f"MixIT, free, width {width}": softened(poses, labels, width) for width in WIDTHS}
-    results = {name: along(poses, Free(poses, cut)) for name, cut in cuts.items()}
+    methods |= {f"MixIT, free, width {width}": Free(poses, strips(poses, labels, width)) for width in WIDTHS}
+    results = {name: along(poses, method) for name, method in methods.items()}
     bands = {name: result.bands for name, result in results.items()}
     envelopes(folder / f"figure-13-{poses.mesh}.png", f"Errors, {poses.title}", weights_of(poses), bands)
     return {"title": poses.title, "methods": {name: result.found for name, result in results.items()}}

@@ -18,7 +18,7 @@ from mixseq.segmentation.scores import adjusted_rand_index
 from mixseq.topology import Topology
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.errors import errors, text
-from scripts.paper_study.common.methods import METHODS, Clock, Free, softened, strips
+from scripts.paper_study.common.methods import METHODS, Clock, Free, Strips, strips
 from scripts.paper_study.common.poses import ARTICULATED, Poses, between
 from scripts.paper_study.common.record import Json, Results
 from scripts.paper_study.stages.figure_15 import valid
@@ -61,8 +61,8 @@ def measured(pair: Poses) -> Json:
             "valid": valid(pair, labels),
             "segmentation": clock.lap(),
         }
-        for kind, grow in (("strips", strips), ("softened", softened)):
-            method = Free(pair, grow(pair, labels))
+        cut = strips(pair, labels)
+        for kind, method in (("strips", Strips(pair, cut)), ("free", Free(pair, cut))):
             method.prepare()
             blend, seconds = method.timed(HALF)
             row[kind] = {"errors": errors(pair, HALF, blend.points).at(0.999), "seconds": sum(seconds)}
@@ -104,8 +104,8 @@ def page(results: Results) -> list[str]:
                         str(row["parts"]),
                         "yes" if row["valid"] else "**no**",
                         f"{row['segmentation']:.2f}",
-                        *(f"{1e3 * row[kind]['seconds']:.0f}" for kind in ("strips", "softened")),
-                        *(text(row[kind]["errors"]) for kind in ("strips", "softened")),
+                        *(f"{1e3 * row[kind]['seconds']:.0f}" for kind in ("strips", "free")),
+                        *(text(row[kind]["errors"]) for kind in ("strips", "free")),
                         *(text(pair[edge]) for edge in ("MSGI", "DSO")),
                     )
                 )
@@ -154,7 +154,7 @@ def verdict(results: Results) -> list[str]:
         counts = [
             f"{shown} {sum(clear(pair, kind, name, edges) for pair in pairs for name in measured)}"
             for edges in (("DSO", "MSGI"), ("DSO",))
-            for kind, shown in (("softened", "MixIT, free"), ("strips", "MixIT, free, strips"))
+            for kind, shown in (("free", "MixIT, free"), ("strips", "MixIT, free, strips"))
         ]
         skeletons = ", ".join(f"{each['file']} {each['agreement']:.2f}" for each in result["skeletons"])
         lines.append(

@@ -7,14 +7,13 @@ Gaussian noise. What every method should find, the blended lengths and angles, s
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from mixseq.arrays import Float, Index
 from mixseq.shells.fitting import ShellProblem, ShellSettings, fit_shell
-from mixseq.shells.shell import Relaxation
+from mixseq.shells.shell_kernels import lengths_and_angles
 from mixseq.spaces.edge import EdgeSettings
 from mixseq.spaces.edge.discrete_shell import DiscreteShell
 from scripts.benchmarks.common.section import markdown_table
@@ -42,7 +41,7 @@ def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
         "DSO, from a pose": whole(poses, from_pose=True),
         "DSO": whole(poses, from_pose=False),
         "MixIT, printed": joints(poses, labels),
-        "MixIT": settled(poses, labels),
+        "MixIT": relaxed(poses, labels),
     }
     found: Json = {}
     for name, search in searches.items():
@@ -82,14 +81,12 @@ def whole(poses: Poses, from_pose: bool) -> Search:
 def joints(poses: Poses, labels: Index) -> Search:
     """Gauss-Newton on every joint by itself, from the first pose: the sum of their energies."""
     method = Printed(poses, strips(poses, labels))
-    assembly, length = method.space.projection, float(poses.lengths.mean()) / poses.diagonal
-    lengths, angles = assembly.targets(method.frame(between(0.5)))
+    length, frame = float(poses.lengths.mean()) / poses.diagonal, method.space.frame(between(0.5))
     problems = []
     for joint, patch in zip(method.decomposition.joints, method.patches, strict=True):
-        weights = assembly.shell.stretch[joint.edge_ids]
-        problem = ShellProblem(
-            patch, lengths[joint.edge_ids], angles[joint.hinge_ids], weights, ShellSettings().bending
-        )
+        weights = method.space.length_weights[joint.edge_ids]
+        wanted = frame.lengths[joint.edge_ids], frame.angles[joint.hinge_ids]
+        problem = ShellProblem(patch, *wanted, weights, ShellSettings().bending)
         problems.append((problem, poses.points[0][joint.vertices] / poses.diagonal))
 
     def search(size: float, rng: np.random.Generator) -> float:
@@ -101,20 +98,19 @@ def joints(poses: Poses, labels: Index) -> Search:
     return search
 
 
-def settled(poses: Poses, labels: Index) -> Search:
+def relaxed(poses: Poses, labels: Index) -> Search:
     """Frames and steps of the whole mesh, from where vertices are posed."""
     method = Anchored(poses, strips(poses, labels))
     space, length = method.space, float(poses.lengths.mean()) / poses.diagonal
-    shapes, placements = np.split(method.vectors, [space.shape_dim], axis=1)
-    weights = between(0.5)
-    vector = np.concatenate([weights @ shapes, space.blended_placements(weights, placements)])
-    blocks = space.split(vector[None])
-    x = replace(space, relaxation=Relaxation(steps=0)).decode(vector[None])[0] / space.scale
-    wanted = space.settling.targets(x, blocks.lengths[0], blocks.angles[0])
+    vector = (between(0.5) @ method.vectors)[None]
+    joints, shell, steps = space.joints, space.joints.shell, space.projection.steps
+    blocks, x = space.split(vector), space.posed(vector)[0]
+    wanted = lengths_and_angles(x, poses.topology.edges, poses.topology.hinges)
+    wanted[0][space.edge_ids], wanted[1][space.hinge_ids] = blocks.lengths[0], blocks.angles[0]
 
     def search(size: float, rng: np.random.Generator) -> float:
-        found = space.settling.from_start(shaken(x, length, size, rng), *wanted).points
-        return 2.0 * space.settling.shell.energy(found, *wanted)
+        start = joints.project(shaken(x, length, size, rng), blocks.lengths[0], blocks.angles[0], 1.0)
+        return 2.0 * shell.energy(shell.relaxed(start, *wanted, steps).points, *wanted)
 
     return search
 

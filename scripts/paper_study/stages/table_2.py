@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from scripts.benchmarks.common.section import markdown_table
-from scripts.paper_study.common.methods import METHODS, Edge, Mixed
+from scripts.paper_study.common.methods import METHODS, Anchored, Edge
 from scripts.paper_study.common.poses import MESHES as ALL
 from scripts.paper_study.common.poses import Poses
 from scripts.paper_study.common.printed import TABLE_2, edge_dimension
@@ -30,7 +30,7 @@ def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
     }
     for name in MIXED:
         mixed = METHODS[name](poses, labels)
-        assert isinstance(mixed, Mixed)
+        assert isinstance(mixed, Anchored)
         cut = mixed.decomposition
         result[name] = {
             "parts": len(cut.parts),

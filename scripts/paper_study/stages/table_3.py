@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from scripts.paper_study.common.methods import Free, strips
+from scripts.paper_study.common.methods import Strips, strips
 from scripts.paper_study.common.poses import MESHES as ALL
 from scripts.paper_study.common.poses import Poses, between
 from scripts.paper_study.common.printed import TABLE_1, TABLE_2, TABLE_3, Variant
@@ -18,8 +18,8 @@ WIDTHS = (3, 5, 9)
 
 def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
     labels = poses.segmented()
-    Free(poses, strips(poses, labels, 1)).at(between(0.5))  # compiles
-    return {str(width): row_of(Free(poses, strips(poses, labels, width, full=True))) for width in WIDTHS}
+    Strips(poses, strips(poses, labels, 1)).at(between(0.5))  # compiles
+    return {str(width): row_of(Strips(poses, strips(poses, labels, width, full=True))) for width in WIDTHS}
 
 
 def page(results: Results) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from scripts.paper_study.common.methods import Free, strips
+from scripts.paper_study.common.methods import Strips, strips
 from scripts.paper_study.common.poses import MESHES as ALL
 from scripts.paper_study.common.poses import Poses, between
 from scripts.paper_study.common.printed import TABLE_4
@@ -19,7 +19,7 @@ PARTS = {"lion": (7, 30), "cat": (7, 30), "horse": (7, 30), "elephant_gallop": (
 def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
     result: Json = {}
     for parts in PARTS[poses.mesh]:
-        method = Free(poses, strips(poses, poses.segmented(parts)))
+        method = Strips(poses, strips(poses, poses.segmented(parts)))
         method.at(between(0.5))  # compiles
         result[str(parts)] = row_of(method)
     return result
