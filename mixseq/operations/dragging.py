@@ -51,6 +51,9 @@ SPREAD_FRAMES = 64
 STEEPEST = 2.0
 """Largest distance of two of these in pose space per distance in the plane, as a multiple of the mean."""
 
+DROPPED = 1e-3
+"""A point is dropped on a frame that is nearer than this fraction of the largest distance in the plane."""
+
 SAME_PLACE = 1e-6
 """Frames closer than this fraction of the largest distance in the plane have one place."""
 
@@ -112,7 +115,7 @@ def _changes(model: Model, time: float, place: Float, plane: Plane) -> tuple[Flo
     move = place - model.embedding([time], plane)[0]
     axes = model.pose.matrix @ plane.axes
     times = np.append(time, model.times)
-    times = times[_spread_frames(model.time(times), axes)]
+    times = times[_spread_frames(model.time(times), axes, move)]
     points = model.time(times)
     weights = cardinal_weights((points - points[0]) @ axes)(np.stack([move, np.zeros(2)]))
     change = weights[0] - weights[1]
@@ -121,13 +124,20 @@ def _changes(model: Model, time: float, place: Float, plane: Plane) -> tuple[Flo
     return step + plane.directions @ rest, correction
 
 
-def _spread_frames(points: Float, axes: Float) -> Index:
-    """Return which of points ``(N, k)`` of pose space to interpolate: the first, and others far apart in the plane."""
+def _spread_frames(points: Float, axes: Float, move: Float) -> Index:
+    """Return which of points ``(N, k)`` of pose space to interpolate: the first, and others far apart in the plane.
+
+    A frame that the first point is dropped on, by a move ``(2,)``, is always one of them.
+    """
     places = points @ axes
     places -= places[0]
     nearest = np.linalg.norm(places, axis=1)
     least = SAME_PLACE * float(nearest.max())
-    found = [0]
+    found, away = [0], np.linalg.norm(places - move, axis=1)
+    if away.argmin() and away.min() <= DROPPED * float(nearest.max()):
+        found.append(int(away.argmin()))
+        np.minimum(nearest, np.linalg.norm(places - places[found[-1]], axis=1), out=nearest)
+    given = len(found)
     while len(found) <= SPREAD_FRAMES and nearest.max() > least:
         found.append(int(nearest.argmax()))
         np.minimum(nearest, np.linalg.norm(places - places[found[-1]], axis=1), out=nearest)
@@ -135,7 +145,7 @@ def _spread_frames(points: Float, axes: Float) -> Index:
     steepest = STEEPEST * np.linalg.norm(away) / (np.linalg.norm(apart) or 1.0)
     kept: list[int] = []
     for number in range(len(found)):
-        if (away[number, kept] <= steepest * apart[number, kept]).all():
+        if number < given or (away[number, kept] <= steepest * apart[number, kept]).all():
             kept.append(number)
     return np.array(found)[kept]
 
