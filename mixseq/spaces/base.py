@@ -292,10 +292,10 @@ class ShapeSpace(PickledWithoutCaches, ABC):
             Positions, and the derivative of `decode` in the direction of the rates. Spaces that know no
             derivative return central differences along that direction.
         """
+        here = self.decode(vectors)
         size = np.abs(rates * self.weights).max(axis=1, initial=0.0)
         step = np.divide(DIFFERENCE, size, out=np.zeros_like(size), where=size > 0)
         change = step[:, None] * rates
-        here = self.decode(vectors)
         ahead, behind = (self.decode_for_differences(v) for v in (vectors + change, vectors - change))
         inverse = np.divide(0.5, step, out=np.zeros_like(step), where=step > 0)
         return here, (ahead - behind) * inverse[:, None, None]

@@ -50,26 +50,74 @@ def test_no_vectors_are_no_frames(name: SpaceName) -> None:
 
 
 @pytest.mark.parametrize("name", SPACES)
-def test_a_vector_is_a_shape_and_a_placement(name: SpaceName) -> None:
+def test_no_frames_are_no_vectors(name: SpaceName) -> None:
     space = make_space(LONG, name)
-    vectors = space.encode(LONG.points[:3])
-    assert space.dim == space.shape_dim + space.placement_dim == len(space.weights)
+    assert space.encode(LONG.points[:0]).shape == (0, space.dim)
+
+
+@pytest.mark.parametrize("name", SPACES)
+def test_one_pose_is_one_frame(name: SpaceName) -> None:
+    """Of any real type."""
+    space = make_space(LONG, name)
+    pose = np.round(LONG.points[1] * 64)
+    whole = space.encode(pose[None])
+    for dtype in (np.float64, np.float32, np.int16):
+        np.testing.assert_array_equal(space.encode(pose.astype(dtype)), whole)
+
+
+@pytest.mark.parametrize("name", SPACES)
+def test_frames_of_other_meshes_are_refused(name: SpaceName) -> None:
+    space, points = make_space(LONG, name), LONG.points
+    assert space.vertex_count == LONG.vertex_count
+    for wrong in (points[:, :-1], points[:, :, :2], points[0, 0], points[None], points[:0, :-1]):
+        with pytest.raises(SettingsError, match=r"points have shape .*; \(T, 38, 3\) is expected, or \(38, 3\)"):
+            space.encode(wrong)
+    for dtype in (np.complex128, np.bool_, np.object_):
+        with pytest.raises(SettingsError, match=r"points are (complex128|bool|object); real numbers"):
+            space.encode(points.astype(dtype))
+    for number in (np.nan, np.inf, -np.inf):
+        damaged = points.copy()
+        damaged[2, 5, 1] = number
+        with pytest.raises(SettingsError, match="frame 2 has points that are not finite"):
+            space.encode(damaged)
+
+
+@pytest.mark.parametrize("name", SPACES)
+def test_vectors_of_other_spaces_are_refused(name: SpaceName) -> None:
+    space = make_space(LONG, name)
+    for wrong in (np.zeros(space.dim), np.zeros((2, space.dim + 1)), np.zeros((1, 1, space.dim))):
+        with pytest.raises(SettingsError, match=rf"vectors have shape .*; \(T, {space.dim}\) is expected"):
+            space.decode(wrong)
+
+
+@pytest.mark.parametrize("name", SPACES)
+def test_a_vector_is_a_shape_a_placement_and_a_correction(name: SpaceName) -> None:
+    space = make_space(LONG, name)
+    vectors, size = space.encode(LONG.points[:3]), space.shape_dim
+    assert space.dim == size + space.placement_dim + space.correction_dim == len(space.weights)
     assert space.placement_dim == 4 * space.rotation_count + 3 * space.centre_count
-    np.testing.assert_array_equal(space.shape_weights, space.weights[: space.shape_dim])
-    placements = vectors[:, space.shape_dim :]
+    np.testing.assert_array_equal(space.shape_weights, space.weights[:size])
+    placements, corrections = np.split(vectors[:, size:], [space.placement_dim], axis=1)
     poses = space.poses(placements)
     assert poses.rotations.shape == (3, space.rotation_count, 4)
     assert poses.centres.shape == (3, space.centre_count, 3)
     np.testing.assert_array_equal(space.placements(poses), placements)
+    assert not corrections.any()
+    assert bool(space.pose_dim) == bool(space.correction_dim) == (name == "mixed")
 
 
 @pytest.mark.parametrize("name", SPACES)
-def test_predicted_placements_pass_through_the_frames(name: SpaceName) -> None:
+def test_predicted_poses_pass_through_the_frames(name: SpaceName) -> None:
+    """And need no corrections there."""
     space, times = make_space(LONG, name), LONG.times
-    placements = space.encode(LONG.points)[:, space.shape_dim :]
-    found = space.predicted_placements(Operator(times, 2.0), placements, with_middles(times))
-    assert found.shape == (2 * len(times) - 1, space.placement_dim)
-    np.testing.assert_allclose(found[::2], placements, atol=1e-14)
+    vectors, size = space.encode(LONG.points), space.shape_dim
+    poses, placements = vectors[:, size - space.pose_dim : size], vectors[:, size : size + space.placement_dim]
+    targets, placed = space.predicted_poses(Operator(times, 2.0), poses, placements, with_middles(times), True)
+    assert placed.shape == (2 * len(times) - 1, space.placement_dim)
+    np.testing.assert_allclose(placed[::2], placements, atol=1e-12)
+    corrections = space.corrections(poses, targets[::2])
+    assert corrections.shape == (len(times), space.correction_dim)
+    np.testing.assert_allclose(corrections, 0.0, atol=1e-7)
 
 
 @pytest.mark.parametrize("name", SPACES)

@@ -34,7 +34,7 @@ def test_one_part_is_blended_by_its_registered_vertices(
     decomposition = decompose(topology, np.zeros(len(mesh[1]), dtype=np.int64), 3, points)
     mixed = mixed_space(points, topology, decomposition, placement)
     assert not decomposition.joints
-    assert mixed.dim == 3 * len(mesh[0]) + 7
+    assert mixed.dim == 3 * len(mesh[0]) + 7 + 7 + 6  # the part in its body, the body, and a correction
     blended = mixed.decode(np.array(weights)[None] @ mixed.encode(points))[0]
 
     shape = mean_shape(points)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -11,7 +12,7 @@ from mixseq.arrays import Float, Index
 from mixseq.choices import PLACEMENTS, PlacementName
 from mixseq.segmentation import decompose, segment_by_labels, segment_by_motion
 from mixseq.sequence import MeshSequence
-from mixseq.spaces.mixed import AnchoredSpace, FreeSpace, MixedSpace, mixed_space
+from mixseq.spaces.mixed import MixedSpace, Projection, Purpose, mixed_space
 from mixseq.topology import Topology
 from tests.meshes import (
     SEQUENCES,
@@ -55,26 +56,26 @@ def labels_of(name: str) -> tuple[Topology, Any]:
 
 
 @cache
-def space_of(name: str, placement: PlacementName, width: int = 3) -> MixedSpace:
+def space_of(
+    name: str, placement: PlacementName = "anchored", purpose: Purpose = "sequence", width: int = 3
+) -> MixedSpace:
     topology, labels = labels_of(name)
     points = sequence_of(name).points
-    return mixed_space(points, topology, decompose(topology, labels, width, points), placement)
+    return mixed_space(points, topology, decompose(topology, labels, width, points), placement, purpose)
 
 
-def anchored(name: str, width: int = 3) -> AnchoredSpace:
-    space = space_of(name, "anchored", width)
-    assert isinstance(space, AnchoredSpace)
-    return space
+@cache
+def steered(name: str, share: float = 1.0, steps: int = 0) -> MixedSpace:
+    """A space in which lengths and angles of all faces count."""
+    space = space_of(name)
+    everywhere = np.ones(len(space.topology.faces), dtype=bool)
+    return replace(space, joint_faces=everywhere, projection=Projection(share=share, steps=steps))
 
 
-def free(name: str, width: int = 3) -> FreeSpace:
-    space = space_of(name, "free", width)
-    assert isinstance(space, FreeSpace)
-    return space
-
-
-def in_both(name: str) -> list[MixedSpace]:
-    return [space_of(name, placement) for placement in PLACEMENTS]
+def in_all_ways(name: str) -> list[MixedSpace]:
+    """Both placements; lengths and angles that count, with steps and without, and a space for blends."""
+    both = [space_of(name, placement) for placement in PLACEMENTS]
+    return [*both, steered(name), steered(name, 0.5, 8), space_of(name, purpose="blends")]
 
 
 def error(space: MixedSpace, points: Any, decoded: Float) -> float:
@@ -87,12 +88,10 @@ def sliced(mesh: Mesh, *heights: float) -> Index:
     return segment_by_labels(np.searchsorted(heights, mesh[0][mesh[1]].mean(axis=1)[:, 2]), topology_of(mesh))
 
 
-def of_slices(points: Float, mesh: Mesh, *heights: float, width: int = 3) -> AnchoredSpace:
-    """The anchored space of frames of a mesh that is cut at heights; joints have full width."""
+def of_slices(points: Float, mesh: Mesh, *heights: float, width: int = 3) -> MixedSpace:
+    """The space of frames of a mesh that is cut at heights; joints have full width."""
     topology = topology_of(mesh)
-    space = mixed_space(points, topology, decompose(topology, sliced(mesh, *heights), width))
-    assert isinstance(space, AnchoredSpace)
-    return space
+    return mixed_space(points, topology, decompose(topology, sliced(mesh, *heights), width))
 
 
 def chain(bends: Float, links: int = 4, sides: int = 6) -> tuple[Float, Mesh]:

@@ -1,270 +1,438 @@
-"""Rigid frames of vertices: closed forms for two parts, signs along chains, derivatives."""
+"""Bodies and how their parts stand: closed forms, agreement, and nothing that depends on where a body is."""
 
 from __future__ import annotations
 
-import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from mixseq.spaces.mixed.vertex_frames import VertexFrames, rest_poses
-from scipy import sparse
+from hypothesis import strategies as st
 
 from mixseq.arrays import Float
 from mixseq.geometry.rotations import normalised, product, quaternions, rotations_of, turned
 from mixseq.prediction.poses import Poses
 from mixseq.segmentation import decompose
-from mixseq.spaces.mixed import vertex_frame_kernels as kernels
-from tests.meshes import grid, joined, rigid_motions, rotation, seeds, topology_of, tube
+from mixseq.segmentation.boundaries import Boundaries
+from mixseq.spaces.metric import radii_of_gyration
+from mixseq.spaces.mixed import articulation_kernels as kernels
+from mixseq.spaces.mixed.articulation import STILL, Articulation, PartPoses, Steadiness, articulation_of
+from mixseq.spaces.mixed.complex_step import values_and_rates, with_rates
+from tests.meshes import Mesh, joined, rigid_motions, rotation, seeds, topology_of, tube
 from tests.spaces.mixed.made import sliced
 
-AXIS = np.array([2.0, -1.0, 2.0]) / 3
 MESH = tube(6, 17)
+AXIS = np.array([2.0, -1.0, 2.0]) / 3
 
 
-def in_links(parts: int, rest: Poses | None = None) -> VertexFrames:
-    """A tube of links of equal length; every vertex has half a share in the links at the nearest boundary.
-
-    Without other poses at rest the links are centred in their middles, and not turned.
-    """
-    cuts = np.linspace(0, 4, parts + 1)
-    decomposition = decompose(topology_of(MESH), sliced(MESH, *cuts[1:-1]), 1)
-    labels = decomposition.part_of_face
-    along = np.array([MESH[0][MESH[1][labels == part]][:, :, 2].mean() for part in range(parts)])
-    order = np.argsort(along)
-    nearest = np.clip(np.round(MESH[0][:, 2] / 4 * parts), 1, parts - 1).astype(int)
-    shares = np.zeros((len(MESH[0]), parts))
-    for part in (order[nearest - 1], order[nearest]):
-        shares[np.arange(len(shares)), part] += 0.5
-    middles = np.zeros((parts, 3))
-    middles[order, 2] = (cuts[1:] + cuts[:-1]) / 2
-    rest = rest or Poses(np.tile(np.eye(4)[:1], (1, parts, 1)), middles[None])
-    return VertexFrames(topology_of(MESH), decomposition, rest, sparse.csr_array(shares))
-
-
-def bent(frames: VertexFrames, bend: float, axis: Float = AXIS) -> tuple[Float, Float]:
-    """Poses of links that each bend by an angle from the one before, at the boundaries between them."""
-    parts = len(frames.decomposition.parts)
-    rotations, centres = np.zeros((parts, 4)), np.zeros((parts, 3))
-    pivot, half = np.zeros(3), np.array([0, 0, 2.0 / parts])
-    for number, part in enumerate(np.argsort(frames.rest.centres[0, :, 2])):
-        turn = rotation(axis * bend * number)
-        centres[part] = pivot + turn @ half
-        rotations[part] = quaternions(turn)
-        pivot = pivot + 2 * turn @ half
-    return rotations, centres
-
-
-def wild(seed: int, parts: int) -> tuple[Float, Float]:
-    rng = np.random.default_rng(seed)
-    near = normalised([1.0, 0, 0, 0] + 0.3 * rng.normal(size=(parts, 4)))
-    return product(near, normalised(rng.normal(size=4))), rng.normal(size=(parts, 3))
-
-
-def moved(motions: Float, points: Float) -> Float:
-    return turned(rotations_of(motions[:, :4]), points) + motions[:, 4:]
-
-
-@pytest.mark.parametrize("angle", [0.0, 0.5, np.pi / 2, -2.0, 3.1])
-def test_with_half_a_share_a_vertex_turns_by_half_the_angle(angle: float) -> None:
-    """The axis stays where it is."""
-    frames = in_links(2)
-    motions = frames.motions(*bent(frames, angle))
-    half = rotation(AXIS * angle / 2)
-    np.testing.assert_allclose(
-        rotations_of(motions[:, :4]), np.broadcast_to(half, (len(motions), 3, 3)), atol=1e-14
-    )
-    pivot = np.array([0, 0, 2.0])
-    np.testing.assert_allclose(moved(motions, MESH[0]), (MESH[0] - pivot) @ half.T + pivot, atol=1e-14)
-
-
-def test_half_of_a_screw_is_half_the_turn_and_half_the_way() -> None:
-    frames = in_links(2)
-    rotations, centres = bent(frames, 1.4)
-    upper = int(np.argmax(frames.rest.centres[0, :, 2]))
-    centres[upper] += 0.6 * AXIS
-    half, pivot = rotation(AXIS * 0.7), np.array([0, 0, 2.0])
-    expected = (MESH[0] - pivot) @ half.T + pivot + 0.3 * AXIS
-    np.testing.assert_allclose(moved(frames.motions(rotations, centres), MESH[0]), expected, atol=1e-14)
-
-
-def test_who_follows_one_part_alone_moves_as_it_does() -> None:
-    frames = in_links(3)
-    part = np.arange(len(MESH[0])) % 3
-    alone = VertexFrames(
-        frames.topology, frames.decomposition, frames.rest, sparse.csr_array(np.eye(3)[part])
-    )
-    np.testing.assert_array_equal(alone.alone, part)
-    assert (frames.alone == -1).all()
-    rotations, centres = wild(0, 3)
-    expected = turned(rotations_of(rotations[part]), MESH[0] - frames.rest.centres[0, part]) + centres[part]
-    np.testing.assert_allclose(moved(alone.motions(rotations, centres), MESH[0]), expected, atol=1e-14)
-
-
-def test_one_part_is_a_rigid_body() -> None:
-    topology = topology_of(MESH)
-    whole = decompose(topology, np.zeros(len(MESH[1]), dtype=np.int64))
-    rest = rest_poses(rotation((0.3, -1.0, 0.2))[None], np.array([[1.0, 2.0, 3.0]]))
-    frames = VertexFrames(topology, whole, rest, sparse.csr_array(np.ones((len(MESH[0]), 1))))
-    turn = rotation((1.0, 0.3, -0.2))
-    motions = frames.motions(quaternions(turn @ rotations_of(rest.rotations[0])), np.array([[0.0, 1.0, 0.0]]))
-    np.testing.assert_allclose(
-        moved(motions, MESH[0]), (MESH[0] - [1, 2, 3]) @ turn.T + [0, 1, 0], atol=1e-13
-    )
-
-
-def test_at_rest_nothing_moves() -> None:
-    frames = in_links(4, Poses(*(block[None] for block in wild(1, 4))))
-    motions = frames.motions(frames.rest.rotations[0], frames.rest.centres[0])
-    np.testing.assert_allclose(moved(motions, MESH[0]), MESH[0], atol=1e-14)
-
-
-@settings(max_examples=10, deadline=None)
-@given(seed=seeds, motion=rigid_motions)
-def test_rigid_motions_of_all_parts_go_through(seed: int, motion: tuple[Float, Float]) -> None:
-    turn, shift = motion
-    frames = in_links(4)
-    rotations, centres = wild(seed, 4)
-    here = moved(frames.motions(rotations, centres), MESH[0])
-    carried = product(quaternions(turn), rotations), centres @ turn.T + shift
-    there = moved(frames.motions(*carried), MESH[0])
-    np.testing.assert_allclose(there, here @ turn.T + shift, atol=1e-11)
-
-
-@settings(max_examples=10, deadline=None)
-@given(seed=seeds)
-def test_neither_sign_nor_length_of_quaternions_matters(seed: int) -> None:
-    frames = in_links(4)
-    rotations, centres = wild(seed, 4)
-    here = moved(frames.motions(rotations, centres), MESH[0])
-    rng = np.random.default_rng(seed)
-    other = rotations * rng.choice([-1.0, 1.0], (4, 1)) * rng.uniform(0.3, 3.0, (4, 1))
-    np.testing.assert_allclose(moved(frames.motions(other, centres), MESH[0]), here, atol=1e-13)
-
-
-@pytest.mark.parametrize("parts", [2, 4, 8])
-@pytest.mark.parametrize("degrees", [10.0, 60.0, 100.0, 170.0])
-def test_signs_follow_from_neighbour_to_neighbour(parts: int, degrees: float) -> None:
-    """However far the ends of a chain turn against each other, between two links are the means of these two."""
-    frames = in_links(parts)
-    bend = np.radians(degrees)
-    motions = frames.motions(*bent(frames, bend))
-    boundary = np.clip(np.round(MESH[0][:, 2] / 4 * parts), 1, parts - 1)
-    expected = np.stack([rotation(AXIS * bend * (number - 0.5)) for number in boundary])
-    np.testing.assert_allclose(rotations_of(motions[:, :4]), expected, atol=1e-13)
-
-
-def test_quaternions_get_signs_along_the_chain() -> None:
-    """Those of the first part stays; eight links that bend by 100 degrees each go almost twice around."""
-    frames = in_links(8)
-    rotations, _ = bent(frames, np.radians(100.0))
-    rng = np.random.default_rng(0)
-    signed = frames.signed(rotations * rng.choice([-1.0, 1.0], (8, 1)) * np.sign(rotations[:, :1]))
-    along = signed[np.argsort(frames.rest.centres[0, :, 2])]
-    assert (np.einsum("pi,pi->p", along[1:], along[:-1]) > 0).all()
-    np.testing.assert_array_equal(np.abs(signed), np.abs(rotations))
-    np.testing.assert_array_equal(frames.signed(signed), signed)
-    np.testing.assert_array_equal(frames.signed(-signed), -signed)
-    assert frames.bodies.tolist() == [0] * 8
-
-
-@pytest.mark.parametrize(
-    ("degrees", "bends"), [(0.0, False), (19.0, False), (21.0, True), (-90.0, True), (300.0, True)]
-)
-def test_faces_bend_where_frames_of_corners_differ(degrees: float, bends: bool) -> None:
-    """By more than 10 degrees: next to the middle ring, which turns by half the angle of the part above."""
-    frames = in_links(2)
-    upper = int(np.argmax(frames.rest.centres[0, :, 2]))
-    shares = np.zeros((len(MESH[0]), 2))
-    shares[:, upper] = np.select([MESH[0][:, 2] < 1.99, MESH[0][:, 2] < 2.01], [0.0, 0.5], 1.0)
-    shares[:, 1 - upper] = 1 - shares[:, upper]
-    ramp = VertexFrames(frames.topology, frames.decomposition, frames.rest, sparse.csr_array(shares))
-    marked = ramp.bent(ramp.motions(*bent(frames, np.radians(degrees))))
-    touching = (np.abs(MESH[0][MESH[1]][:, :, 2] - 2) < 0.01).any(axis=1)
-    np.testing.assert_array_equal(marked, touching & bends)
-
-
-def test_every_body_has_signs_of_its_own() -> None:
-    mesh = joined(MESH, MESH, grid(1, 1))
-    half = np.repeat([0, 1], len(MESH[1]) // 2)
-    labels = np.concatenate([half, half + 2, [4, 4]])
+def articulated(mesh: Mesh, labels: object) -> Articulation:
     decomposition = decompose(topology_of(mesh), labels, 1)
-    rest = rest_poses(np.tile(np.eye(3), (5, 1, 1)), np.zeros((5, 3)))
-    shares = np.zeros((len(mesh[0]), 5))
-    count = len(MESH[0])
-    shares[:count, :2] = shares[count : 2 * count, 2:4] = 0.5
-    shares[2 * count :, 4] = 1
-    frames = VertexFrames(topology_of(mesh), decomposition, rest, sparse.csr_array(shares))
-    assert frames.bodies.tolist() == [0, 0, 1, 1, 2]
-    angles = np.array([0.0, 1.0, 3.0, 4.0, 6.0])
-    turns = np.stack([rotation(AXIS * angle) for angle in angles])
-    motions = frames.motions(quaternions(turns), np.zeros((5, 3)))
-    expected = np.repeat([0.5, 3.5, 6.0], [count, count, 4])
-    expected = np.stack([rotation(AXIS * angle) for angle in expected])
-    np.testing.assert_allclose(rotations_of(motions[:, :4]), expected, atol=1e-14)
+    centres = np.stack([mesh[0][part].mean(axis=0) for part in decomposition.parts])
+    shapes = np.concatenate(
+        [mesh[0][part] - centre for part, centre in zip(decomposition.parts, centres, strict=True)]
+    )
+    radii = radii_of_gyration(shapes, decomposition.parts)
+    return articulation_of(topology_of(mesh), decomposition, mesh[0], centres, radii)
 
 
-@settings(max_examples=20, deadline=None)
-@given(seed=seeds)
-def test_posing_and_unposing_are_inverse(seed: int) -> None:
+def links(parts: int) -> Articulation:
+    """A tube, cut into links of equal length."""
+    return articulated(MESH, sliced(MESH, *np.linspace(0, 4, parts + 1)[1:-1]))
+
+
+CHAIN = links(4)
+TWO = articulated(
+    joined(MESH, (MESH[0] + [9.0, 0, 0], MESH[1])),
+    np.concatenate([sliced(MESH, 2.0), 2 + sliced(MESH, 2.0)]),
+)
+
+
+def wild(seed: int, parts: int = 4, frames: int = 1, spread: float = 3.0) -> Poses:
+    """Poses by chance, in any axes."""
     rng = np.random.default_rng(seed)
-    motions = np.concatenate([normalised(rng.normal(size=(30, 4))), rng.normal(size=(30, 3))], axis=1)
-    x = rng.normal(size=(30, 3))
-    np.testing.assert_allclose(kernels.pose(motions, x), moved(motions, x), atol=1e-13)
-    np.testing.assert_allclose(kernels.pose(motions, kernels.unpose(motions, x)), x, atol=1e-12)
-    np.testing.assert_allclose(kernels.unpose(motions, kernels.pose(motions, x)), x, atol=1e-12)
+    turns = normalised(np.array([1.0, 0, 0, 0]) + spread * rng.normal(size=(frames, parts, 4)))
+    return Poses(turns, rng.normal(size=(frames, parts, 3)))
 
 
-def test_an_even_turn_has_its_spin() -> None:
-    """Upper half turns by 1 radian a second about the axis through the pivot, vertices between by half of that."""
-    frames = in_links(2)
-    rotations, centres = bent(frames, 0.8)
-    upper = int(np.argmax(frames.rest.centres[0, :, 2]))
-    pivot = np.array([0, 0, 2.0])
-    rates, speeds = np.zeros((2, 4)), np.zeros((2, 3))
-    rates[upper] = 0.5 * product(np.array([0, *AXIS]), rotations[upper])
-    speeds[upper] = np.cross(AXIS, centres[upper] - pivot)
-    motions, changes = frames.moving(rotations, centres, rates, speeds)
-    np.testing.assert_array_equal(motions, frames.motions(rotations, centres))
-    np.testing.assert_allclose(changes[:, :3], np.broadcast_to(AXIS / 2, (len(changes), 3)), atol=1e-14)
-    x = kernels.pose(motions, MESH[0])
-    velocities = kernels.pose_moving(motions, changes, x, np.zeros_like(x))
-    np.testing.assert_allclose(velocities, np.cross(AXIS / 2, x - pivot), atol=1e-14)
+def bending(chain: Articulation, bend: float) -> Poses:
+    """Each link turned by an angle against the one before it, at the boundary between them."""
+    order = np.argsort(chain.rest_centres[:, 2])
+    turns, centres = np.zeros((1, len(order), 4)), np.zeros((1, len(order), 3))
+    pivot = np.zeros(3)
+    for number, part in enumerate(order):
+        turn = rotation(AXIS * bend * number)
+        rest, end = chain.rest_centres[part], np.array([0, 0, 4.0 * (number + 1) / len(order)])
+        start = np.array([0, 0, 4.0 * number / len(order)])
+        turns[0, part], centres[0, part] = quaternions(turn), pivot + turn @ (rest - start)
+        pivot = pivot + turn @ (end - start)
+    return Poses(turns, centres)
+
+
+def assert_same_poses(found: Poses, expected: Poses, atol: float = 1e-12) -> None:
+    np.testing.assert_allclose(rotations_of(found.rotations), rotations_of(expected.rotations), atol=atol)
+    np.testing.assert_allclose(found.centres, expected.centres, atol=atol)
+
+
+def moved(poses: Poses, turn: Float, shift: Float) -> Poses:
+    return Poses(product(quaternions(turn), poses.rotations), poses.centres @ turn.T + shift)
+
+
+def angle_between(first: Float, second: Float) -> Float:
+    return 2.0 * np.arccos(np.minimum(np.abs(np.einsum("...i,...i", first, second)), 1.0))
+
+
+# Who is of what body --------------------------------------------------------------------------------------
+
+
+def test_neighbours_see_each_other_at_the_middle_of_their_boundary() -> None:
+    labels = sliced(MESH, 1.0, 2.0, 3.0)
+    boundaries = Boundaries.of(topology_of(MESH), labels)
+    pairs = boundaries.parts
+    np.testing.assert_array_equal(CHAIN.pairs, np.concatenate([pairs, pairs[:, ::-1]]))
+    places = CHAIN.pivots + CHAIN.rest_centres[CHAIN.pairs[:, 1]]
+    np.testing.assert_allclose(places, np.tile(boundaries.middles(MESH[0]), (2, 1)), atol=1e-12)
+    assert (CHAIN.part_count, CHAIN.body_count) == (4, 1)
+
+
+@pytest.mark.parametrize(("gap", "bodies"), [(0.05, 1), (0.2, 2)])
+def test_components_that_touch_are_one_body(gap: float, bodies: int) -> None:
+    """They see each other where they are nearest."""
+    mesh = joined(MESH, (MESH[0] + [0, 0, 4.0 + gap], MESH[1]))
+    both = articulated(mesh, np.repeat([0, 1], len(MESH[1])))
+    assert both.body_count == bodies
+    assert len(both.pairs) == 2 * (2 - bodies)
+    if bodies == 1:
+        places = both.pivots + both.rest_centres[both.pairs[:, 1]]
+        np.testing.assert_allclose(places[:, 2], 4.0 + gap / 2, atol=1e-12)
+
+
+def test_parts_hang_on_the_largest_of_their_body() -> None:
+    chain = articulated(MESH, sliced(MESH, 1.0, 1.5))
+    large = int(np.argmax(chain.areas))
+    order = np.argsort(chain.rest_centres[:, 2])
+    assert large == order[2]
+    assert chain.parents[large] == -1
+    assert chain.parents[order[1]] == large and chain.parents[order[0]] == order[1]
+    assert (TWO.parents < 0).sum() == TWO.body_count == 2
+
+
+def test_radii_of_bodies_are_those_of_all_their_vertices() -> None:
+    """As far as parts share no vertices."""
+    mesh = joined(MESH, (MESH[0] + [0, 0, 4.05], MESH[1]))
+    both = articulated(mesh, np.repeat([0, 1], len(MESH[1])))
+    away = mesh[0] - mesh[0].mean(axis=0)
+    assert both.body_radii[0] == pytest.approx(np.sqrt(np.square(away).sum(axis=1).mean()), rel=1e-12)
+
+
+# From frames ----------------------------------------------------------------------------------------------
+
+
+@given(motion=rigid_motions)
+def test_parts_that_move_as_one_are_a_body_with_that_motion(motion: tuple[Float, Float]) -> None:
+    turn, shift = motion
+    rest = Poses(np.tile(np.eye(4)[:1], (1, 4, 1)), CHAIN.rest_centres[None])
+    body, poses = (CHAIN.bodies_of(each) for each in (rest, moved(rest, turn, shift)))
+    np.testing.assert_allclose(rotations_of(poses.rotations[0, 0]), turn, atol=1e-12)
+    np.testing.assert_allclose(poses.centres[0, 0], turn @ body.centres[0, 0] + shift, atol=1e-12)
+    seen = CHAIN.seen_from_bodies(moved(rest, turn, shift), poses)
+    assert_same_poses(seen, rest._replace(centres=rest.centres - body.centres))
+
+
+@pytest.mark.parametrize("degrees", [10.0, 40.0])
+def test_a_chain_that_bends_is_as_turned_as_its_links_on_average(degrees: float) -> None:
+    body = CHAIN.bodies_of(bending(CHAIN, np.radians(degrees)))
+    turned_by = angle_between(body.rotations[0, 0], quaternions(rotation(AXIS * np.radians(1.5 * degrees))))
+    assert turned_by < np.radians(0.11 * degrees)
+
+
+@given(seed=seeds, motion=rigid_motions)
+def test_a_rigid_motion_of_a_body_changes_its_pose_and_nothing_else(
+    seed: int, motion: tuple[Float, Float]
+) -> None:
+    """Also if only one of the bodies moves."""
+    turn, shift = motion
+    poses = wild(seed, 4, spread=0.2)
+    other = Poses(*(block.copy() for block in poses))
+    own = np.flatnonzero(TWO.bodies == 1)
+    for block, carried in zip(other, moved(poses, turn, shift), strict=True):
+        block[:, own] = carried[:, own]
+    before, after = (TWO.bodies_of(each) for each in (poses, other))
+    assert_same_poses(TWO.seen_from_bodies(other, after), TWO.seen_from_bodies(poses, before), 1e-9)
+    expected = moved(before, turn, shift)
+    assert_same_poses(*(Poses(*(block[:, 1:] for block in each)) for each in (after, expected)), 1e-9)
+    assert_same_poses(*(Poses(*(block[:, :1] for block in each)) for each in (after, before)), 1e-12)
+
+
+@given(seed=seeds)
+def test_placing_is_the_inverse_of_seeing_from_bodies(seed: int) -> None:
+    poses = wild(seed, 4, frames=3)
+    bodies = TWO.bodies_of(poses)
+    assert_same_poses(TWO.placed(TWO.seen_from_bodies(poses, bodies), bodies), poses)
+
+
+@given(seed=seeds, motion=rigid_motions)
+def test_relations_are_the_same_in_all_axes(seed: int, motion: tuple[Float, Float]) -> None:
+    poses = wild(seed)
+    here, there = CHAIN.with_relations(poses), CHAIN.with_relations(moved(poses, *motion))
+    np.testing.assert_allclose(there.relation_points, here.relation_points, atol=1e-12)
+    np.testing.assert_allclose(
+        rotations_of(there.relation_turns), rotations_of(here.relation_turns), atol=1e-12
+    )
+
+
+def test_what_moves_less_is_steadier() -> None:
+    """One over the mean squared motion: here the turns of the last link, by its radius, about the mean."""
+    rest = Poses(np.tile(np.eye(4)[:1], (4, 4, 1)), np.tile(CHAIN.rest_centres[None], (4, 1, 1)))
+    last, angles = int(np.argmax(CHAIN.rest_centres[:, 2])), np.array([-0.3, -0.1, 0.1, 0.3])
+    rest.rotations[:, last] = quaternions(np.stack([rotation(AXIS * angle) for angle in angles]))
+    found = CHAIN.measured(CHAIN.with_relations(rest))
+    expected = np.full(4, STILL**2)
+    expected[last] += np.square(angles).mean() * CHAIN.radii[last] ** 2
+    np.testing.assert_allclose(found.turns, 1.0 / expected, rtol=1e-9)
+    np.testing.assert_allclose(found.centres, 1.0 / STILL**2)
+    sees = (CHAIN.pairs == last).any(axis=1)
+    assert found.relation_turns[sees].max() < found.relation_turns[~sees].min()
+
+
+def test_a_part_that_goes_around_has_a_steadiness() -> None:
+    """The mean of its quaternions is nothing."""
+    angles = np.pi * np.arange(4.0)
+    turns = np.stack([np.cos(angles / 2), np.sin(angles / 2), 0 * angles, 0 * angles], axis=1)
+    around = Poses(np.tile(turns[:, None], (1, 4, 1)), np.zeros((4, 4, 3)))
+    for block in CHAIN.measured(CHAIN.with_relations(around)):
+        assert np.isfinite(block).all() and (block > 0).all()
+
+
+# Agreement ------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=seeds, weight=st.sampled_from([0.1, 3.0]))
+def test_poses_and_relations_of_one_frame_agree(seed: int, weight: float) -> None:
+    """However far the parts are turned against each other."""
+    for articulation in (CHAIN, TWO):
+        poses = wild(seed, 4, frames=2)
+        found = replace(articulation, relation_weight=weight).agreed(articulation.with_relations(poses))
+        assert_same_poses(found, poses)
+
+
+@pytest.mark.parametrize("wrong", range(4))
+def test_a_wrong_pose_is_pulled_to_where_neighbours_see_the_part(wrong: int) -> None:
+    right = CHAIN.with_relations(bending(CHAIN, 0.4))
+    turns, centres = right.turns.copy(), right.centres.copy()
+    turns[0, wrong] = product(quaternions(rotation((0.4, 0.0, 0.0))), turns[0, wrong])
+    centres[0, wrong] += [0.3, 0.0, 0.0]
+    given_poses = right._replace(turns=turns, centres=centres)
+    off = []
+    for weight in (0.01, 1.0, 100.0):
+        found = replace(CHAIN, relation_weight=weight).agreed(given_poses)
+        turn = angle_between(found.rotations[0, wrong], right.turns[0, wrong])
+        off.append((turn, np.linalg.norm(found.centres[0, wrong] - right.centres[0, wrong])))
+    for sizes, whole in zip(np.transpose(off), (0.4, 0.3), strict=True):
+        assert whole * 1.01 > sizes[0] > sizes[1] > sizes[2] > 0
+        assert sizes[0] > 0.85 * whole and sizes[2] < 0.6 * whole
+
+
+def test_what_is_steady_is_trusted() -> None:
+    right = CHAIN.with_relations(bending(CHAIN, 0.4))
+    turns = right.turns.copy()
+    turns[0, 1] = product(quaternions(rotation((0.4, 0.0, 0.0))), turns[0, 1])
+    off = []
+    for steady in (0.01, 1.0, 100.0):
+        parts = Steadiness.equal(4, len(CHAIN.pairs))
+        parts.turns[1] = steady
+        found = replace(CHAIN, steadiness=parts).agreed(right._replace(turns=turns))
+        off.append(float(angle_between(found.rotations[0, 1], right.turns[0, 1])))
+    assert off == sorted(off)
+    assert off[0] < 0.15 and off[2] > 0.3
+
+
+def misfit(chain: Articulation, poses: PartPoses, found: Poses) -> float:
+    """What rotations minimise: squared sines of half the angles that are left, weighted."""
+    own, weights = (
+        (chain.masses * chain.radii**2),
+        np.minimum(*(chain.masses * chain.radii**2)[chain.pairs.T]),
+    )
+    i, j = chain.pairs.T
+    seen = product(found.rotations[:, i], poses.relation_turns)
+    cosines = [
+        np.einsum("tpi,tpi->tp", found.rotations, poses.turns),
+        np.einsum("tpi,tpi->tp", found.rotations[:, j], seen),
+    ]
+    return float(sum((w * (1.0 - c**2)).sum() for w, c in zip((own, weights), cosines, strict=True)))
+
+
+def test_agreed_rotations_nearly_have_the_least_misfit() -> None:
+    rng = np.random.default_rng(0)
+    poses = CHAIN.with_relations(bending(CHAIN, 0.4))
+    noisy = poses._replace(
+        turns=normalised(poses.turns + 0.1 * rng.normal(size=poses.turns.shape)),
+        relation_turns=normalised(poses.relation_turns + 0.1 * rng.normal(size=poses.relation_turns.shape)),
+    )
+    found = CHAIN.agreed(noisy)
+    least = misfit(CHAIN, noisy, found)
+    assert least < 0.8 * misfit(CHAIN, noisy, Poses(noisy.turns, noisy.centres))
+    for _ in range(50):
+        step = normalised(np.array([1.0, 0, 0, 0]) + 0.03 * rng.normal(size=(1, 4, 4)))
+        assert misfit(CHAIN, noisy, Poses(product(step, found.rotations), found.centres)) > least
+
+
+@given(seed=seeds, motion=rigid_motions)
+@settings(max_examples=20, deadline=None)
+def test_agreement_is_the_same_in_all_axes(seed: int, motion: tuple[Float, Float]) -> None:
+    poses, others = (
+        CHAIN.with_relations(wild(seed, spread=0.3)),
+        CHAIN.with_relations(wild(seed + 1, spread=0.3)),
+    )
+    turn, shift = motion
+    here = others._replace(turns=poses.turns, centres=poses.centres)
+    carried = moved(Poses(poses.turns, poses.centres), turn, shift)
+    there = here._replace(turns=carried.rotations, centres=carried.centres)
+    assert_same_poses(CHAIN.agreed(there), moved(CHAIN.agreed(here), turn, shift), 1e-9)
+
+
+@pytest.mark.parametrize("weight", [-0.5, 0.25, 0.5, 0.75, 1.5])
+def test_chains_stay_closed_between_far_poses(weight: float) -> None:
+    """Sums of centres open them, as chords are shorter than arcs."""
+    chain = replace(links(3), relation_weight=3.0)
+    near, far = (chain.with_relations(bending(chain, bend)) for bend in (0.0, 1.2))
+    blend = PartPoses(*((1.0 - weight) * a + weight * b for a, b in zip(near, far, strict=True)))
+
+    def gap(poses: Poses) -> float:
+        seen = chain.pairs[:, 1]
+        places = turned(rotations_of(poses.rotations[:, seen]), chain.pivots) + poses.centres[:, seen]
+        return float(np.linalg.norm(np.diff(places.reshape(2, -1, 3), axis=0), axis=2).max())
+
+    opened = gap(Poses(blend.turns, blend.centres))
+    assert opened > 0.03
+    assert gap(chain.agreed(blend)) < 0.5 * opened
+
+
+def test_blends_of_half_turns_are_rotations() -> None:
+    """Whose quaternions may add up to nothing, of parts, relations and all."""
+    poses = CHAIN.with_relations(wild(0))
+    nothing = poses._replace(turns=0.0 * poses.turns)
+    nowhere = nothing._replace(relation_turns=0.0 * poses.relation_turns)
+    halves = poses._replace(turns=np.tile(np.eye(4)[1], (1, 4, 1)))
+    for each in (nothing, nowhere, poses._replace(relation_turns=0.0 * poses.relation_turns), halves):
+        found = CHAIN.agreed(each)
+        np.testing.assert_allclose(np.linalg.norm(found.rotations, axis=2), 1.0, atol=1e-12)
+        assert np.isfinite(found.centres).all()
+
+
+@pytest.mark.parametrize("degrees", [179.0, 180.0, 181.0])
+def test_parts_half_a_turn_apart_agree(degrees: float) -> None:
+    chain = links(2)
+    poses = bending(chain, np.radians(degrees))
+    assert_same_poses(chain.agreed(chain.with_relations(poses)), poses)
+
+
+# Corrections and motions ----------------------------------------------------------------------------------
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=seeds, size=st.sampled_from([1e-9, 1e-3, 0.5]))
+def test_corrections_lead_from_poses_to_targets(seed: int, size: float) -> None:
+    rng = np.random.default_rng(seed)
+    poses = wild(seed, frames=3)
+    step = normalised(np.array([1.0, 0, 0, 0]) + size * rng.normal(size=(3, 4, 4)))
+    targets = Poses(product(poses.rotations, step), poses.centres + size * rng.normal(size=(3, 4, 3)))
+    found = CHAIN.corrections(poses, targets).reshape(3, 2, 4, 3)
+    for frame in range(3):
+        turns, centres = kernels.correct(poses.rotations[frame], poses.centres[frame], *found[frame])
+        assert_same_poses(Poses(turns, centres), Poses(*(block[frame] for block in targets)))
+
+
+def test_no_correction_changes_nothing() -> None:
+    poses = wild(1)
+    assert not CHAIN.corrections(poses, poses).round(15).any()
+    turns, centres = kernels.correct(poses.rotations[0], poses.centres[0], *np.zeros((2, 4, 3)))
+    np.testing.assert_array_equal(turns, poses.rotations[0])
+    np.testing.assert_array_equal(centres, poses.centres[0])
+
+
+def test_corrections_of_a_sequence_do_not_jump() -> None:
+    """Past half a turn they go on."""
+    angles = np.linspace(0, 1.5 * np.pi, 9)
+    targets = Poses(
+        np.stack([np.tile(quaternions(rotation(AXIS * angle)), (4, 1)) for angle in angles]),
+        np.zeros((9, 4, 3)),
+    )
+    found = CHAIN.corrections(Poses(np.tile(np.eye(4)[0], (9, 4, 1)), np.zeros((9, 4, 3))), targets)
+    np.testing.assert_allclose(found[:, :3], angles[:, None] * AXIS, atol=1e-9)
+
+
+def motions(chain: Articulation, poses: Poses, bodies: Poses | None = None) -> Float:
+    """Motions of the parts of one frame, as dual quaternions."""
+    bodies = chain.bodies_of(poses) if bodies is None else bodies
+    parts = chain.with_relations(chain.seen_from_bodies(poses, bodies))
+    frame = PartPoses(*(block[0] for block in parts))
+    none = np.zeros(6 * chain.part_count)
+    return np.asarray(chain.motions(frame, (bodies.rotations[0], bodies.centres[0]), none))
+
+
+def applied(dual: Float, points: Float) -> Float:
+    back = dual[:4] * np.array([1.0, -1, -1, -1])
+    return np.asarray(turned(rotations_of(dual[:4]), points) + 2.0 * product(dual[4:], back)[1:])
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=seeds)
+def test_motions_take_parts_from_rest_to_where_they_are(seed: int) -> None:
+    for chain in (CHAIN, TWO):
+        poses = wild(seed, spread=0.3)
+        for part, dual in enumerate(motions(chain, poses)):
+            turn = rotations_of(poses.rotations[0, part])
+            points = np.random.default_rng(seed).normal(size=(5, 3))
+            expected = (points - chain.rest_centres[part]) @ turn.T + poses.centres[0, part]
+            np.testing.assert_allclose(applied(dual, points), expected, atol=1e-11)
+            np.testing.assert_allclose([dual[:4] @ dual[:4], dual[:4] @ dual[4:]], [1.0, 0.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("degrees", [10.0, 100.0, 170.0])
+def test_signs_of_motions_follow_from_neighbour_to_neighbour(degrees: float) -> None:
+    """However far the ends of a chain turn against each other."""
+    chain = links(8)
+    duals = motions(chain, bending(chain, np.radians(degrees)))
+    i, j = chain.pairs.T
+    assert (np.einsum("ni,ni->n", duals[i, :4], duals[j, :4]) > 0).all()
 
 
 @settings(max_examples=15, deadline=None)
 @given(seed=seeds)
-def test_rates_are_difference_quotients(seed: int) -> None:
-    """Quaternions need not be of length one, nor stay so."""
-    frames = in_links(4, Poses(*(block[None] for block in wild(1, 4))))
+def test_rates_of_motions_are_difference_quotients(seed: int) -> None:
+    """Quaternions need not be of length one, nor stay so; poses need not agree."""
     rng = np.random.default_rng(seed)
-    rotations, centres = wild(seed, 4)
-    rotations = rotations * rng.uniform(0.5, 2.0, (4, 1))
-    rates, speeds = rng.normal(size=(4, 4)), rng.normal(size=(4, 3))
-    unposed, changing = rng.normal(size=(2, len(MESH[0]), 3))
-    step = 1e-6
+    poses, bodies = CHAIN.with_relations(wild(seed, spread=0.3)), wild(seed + 1, 1)
+    values = [block[0] for block in (*poses, *bodies)]
+    values[2] = values[2] + 0.1 * rng.normal(size=values[2].shape)
+    values.append(0.3 * rng.normal(size=24))
+    rates = [rng.normal(size=value.shape) for value in values]
 
-    def at(time: float) -> tuple[Float, Float]:
-        motions = frames.motions(rotations + time * rates, centres + time * speeds)
-        return motions, kernels.pose(motions, unposed + time * changing)
+    def at(time: float) -> Float:
+        now = [value + time * rate for value, rate in zip(values, rates, strict=True)]
+        return np.asarray(CHAIN.motions(PartPoses(*now[:4]), (now[4], now[5]), now[6]))
 
-    motions, changes = frames.moving(rotations, centres, rates, speeds)
-    x = kernels.pose(motions, unposed)
-    (_, ahead), (_, behind) = at(step), at(-step)
-    quotient = (ahead - behind) / (2 * step)
-    velocities = kernels.pose_moving(motions, changes, x, changing)
-    assert np.abs(velocities - quotient).max() < 1e-6 * np.abs(quotient).max()
-    faces = MESH[1].astype(np.int64)
-    turns = [rotations_of(kernels.face_frames(at(time)[0], faces)) for time in (step, -step)]
-    spinning = (turns[0] - turns[1]) / (2 * step)
-    spinning = spinning @ np.swapaxes(rotations_of(kernels.face_frames(motions, faces)), 1, 2)
-    measured = np.stack([spinning[:, 2, 1], spinning[:, 0, 2], spinning[:, 1, 0]], axis=1)
-    spins = kernels.face_spins(motions, changes, faces)
-    assert np.abs(spins - measured).max() < 1e-6 * np.abs(measured).max()
+    numbers = [with_rates(value, rate) for value, rate in zip(values, rates, strict=True)]
+    found, velocity = values_and_rates(
+        CHAIN.motions(PartPoses(*numbers[:4]), (numbers[4], numbers[5]), numbers[6])
+    )
+    np.testing.assert_allclose(found, at(0.0), atol=1e-13)
+    step = 1e-5
+    quotient = (at(step) - at(-step)) / (2 * step)
+    assert np.abs(velocity - quotient).max() < 1e-6 * np.abs(quotient).max()
 
 
-def test_frames_can_be_sent() -> None:
-    frames = in_links(3)
-    poses = bent(frames, 0.5)
-    motions = frames.motions(*poses)
-    np.testing.assert_array_equal(pickle.loads(pickle.dumps(frames)).motions(*poses), motions)
+def test_small_corrections_have_the_rates_of_large_ones() -> None:
+    """Their exponential is a power series below an angle, and both sides of it agree."""
+    small = np.sqrt(kernels.SMALL)
+    turns, none = np.eye(4)[:1], np.zeros((1, 3))
+    found = []
+    for size in (0.999999 * small, 1.000001 * small):
+        spins = with_rates(size * AXIS[None], AXIS[None])
+        value, rate = values_and_rates(
+            kernels.correct(turns.astype(complex), none, spins, none.astype(complex))[0]
+        )
+        np.testing.assert_allclose(value[0], [np.cos(size / 2), *np.sin(size / 2) * AXIS], atol=1e-15)
+        found.append(rate)
+    np.testing.assert_allclose(found[0], found[1], atol=1e-8)

@@ -1,4 +1,4 @@
-"""The free placement, the paper's: aligned parts, joints by lengths and angles, a pose for every component."""
+"""The free placement: where parts and joints go, from lengths and angles alone."""
 
 from __future__ import annotations
 
@@ -8,67 +8,26 @@ import numpy as np
 import pytest
 
 from mixseq.arrays import Float
-from mixseq.errors import ReconstructionError
-from mixseq.geometry.rigid import kabsch
-from mixseq.geometry.rotations import rotations_of
-from mixseq.segmentation import decompose
-from mixseq.shells.shell import Relaxation
-from mixseq.spaces import mixed_space
-from mixseq.spaces.mixed import FreeSpace
-from tests.meshes import topology_of, tube
-from tests.spaces.mixed.made import anchored, free, sequence_of
+from mixseq.geometry.rigid import kabsch, transform
+from mixseq.geometry.rotations import product, quaternions
+from mixseq.spaces.mixed.assembly import FreeFrame
+from mixseq.spaces.mixed.mixed_space import MixedSpace
+from tests.meshes import rotation
+from tests.spaces.mixed.made import error, sequence_of, space_of
 
 
 def rms(differences: Float) -> float:
     return float(np.sqrt(np.mean(differences**2)))
 
 
-def test_parts_are_aligned_and_the_first_of_a_component_has_a_pose() -> None:
-    space, points = free("rigid component"), sequence_of("rigid component").points
-    x, blocks = points / space.scale, space.split(space.encode(points))
-    np.testing.assert_allclose(blocks.lengths.mean(axis=0), space.reference_lengths, atol=1e-14)
-    parts = space.decomposition.parts
-    assert blocks.parts.shape[1] == sum(map(len, parts)) == len(space.shapes)
-    starts = np.cumsum([0, *map(len, parts)])
-    for pose, part in enumerate(space.projection.posed):
-        rows = slice(starts[part], starts[part + 1])
-        moved = blocks.parts[:, rows] @ np.swapaxes(rotations_of(blocks.rotations[:, pose]), 1, 2)
-        np.testing.assert_allclose(moved + blocks.centres[:, pose, None], x[:, parts[part]], atol=1e-12)
-    for part in range(len(parts)):  # every frame of a part is aligned to its mean shape
-        rows = slice(starts[part], starts[part + 1])
-        turns, shifts = kabsch(space.shapes[rows], blocks.parts[:, rows])
-        np.testing.assert_allclose(turns, np.broadcast_to(np.eye(3), turns.shape), atol=1e-7)
-        np.testing.assert_allclose(shifts, 0, atol=1e-12)
-
-
-def test_a_pose_for_every_component() -> None:
-    space = free("rigid component")
-    assert space.rotation_count == space.centre_count == len(space.projection.posed) == 2
-    assert anchored("rigid component").rotation_count == 3
-
-
-def test_joints_are_known_but_for_what_parts_have() -> None:
-    space = free("bar")
-    joint = space.decomposition.joints[0]
-    edges = space.topology.edges[joint.edge_ids]
-    held = [np.isin(edges, part).all(axis=1) for part in space.decomposition.parts]
-    np.testing.assert_array_equal(space.edge_ids, joint.edge_ids[~np.any(held, axis=0)])
-
-
-def test_the_metric_is_in_diagonals() -> None:
-    space = free("bar")
-    weights = space.split(space.weights[None])
-    for block in (weights.parts, weights.centres, weights.lengths):
-        assert (block == 1).all()
-    hinges = space.topology.hinges[space.hinge_ids]
-    edges = np.linalg.norm(space.reference[hinges[:, 1]] - space.reference[hinges[:, 0]], axis=1)
-    np.testing.assert_allclose(weights.angles[0], 0.3 * edges, rtol=1e-12)
-    assert (weights.rotations[0] == 2 * space.radii[space.projection.posed, None]).all()
+def frame_of(space: MixedSpace, vector: Float) -> FreeFrame:
+    blocks = space.split(vector[None])
+    return FreeFrame(blocks.lengths[0], blocks.angles[0], blocks.unposed[0], space.posed(vector[None])[0])
 
 
 def test_half_way_the_joint_bends_by_half() -> None:
     """Averaged vertices, which shorten and fold what turns, are the yardstick."""
-    space, points = free("bar"), sequence_of("bar").points
+    space, points = space_of("bar", "free"), sequence_of("bar").points
     middle = space.encode(points)[[0, 4]].mean(axis=0, keepdims=True)
     decoded = space.decode(middle)
     averaged = points[[0, 4]].mean(axis=0, keepdims=True)
@@ -76,54 +35,76 @@ def test_half_way_the_joint_bends_by_half() -> None:
         space.split(vectors)
         for vectors in (middle, space.encode(decoded, middle[0]), space.encode(averaged, middle[0]))
     )
-    assert rms(got.angles - wanted.angles) < 0.3 * rms(plain.angles - wanted.angles)
-    assert rms(got.lengths - wanted.lengths) < 0.1 * rms(plain.lengths - wanted.lengths)
-    assert np.abs(got.parts - wanted.parts).max() < 0.02
+    assert rms(got.angles - wanted.angles) < 0.4 * rms(plain.angles - wanted.angles)
+    assert rms(got.lengths - wanted.lengths) < 0.2 * rms(plain.lengths - wanted.lengths)
 
 
-def test_lengths_of_reference_are_means_over_all_frames() -> None:
-    """A tube that is twice as large in one of four frames: lengths are 1.25 times those of the first."""
-    mesh = tube(6, 13)
-    points = np.stack([mesh[0], mesh[0], 2 * mesh[0], mesh[0]])
-    topology = topology_of(mesh)
-    labels = (mesh[0][mesh[1]].mean(axis=1)[:, 2] > 2).astype(np.int64)
-    space = mixed_space(points, topology, decompose(topology, labels, 3), "free")
-    assert isinstance(space, FreeSpace)
-    ends = mesh[0][topology.edges[space.edge_ids]] / space.scale
-    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    np.testing.assert_allclose(space.reference_lengths, 1.25 * lengths, rtol=1e-12)
+@pytest.mark.parametrize("name", ["bar", "rigid component", "several components"])
+def test_how_parts_stand_to_each_other_does_not_matter(name: str) -> None:
+    """But where one part of every component is: lengths and angles tell where the others are."""
+    space, points = space_of(name, "free"), sequence_of(name).points
+    vectors = space.encode(points[2:3])
+    assembly, parts = space.assembly, len(space.decomposition.parts)
+    seeds = {int(space.only_part[vertices[0]]) for vertices in assembly._seed_vertices}
+    others = sorted(set(range(parts)) - seeds - {-1})
+    assert others
+    frame = frame_of(space, vectors[0])
+    moved = frame.posed.copy()
+    for part in others:
+        own = space.only_part == part
+        moved[own] = moved[own] @ rotation((0.3, 0.1, -0.2)).T + 0.05
+    held = np.unique(np.concatenate(assembly._seed_vertices))
+    np.testing.assert_array_equal(moved[held], frame.posed[held])
+    found = assembly.assemble(frame._replace(posed=moved)).points
+    assert error(space, points[2] / space.scale, found) * space.scale < 1e-9
+
+
+def test_bodies_turn_with_their_placement() -> None:
+    space, points = space_of("rigid component", "free"), sequence_of("rigid component").points
+    vectors = space.encode(points[1:2])
+    blocks = space.split(vectors)
+    turn = rotation((0.3, -1.0, 0.4))
+    for body in range(space.rotation_count):
+        turns, centres = blocks.body_turns.copy(), blocks.body_centres.copy()
+        turns[:, body] = product(quaternions(turn), turns[:, body])
+        centres[:, body] += [0.1, 0.2, -0.3]
+        decoded = space.decode(space.join(blocks._replace(body_turns=turns, body_centres=centres)))[0]
+        own = np.isin(space.only_part, np.flatnonzero(space.articulation.bodies == body))
+        there, here = decoded[own], points[1][own]
+        np.testing.assert_allclose(kabsch(here, there)[0], turn, atol=1e-9)
+        np.testing.assert_allclose(transform(here, *kabsch(here, there)), there, atol=1e-9)
+        rest = np.isin(space.only_part, np.flatnonzero(space.articulation.bodies != body))
+        np.testing.assert_allclose(decoded[rest], points[1][rest], atol=1e-9)
+
+
+def test_vertices_of_no_face_are_posed() -> None:
+    space, points = space_of("unused vertices", "free"), sequence_of("unused vertices").points
+    loose = space.topology.unused_vertices
+    assert len(loose) == 3
+    blend = space.encode(points)[[0, 2]].mean(axis=0, keepdims=True)
+    np.testing.assert_array_equal(space.decode(blend)[0, loose], space.posed(blend)[0, loose] * space.scale)
 
 
 def test_steps_make_lengths_and_angles_agree() -> None:
     """They lower the energy, and none is taken where there is nothing to do."""
-    space = free("bar")
+    space = space_of("bar", "free")
     vectors = space.encode(sequence_of("bar").points)
-    middle = vectors[[0, 4]].mean(axis=0, keepdims=True)
-    (half,), (first,) = list(space.frames(middle)), list(space.frames(vectors[:1]))
-    with_steps = {n: replace(space, relaxation=Relaxation(steps=n)).projection for n in (0, 6, 10, 100)}
+    half, first = (frame_of(space, vector) for vector in (vectors[[0, 4]].mean(axis=0), vectors[0]))
+    with_steps = {
+        n: replace(space, projection=replace(space.projection, steps=n)).assembly for n in (0, 6, 10, 100)
+    }
     none, few, many = (with_steps[n].assemble(half).energy for n in (0, 10, 100))
     assert many <= 1.001 * few < 0.5 * none
     still, moved = (with_steps[n].assemble(first) for n in (0, 6))
     np.testing.assert_array_equal(still.points, moved.points)
 
 
-def test_a_point_that_is_not_finite_is_refused() -> None:
-    space = free("bar")
-    vectors = space.encode(sequence_of("bar").points[:1])
-    vectors[0, 3] = np.nan
-    with pytest.raises(ReconstructionError, match="not finite"):
-        space.decode(vectors)
-
-
-@pytest.mark.parametrize("blend", [0.0, 0.4])
-def test_velocities_are_derivatives_of_decoded_points(blend: float) -> None:
-    space, points = free("bar"), sequence_of("bar").points
-    vectors = space.encode(points)
-    rate = (vectors[2] - vectors[1])[None]
-    vector = vectors[1] + blend * rate
-    decoded, velocities = space.decode_moving(vector, rate)
-    step = 1e-3
-    ahead, behind = (space.decode(vector + sign * step * rate) for sign in (1, -1))
-    quotient = (ahead - behind) / (2 * step)
-    np.testing.assert_allclose(decoded, space.decode(vector), atol=1e-12)
-    assert np.abs(velocities - quotient).max() < 1e-3 * np.abs(quotient).max()
+def test_rigid_parts_stay_rigid_at_the_start() -> None:
+    """Before steps are taken: each is its unposed vertices, turned."""
+    space = space_of("bar", "free")
+    plain = replace(space, projection=replace(space.projection, steps=0))
+    blend = plain.encode(sequence_of("bar").points)[[0, 4]].mean(axis=0)
+    points, frame = plain.decode(blend[None])[0] / plain.scale, frame_of(plain, blend)
+    for part in plain.assembly._parts:
+        here = frame.unposed[part]
+        np.testing.assert_allclose(transform(here, *kabsch(here, points[part])), points[part], atol=2e-2)

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mixseq.spaces.mixed.shares import LEAST, MOST, fitted_shares
 from scipy import sparse
 
 from mixseq.arrays import Float
 from mixseq.geometry.rigid import mean_shape
 from mixseq.segmentation import Decomposition, decompose, segment_by_labels
-from mixseq.spaces.mixed import shares
+from mixseq.spaces.mixed import skinning_weights
+from mixseq.spaces.mixed.skinning_weights import GRID, LEAST, MOST, fitted_skinning_weights
 from tests.meshes import (
     SEQUENCES,
     Mesh,
@@ -25,13 +25,13 @@ from tests.meshes import (
     topology_of,
     tube,
 )
-from tests.spaces.mixed.made import MESHES, anchored, chain, sequence_of, sliced
+from tests.spaces.mixed.made import MESHES, chain, sequence_of, sliced, space_of
 
 
 def shares_of(mesh: Mesh, decomposition: Decomposition, frames: Float) -> sparse.csr_array:
     """Shares of frames as they are, whose first one is the reference."""
     shapes = np.concatenate([mean_shape(frames[:, part]) for part in decomposition.parts])
-    return fitted_shares(topology_of(mesh), decomposition, shapes, frames, frames[0])
+    return fitted_skinning_weights(topology_of(mesh), decomposition, shapes, frames, frames[0])
 
 
 def upper(mesh: Mesh, decomposition: Decomposition) -> int:
@@ -46,13 +46,14 @@ def assert_sound(shares: sparse.csr_array, decomposition: Decomposition) -> None
     assert counts.min() >= 1
     assert counts.max() <= MOST
     assert shares.data.min() >= LEAST
+    np.testing.assert_array_equal(np.round(shares.data / GRID) * GRID, shares.data)
 
 
 @pytest.mark.parametrize("name", SEQUENCES)
 def test_shares_are_positive_and_add_up_to_one(name: str) -> None:
-    space = anchored(name)
-    assert space.shares.shape[0] == sequence_of(name).vertex_count
-    assert_sound(space.shares, space.decomposition)
+    space = space_of(name)
+    assert space.skinning_weights.shape[0] == sequence_of(name).vertex_count
+    assert_sound(space.skinning_weights, space.decomposition)
 
 
 @settings(max_examples=12, deadline=None)
@@ -86,7 +87,7 @@ def test_of_large_meshes_only_boundaries_are_looked_at(monkeypatch: pytest.Monke
     decomposition = decompose(topology_of(mesh), sliced(mesh, 20.0), 3)
     frames = np.stack([bent(mesh[0], angle, middle=20.0) for angle in (0.0, 0.5, 1.0)])
     expected = shares_of(mesh, decomposition, frames).toarray()
-    monkeypatch.setattr(shares, "LARGE", 100)
+    monkeypatch.setattr(skinning_weights, "LARGE", 100)
     found = shares_of(mesh, decomposition, frames)
     assert_sound(found, decomposition)
     np.testing.assert_allclose(found.toarray(), expected, atol=1e-3)
@@ -105,12 +106,12 @@ def test_other_bodies_have_no_share() -> None:
 
 
 def test_vertices_of_no_face_follow_their_own_part() -> None:
-    space = anchored("unused vertices")
+    space = space_of("unused vertices")
     loose = space.topology.unused_vertices
     part = len(space.decomposition.parts) - 1
     np.testing.assert_array_equal(space.decomposition.parts[part], loose)
-    assert (space.frames.alone[loose] == part).all()
-    assert (np.delete(space.frames.alone, loose) != part).all()
+    assert (space.only_part[loose] == part).all()
+    assert (np.delete(space.only_part, loose) != part).all()
 
 
 @pytest.mark.parametrize("width", [3, 5])

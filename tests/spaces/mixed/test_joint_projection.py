@@ -1,0 +1,234 @@
+"""P_m at joints: nothing where lengths and angles are right, towards them where they are not, and smooth."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mixseq.arrays import Float, Mask
+from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
+from mixseq.spaces.mixed.complex_step import values_and_rates, with_rates
+from mixseq.spaces.mixed.joint_projection import JointProjection
+from tests.meshes import Mesh, grid, joined, rigid_motions, seeds, topology_of, torus, tube
+from tests.spaces.mixed.made import MESHES
+
+SHEET = grid(24, 3)
+"""A sheet along y."""
+
+
+def joints_of(mesh: Mesh, marked: Mask | None = None, hold: float = 0.003) -> JointProjection:
+    marked = np.ones(len(mesh[1]), dtype=bool) if marked is None else marked
+    return JointProjection(topology_of(mesh), mesh[0] / 10.0, marked, hold)
+
+
+def between(mesh: Mesh, low: float, high: float, axis: int = 1) -> Mask:
+    """Faces whose middles are between two places along an axis."""
+    middles = mesh[0][mesh[1]].mean(axis=1)[:, axis]
+    return np.asarray((middles > low) & (middles < high))
+
+
+def rolled(points: Float, angle: float) -> Float:
+    """A sheet, rolled up about x by an angle altogether between y = 8 and y = 16, by arcs of a circle."""
+    x, y, z = points.T
+    along = np.clip(y - 8.0, 0.0, 8.0)
+    bend, radius = angle * along / 8.0, 8.0 / angle
+    beyond = y - np.clip(y, 8.0, 16.0)
+    before, after = np.minimum(beyond, 0.0), np.maximum(beyond, 0.0)
+    place = 8.0 + before + (radius - z) * np.sin(bend) + after * np.cos(bend)
+    height = radius - (radius - z) * np.cos(bend) + after * np.sin(bend)
+    return np.stack([x, place, height], axis=1)
+
+
+def stretched(points: Float, factor: float) -> Float:
+    """A sheet whose middle is longer."""
+    x, y, z = points.T
+    return np.stack([x, y + (factor - 1.0) * np.clip(y - 8.0, 0.0, 8.0), z], axis=1)
+
+
+def told(joints: JointProjection, x: Float) -> tuple[Float, Float]:
+    """Lengths and angles that joints have in a mesh."""
+    topology = joints.topology
+    return edge_lengths(x, topology.edges[joints.edge_ids]), dihedral_angles(
+        x, topology.hinges[joints.hinge_ids]
+    )
+
+
+def errors(joints: JointProjection, x: Float, target: Float) -> tuple[float, float]:
+    """Root mean square errors of lengths, relative, and of angles in radians, in joints."""
+    (lengths, angles), (wanted, expected) = told(joints, x), told(joints, target)
+    return (
+        float(np.sqrt(np.square(lengths / wanted - 1.0).mean())),
+        float(np.sqrt(np.square(wrap(angles - expected)).mean())),
+    )
+
+
+@pytest.mark.parametrize("mesh", MESHES)
+def test_no_share_leaves_the_posed_mesh(mesh: Mesh) -> None:
+    joints, x = joints_of(mesh), mesh[0] / 10.0
+    lengths, angles = told(joints, 1.3 * x)
+    assert joints.project(x, lengths, angles + 0.2, 0.0) is x
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=seeds,
+    mesh=st.sampled_from(MESHES),
+    share=st.sampled_from([0.25, 1.0]),
+    noise=st.sampled_from([0.0, 0.02, 0.5]),
+    marked=st.sampled_from([0.1, 0.5, 1.0]),
+)
+def test_a_mesh_with_these_lengths_and_angles_stays(
+    seed: int, mesh: Mesh, share: float, noise: float, marked: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    joints = joints_of(mesh, rng.random(len(mesh[1])) < marked, rng.choice([0.003, 0.1]))
+    x = mesh[0] / 10.0 + noise * rng.normal(size=mesh[0].shape)
+    np.testing.assert_allclose(joints.project(x, *told(joints, x), share), x, atol=1e-12)
+
+
+@pytest.mark.parametrize("place", ["middle", "corner"])
+def test_meshes_stay_where_triangles_have_lost_their_area(place: str) -> None:
+    """Angles there are noise: told of the same mesh, moved by rounding errors, they are others."""
+    mesh = tube(6, 17)
+    x = mesh[0] / 10.0
+    for face in (30, 57, 90):
+        a, b, c = mesh[1][face]
+        x[c] = x[a] if place == "corner" else (x[a] + x[b]) / 2
+    joints = joints_of(mesh)
+    lengths, angles = told(joints, x + 1e-16 * np.random.default_rng(0).normal(size=x.shape))
+    np.testing.assert_allclose(joints.project(x, lengths, angles, 1.0), x, atol=1e-12)
+    targets = joints.targets(x, lengths, angles)
+    np.testing.assert_allclose(joints.shell.relaxed(x, *targets, 10).points, x, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [lambda x: rolled(x, 0.8), lambda x: stretched(x, 1.15), lambda x: stretched(rolled(x, 0.5), 0.9)],
+    ids=["bent", "stretched", "both"],
+)
+def test_lengths_and_angles_go_where_they_are_told_to_go(change: Callable[[Float], Float]) -> None:
+    """By shares of the way; one end of the sheet is held, the other follows."""
+    marked = between(SHEET, 8, 24)
+    joints, x, target = joints_of(SHEET, marked), SHEET[0] / 10.0, change(SHEET[0]) / 10.0
+    found = [errors(joints, joints.project(x, *told(joints, target), share), target) for share in (0.5, 1.0)]
+    before = errors(joints, x, target)
+    for half, whole, start in zip(*found, before, strict=True):
+        if start > 1e-2:
+            assert whole < 0.65 * start
+            assert whole < half < start
+
+
+def test_joints_that_end_in_the_mesh_bend_to_any_shape() -> None:
+    """Nothing holds the end of the sheet: it goes all the way."""
+    joints, target = joints_of(SHEET, hold=1e-9), rolled(SHEET[0], 1.2) / 10.0
+    found = joints.project(SHEET[0] / 10.0, *told(joints, target), 1.0)
+    assert max(errors(joints, found, target)) < 0.02
+
+
+def test_all_lengths_longer_make_a_mesh_larger() -> None:
+    mesh = torus(14, 7)
+    joints, x = joints_of(mesh, hold=1e-9), mesh[0] / 10.0
+    found = joints.project(x, *told(joints, 1.1 * x), 1.0)
+    np.testing.assert_allclose(found - found.mean(axis=0), 1.1 * (x - x.mean(axis=0)), atol=1e-6)
+
+
+def test_only_joints_and_a_ring_around_them_move() -> None:
+    marked = between(SHEET, 8, 16)
+    joints, x = joints_of(SHEET, marked), SHEET[0] / 10.0
+    lengths, angles = told(joints, rolled(stretched(SHEET[0], 1.2), 0.7) / 10.0)
+    still = np.flatnonzero((x != joints.project(x, lengths, angles, 1.0)).any(axis=1))
+    np.testing.assert_array_equal(still, joints.vertices)
+    y = SHEET[0][joints.vertices, 1]
+    assert y.min() == 8.0 and y.max() == 16.0
+
+
+def test_edges_and_hinges_of_joint_faces_have_targets() -> None:
+    marked = between(SHEET, 8, 10)
+    joints, topology = joints_of(SHEET, marked), topology_of(SHEET)
+    np.testing.assert_array_equal(joints.edge_ids, np.unique(topology.face_edges[marked]))
+    np.testing.assert_array_equal(joints.hinge_ids, np.flatnonzero(marked[topology.hinge_faces].any(axis=1)))
+
+
+def test_the_whole_mesh_has_targets() -> None:
+    """Those of joints, and elsewhere what the posed mesh has."""
+    marked = between(SHEET, 8, 10)
+    joints, x = joints_of(SHEET, marked), rolled(SHEET[0], 0.9) / 10.0
+    lengths, angles = told(joints, 1.2 * x)
+    angles = angles + 0.1
+    all_lengths, all_angles = joints.targets(x, lengths, angles)
+    expected = edge_lengths(x, joints.topology.edges), dihedral_angles(x, joints.topology.hinges)
+    expected[0][joints.edge_ids], expected[1][joints.hinge_ids] = lengths, angles
+    np.testing.assert_allclose(all_lengths, expected[0], atol=1e-13)
+    np.testing.assert_allclose(wrap(all_angles - expected[1]), 0.0, atol=1e-9)
+    assert (joints.targets(x, -lengths, angles)[0][joints.edge_ids] == 0).all()
+
+
+@settings(max_examples=15, deadline=None)
+@given(motion=rigid_motions)
+def test_where_the_mesh_is_does_not_matter(motion: tuple[Float, Float]) -> None:
+    turn, shift = motion
+    joints, x = joints_of(SHEET, between(SHEET, 8, 16)), rolled(SHEET[0], 0.3) / 10.0
+    targets = told(joints, rolled(SHEET[0], 0.9) / 10.0)
+    here, there = (joints.project(posed, *targets, 0.7) for posed in (x, x @ turn.T + shift))
+    np.testing.assert_allclose(there, here @ turn.T + shift, atol=1e-10)
+
+
+def test_angles_count_up_to_whole_turns() -> None:
+    joints, x = joints_of(SHEET), SHEET[0] / 10.0
+    lengths, angles = told(joints, rolled(SHEET[0], 0.9) / 10.0)
+    turns = 2.0 * np.pi * np.random.default_rng(0).integers(-2, 3, len(angles))
+    here, there = (joints.project(x, lengths, each, 1.0) for each in (angles, angles + turns))
+    np.testing.assert_allclose(there, here, atol=1e-12)
+
+
+@pytest.mark.parametrize("angle", [np.pi, -np.pi, 3.0])
+@pytest.mark.parametrize("lengths", [0.0, -1.0, 5.0])
+def test_targets_of_no_mesh_are_no_trouble(angle: float, lengths: float) -> None:
+    """Hinges half a turn off, lengths that are none, and triangles that there are not."""
+    for mesh in (SHEET, joined(tube(5, 7), torus(8, 5))):
+        joints, x = joints_of(mesh), mesh[0] / 10.0
+        wanted, angles = told(joints, x)
+        wanted[::3] *= lengths
+        for share in (0.3, 1.0):
+            assert np.isfinite(joints.project(x, wanted, angles + angle, share)).all()
+
+
+def test_without_joints_nothing_moves() -> None:
+    joints = joints_of(SHEET, np.zeros(len(SHEET[1]), dtype=bool))
+    x = SHEET[0] / 10.0
+    assert joints.frame_factor is None and joints.vertex_factor is None
+    assert joints.project(x, np.zeros(0), np.zeros(0), 1.0) is x
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=seeds, mesh=st.sampled_from(MESHES), share=st.sampled_from([0.25, 1.0]))
+def test_complex_steps_are_difference_quotients(seed: int, mesh: Mesh, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    joints = joints_of(mesh, rng.random(len(mesh[1])) < 0.7)
+    x = mesh[0] / 10.0 + 0.002 * rng.normal(size=mesh[0].shape)
+    lengths, angles = told(joints, mesh[0] / 10.0 + 0.002 * rng.normal(size=mesh[0].shape))
+    speeds, growth, bends = (rng.normal(size=each.shape) for each in (x, lengths, angles))
+
+    def at(time: float) -> Float:
+        return np.asarray(
+            joints.project(x + time * speeds, lengths + time * growth, angles + time * bends, share)
+        )
+
+    numbers = with_rates(x, speeds), with_rates(lengths, growth), with_rates(angles, bends)
+    values, found = values_and_rates(joints.project(*numbers, share))
+    np.testing.assert_allclose(values, at(0.0), atol=1e-12)
+    step = 1e-7
+    quotient = (8 * (at(step) - at(-step)) - (at(2 * step) - at(-2 * step))) / (12 * step)
+    assert np.abs(found - quotient).max() < 1e-6 * np.abs(quotient).max()
+
+
+def test_joints_can_be_sent() -> None:
+    joints, x = joints_of(SHEET), SHEET[0] / 10.0
+    targets = told(joints, rolled(SHEET[0], 0.9) / 10.0)
+    expected = joints.project(x, *targets, 1.0)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(joints)).project(x, *targets, 1.0), expected)
