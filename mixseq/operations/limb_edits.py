@@ -30,6 +30,7 @@ from mixseq.operations.sculpt import smoothstep
 from mixseq.operations.splines import (
     ACCURACY,
     correction_measure,
+    refined,
     sampled,
     shape_measure,
     sites_within,
@@ -44,6 +45,9 @@ Change = Callable[[Float, Float], Float]
 
 NEGLIGIBLE = 1e-3
 """Modes of a part and its joints below this fraction of the largest are left out where it is held."""
+
+STEP = 1.0
+"""Largest turn, in radians, that is added to a part from site to site: to tell turns from whole turns more."""
 
 FADE = 0.2
 """Default seconds over which a part comes to rest."""
@@ -146,7 +150,10 @@ def _moved(model: Model, limb: Limb, sites: Float, change: Change) -> Curve:
     def moved(times: Float) -> Float:
         return limb.corrections(model, times, change(times, limb.stance(model, times)))
 
-    return sampled(moved, sites, ACCURACY, correction_measure(model))
+    stance = limb.stance(model, sites)
+    more = np.diff(change(sites, stance)[:, :3] - stance[:, :3], axis=0)
+    parts = 1 + int(np.abs(more).max(initial=0.0) / STEP)
+    return sampled(moved, refined(sites, parts), ACCURACY, correction_measure(model))
 
 
 def _spliced(model: Model, curve: Curve, inside: Curve) -> Curve:
@@ -191,16 +198,16 @@ def _with_rest(model: Model, limb: Limb) -> tuple[Model, Callable[[Float], Float
         From changes ``(N, k)`` in pose space to those of the new coordinates ``(N, r)`` that change part and joints as
         much.
     """
-    share = limb.joint() + limb.own_shape()
-    some = np.flatnonzero(share)
+    share, metric = limb.joint() + limb.own_shape(), model.space.shape_weights
+    some = np.flatnonzero(share * metric)
     dim, keys = model.pose.matrix.shape
-    steps = model.pose.matrix @ (model.shapes[:, some] - model.shapes[0, some]) * share[some]
+    steps = model.pose.matrix @ (model.shapes[:, some] - model.shapes[0, some]) * (share * metric)[some]
     frames = model.time(model.times)
     _, sizes, directions = np.linalg.svd((frames - frames.mean(axis=0)) @ steps, full_matrices=False)
     directions = directions[sizes > NEGLIGIBLE * sizes.max(initial=0.0)]
     rank = len(directions)
     shapes = np.repeat(model.shapes[:1], rank, axis=0)
-    shapes[:, some] += directions
+    shapes[:, some] += directions / metric[some]
     matrix = np.zeros((dim + rank, keys + rank))
     matrix[:dim, :keys] = model.pose.matrix
     matrix[dim:, 0], matrix[dim:, keys:] = -1.0, np.eye(rank)

@@ -33,6 +33,7 @@ from mixseq.geometry.rotations import (
     product,
     rotations_of,
     turned,
+    unwrap,
 )
 from mixseq.prediction.poses import Poses
 from mixseq.signals.model import Model
@@ -76,7 +77,8 @@ class Limb:
 
         The first frame has the shortest turn, whatever the times.
         """
-        known, asked = np.unique(np.concatenate([model.time.times, times]), return_inverse=True)
+        knots = np.concatenate([model.time.times, model.correction.times])
+        known, asked = np.unique(np.concatenate([knots, times]), return_inverse=True)
         poses = part_poses(model, known)
         near, far = self._pivots
         rotations = rotations_of(poses.rotations)
@@ -84,10 +86,13 @@ class Limb:
         turns = continuous_vectors(back @ rotations[:, self.part])
         pivots = rotations[:, self.part] @ far + poses.centres[:, self.part]
         gaps = turned(back, pivots - poses.centres[:, self.parent]) - near
-        return np.concatenate([turns, gaps], axis=1)[asked[len(model.time.times) :]]
+        return np.concatenate([turns, gaps], axis=1)[asked[len(knots) :]]
 
     def corrections(self, model: Model, times: Float, stance: Float) -> Float:
-        """Return the corrections ``(N, C)`` at times ``(N,)`` with another stance ``(N, 6)`` of the limb."""
+        """Return the corrections ``(N, C)`` at times ``(N,)`` with another stance ``(N, 6)`` of the limb.
+
+        Turns go on from those of the model's correction at the first time, by less than half a turn from time to time.
+        """
         before, poses = self.stance(model, times), part_poses(model, times)
         near, far = self._pivots
         base = normalised(poses.rotations[:, self.parent])
@@ -100,13 +105,18 @@ class Limb:
         away = centres[:, self.parts] - centres[:, [self.part]]
         centres[:, self.parts] = turned(rotations_of(turn)[:, None], away) + place[:, None]
         targets = np.concatenate([each.reshape(len(times), -1) for each in (rotations, centres)], axis=1)
-        return self.space.corrections(_blended_poses(model, times), targets)
+        corrections = self.space.corrections(_blended_poses(model, times), targets)
+        spins, before = (
+            each.reshape(len(each), 2, -1, 3)[:, 0] for each in (corrections, model.correction(times[:1]))
+        )
+        spins[:] = unwrap(spins, before[0])
+        return corrections
 
     def joint(self) -> Float:
         """Return how much ``(S,)`` coordinates of key shapes belong to the joints between limb and body.
 
         1 for what is near the border of the limb, 0 near other borders of parts, and in between where a joint is that
-        of several borders. 0 for vertices that follow one part alone.
+        of several borders. 0 for vertices that follow one part alone, or none of the limb.
         """
         space, topology = self.space, self.space.topology
         sides = space.decomposition.part_of_face[topology.hinge_faces]
@@ -116,7 +126,8 @@ class Limb:
         closer = np.where(np.isfinite(own), other, 0.0) - np.where(np.isfinite(own), own, np.inf)
         near = np.clip(0.5 + closer / STRIPS, 0.0, 1.0)
         along = near[topology.edges].mean(axis=1)
-        vertices = np.where(space.only_part >= 0, 0.0, near)
+        follows = space.skinning_weights @ self.parts.astype(np.float64) > 0
+        vertices = np.where(follows & (space.only_part < 0), near, 0.0)
         hinges = topology.hinge_edges[space.hinge_ids]
         return np.concatenate(
             [along[space.edge_ids], along[hinges], np.repeat(vertices, 3), np.zeros(space.pose_dim)]

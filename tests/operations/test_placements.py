@@ -1,4 +1,4 @@
-"""Means of placements: turns in proportion, joints that hold."""
+"""Means of placements: turns in proportion."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ import pytest
 from mixseq.arrays import Float
 from mixseq.choices import SpaceName
 from mixseq.geometry.rotations import matrices, rotations_of, vectors
-from mixseq.operations.limb_joints import limb_of
 from mixseq.operations.placements import mean, mean_placements
-from mixseq.signals import Curve
 from tests.operations.chains import TIMES, chain
 from tests.operations.motions import bar_motion, spin
 
@@ -37,7 +35,7 @@ def test_all_or_nothing_gives_one_of_them(space: SpaceName, share: float) -> Non
     )
 
 
-def test_the_root_turns_along_the_shortest_way() -> None:
+def test_a_body_turns_along_the_shortest_way() -> None:
     model = chain()
     one, other = (model.placement(times) for times in (TIMES, LATER))
     found = model.space.poses(mean_placements(model.space, one, other, shares(0.3)))
@@ -46,17 +44,6 @@ def test_the_root_turns_along_the_shortest_way() -> None:
     np.testing.assert_allclose(rotations_of(found.rotations[:, 0]), expected, atol=1e-12)
     here, there = (model.space.poses(each).centres[:, 0] for each in (one, other))
     np.testing.assert_allclose(found.centres[:, 0], mean(here, there, shares(0.3)), atol=1e-12)
-
-
-@pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1)], ids=str)
-def test_joints_bend_in_proportion(order: tuple[int, ...]) -> None:
-    model = chain(order)
-    one, other = (model.placement(times) for times in (TIMES, LATER))
-    between = Curve(TIMES, mean_placements(model.space, one, other, shares(0.3)))
-    for part in order[1:]:
-        limb = limb_of(model, part)
-        here, there = (limb.stance(model.placement, times) for times in (TIMES, LATER))
-        np.testing.assert_allclose(limb.stance(between, TIMES), mean(here, there, shares(0.3)), atol=1e-9)
 
 
 def test_whole_turns_count() -> None:

@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.arrays import Float
+from mixseq.arrays import Float, Index
+from mixseq.creature import walk_cycle
 from mixseq.geometry.rigid import kabsch
-from mixseq.operations import drag, exaggerate
+from mixseq.operations import drag, exaggerate, exaggerate_part, hold, sculpt, swap_key
+from mixseq.operations.limb_joints import limb_of
 from mixseq.operations.splines import moved
 from mixseq.signals import Curve, Model, fit
 from tests.operations.motions import fox
@@ -120,3 +122,66 @@ def test_more_gain_moves_all_parts_more() -> None:
     swings = [np.linalg.norm(points - points.mean(axis=0), axis=2).max(axis=0) for points in (before, after)]
     large = swings[0] > 0.25 * swings[0].max()
     assert np.median(swings[1][large] / swings[0][large]) == pytest.approx(1.2, abs=0.05)
+
+
+@pytest.mark.parametrize("kind", ["exaggerated", "held"])
+def test_a_limb_moves_in_its_joint_and_all_else_stays(made: Made, kind: str) -> None:
+    model = made(None)
+    space, times = model.mixed, model.times
+    hanging = np.flatnonzero(space.articulation.parents >= 0)
+    part = int(hanging[space.articulation.masses[hanging].argmax()])
+    if kind == "held":
+        time, start, end = (float(times[int(share * (len(times) - 1))]) for share in (0.3, 0.4, 0.7))
+        edited = hold(model, part, time, start, end, fade=(model.end - model.start) / 8)
+    else:
+        edited = exaggerate_part(model, part, 1.3)
+    between = np.linspace(model.start, model.end, 2 * len(times) - 1)
+    before, after = (each.sample(between).points / space.scale for each in (model, edited))
+    away = np.linalg.norm(after - before, axis=2).max(axis=0)
+    limb = limb_of(model, part).parts
+    follows = space.skinning_weights @ limb.astype(np.float64)
+    at_joints = np.isin(np.arange(space.vertex_count), space.joints.vertices) & (space.projection.share > 0)
+    assert away[(follows == 0) & ~at_joints].max() < 1e-9
+    assert away[(follows == 1) & ~at_joints].max() > 0.01
+    ends = space.topology.edges[follows[space.topology.edges].max(axis=1) > 0]
+    lengths = [
+        np.linalg.norm(points[:, ends[:, 0]] - points[:, ends[:, 1]], axis=2) for points in (before, after)
+    ]
+    assert (lengths[1] - lengths[0]).max() < 0.05
+
+
+def dented(points: Float, scale: float) -> tuple[Float, Index]:
+    """A frame with some vertices moved, and all the others."""
+    away = np.linalg.norm(points - points[len(points) // 2], axis=1)
+    some = np.argsort(away)[:40]
+    edited = points.copy()
+    edited[some] += 0.02 * scale * np.array([0.6, -0.5, 0.7])
+    return edited, np.setdiff1d(np.arange(len(points)), some)
+
+
+@pytest.mark.parametrize("rank", [None, 20])
+@pytest.mark.parametrize("between", [0.0, 0.5])
+def test_vertices_that_were_not_sculpted_stay(made: Made, rank: int | None, between: float) -> None:
+    """In the frame that was made, at frames or between them, and in others but for joints where lengths count."""
+    model = made(rank)
+    space, times = model.mixed, model.times
+    time = float(times[5] + between * (times[6] - times[5]))
+    edited, others = dented(model(time), space.scale)
+    sculpted = sculpt(model, time, edited)
+    np.testing.assert_allclose(sculpted(time), edited, atol=1e-9 * space.scale)
+    if space.projection.share > 0:
+        others = np.setdiff1d(others, space.joints.vertices)
+    frames = times[[0, 9, 15]]
+    before, after = (each.sample(frames).points[:, others] for each in (model, sculpted))
+    np.testing.assert_allclose(after, before, atol=1e-9 * space.scale)
+
+
+def test_a_key_that_is_exchanged_shows_in_its_frame() -> None:
+    model = fit(walk_cycle(frames=24), exact=True, pose="keys")
+    frame = int(model.key_frames[7])
+    edited, others = dented(model(float(model.times[frame])), model.space.scale)
+    before, after = (each.sample().points for each in (model, swap_key(model, 7, edited)))
+    np.testing.assert_allclose(after[frame], edited, atol=1e-9 * model.space.scale)
+    np.testing.assert_allclose(after[:, others], before[:, others], atol=1e-9 * model.space.scale)
+    rest = np.delete(np.arange(24), frame)
+    np.testing.assert_allclose(after[rest], before[rest], atol=1e-6 * model.space.scale)

@@ -66,6 +66,9 @@ JOINT_WEIGHT = 1e-3
 JOINT_EMBEDDING_WEIGHT = 2.0
 """Weight of lengths and angles in embeddings."""
 
+EDIT_ROUNDS, EDIT_ERROR = 12, 1e-11
+"""Largest number of rounds after which an edited frame is met, and the largest error, in diagonals."""
+
 ARTICULATION_WEIGHT = 0.2
 """Weight of part poses in the metric, against the vertices that they move."""
 
@@ -482,7 +485,26 @@ class MixedSpace(ShapeSpace):
         return points * self.scale, velocities * self.scale
 
     def shape_difference(self, vector: Float, before: Float, after: Float) -> Float:
-        """Implement `ShapeSpace.shape_difference`: parts stay where they are, vertices that did not move too."""
+        """Implement `ShapeSpace.shape_difference`: parts stay where they are, vertices that did not move too.
+
+        Where lengths and angles of joints are not those of posed vertices, between frames, it takes several rounds.
+        """
+        changed, found, size = vector.copy(), before, self.shape_dim
+        rest, offset = np.inf, before - self.decode(vector[None])[0]
+        for _ in range(EDIT_ROUNDS):
+            tried = changed.copy()
+            tried[:size] += self._measured_difference(changed, found, after)
+            found = self.decode(tried[None])[0] + offset
+            left = float(np.abs(found - after).max())
+            if left > 0.5 * rest:
+                break
+            changed, rest = tried, left
+            if rest <= EDIT_ERROR * self.scale:
+                break
+        return changed[:size] - vector[:size]
+
+    def _measured_difference(self, vector: Float, before: Float, after: Float) -> Float:
+        """Return how much lengths, angles and unposed vertices of two frames differ, ``(S,)``."""
         row = MixedBlocks(*(block[0] for block in self.split(vector[None])))
         duals = self._duals(row)
         first, second = (x / self.scale for x in (before, after))
