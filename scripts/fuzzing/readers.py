@@ -109,7 +109,7 @@ READERS: Mapping[str, Reader] = {
     ),
     "compressed": Reader(
         uses.decode_compressed,
-        _models("compressed", "compressed", "model-v4-coded", "model-v7-coded"),
+        _models("compressed", "compressed", "compressed-v1", "compressed-v1-uvs"),
         _H5,
         checksums=True,
     ),

@@ -114,7 +114,7 @@ def test_coordinates_and_edges_that_are_kept_as_they_are(node: Node, tmp_path: P
 
 
 def test_surfaces_have_all_arrays(node: Node, tmp_path: Path) -> None:
-    path = Path(__file__).parents[1] / "formats/golden/model-v8-coded.h5"
+    path = Path(__file__).parents[1] / "formats/golden/compressed-v1-uvs.h5"
     write_container(tmp_path, path)
     script = """
     import { readFileSync } from "node:fs";

@@ -3,7 +3,7 @@
 Numbers come in runs that change little, so their first differences are stored, byte by byte: the first bytes of all
 numbers, then the second bytes, and so on. Most of those are zeros, which lzma and zlib take well.
 
-Frozen: changing this breaks old files (golden: ``tests/formats/golden/model-v4-coded.h5``).
+Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``).
 """
 
 from __future__ import annotations
@@ -83,13 +83,12 @@ def _inflated(packed: bytes, size: int) -> bytes:
     return data
 
 
-def pack_surface(surface: Surface, mesh: Mesh | None = None) -> bytes:
+def pack_surface(surface: Surface, mesh: Mesh) -> bytes:
     """Return everything a surface has, empty if it has nothing.
 
     A JSON list of the arrays' names, types and shapes (texts are in it as they are), a zero byte, the arrays' bytes;
-    all of it compressed by lzma. With the `mesh` that it is on, hard edges are coded by
-    `mixseq.coding.bitstream.hard_edges`, if they can be: model version 8. Colours that vertices have, and not corners,
-    are then in the order of the vertices, without indices.
+    all of it compressed by lzma. Hard edges are coded by `mixseq.coding.bitstream.hard_edges`, if they can be. Colours
+    that vertices have, and not corners, are in the order of the vertices, without indices.
     """
     listed: list[list[Any]] = []
     data = []
@@ -106,10 +105,8 @@ def pack_surface(surface: Surface, mesh: Mesh | None = None) -> bytes:
     return lzma.compress(b"\0".join([text, b"".join(data)]), lzma.FORMAT_RAW, filters=_FILTERS)
 
 
-def _arrays_on(surface: Surface, mesh: Mesh | None) -> dict[str, NDArray[Any]]:
+def _arrays_on(surface: Surface, mesh: Mesh) -> dict[str, NDArray[Any]]:
     """Return the arrays of a surface; those that follow from the mesh it is on are shorter, or left out."""
-    if mesh is None:
-        return surface_arrays(surface)
     polygons, vertex_count = mesh
     corners, colours = polygons.indices, surface.colours
     of_vertices = colours is not None and colours.one_per_vertex(corners)

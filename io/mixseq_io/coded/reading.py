@@ -7,7 +7,7 @@ Streams are in this order: connectivity, surface, times, texture coordinates if 
 group; coefficients and residual layer of the first chunk, of the second, and so on. Specification:
 ``docs/file-format.md``.
 
-Frozen: changing this breaks old files (golden: ``tests/formats/golden/model-v4-coded.h5``, ``model-v7-coded.h5``).
+Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1*``).
 """
 
 from __future__ import annotations
@@ -166,7 +166,7 @@ def read_header(
         fps = float(facts["fps"])
         if sum(chunk.count for chunk in index.chunks) != frames:
             raise FormatError(f"its chunks do not add up to {frames} frames")
-        mesh = _polygons(ground["connectivity"], (polygons, corners, vertices), parameters.revision)
+        mesh = _polygons(ground["connectivity"], polygons, corners, vertices)
         surface = unpack_surface(ground["surface"], path.parent, (mesh, vertices))
         if "uvs" in ground and parameters.uv_steps is not None:
             surface = replace(surface, uvs=_uvs(ground["uvs"], mesh, vertices, parameters))
@@ -203,9 +203,7 @@ def decoded(path: Path, coded: CompressedSequence) -> Model:
         raise FormatError(f"{path}: {error}") from error
 
 
-def _polygons(data: bytes, counts: tuple[int, int, int], revision: int) -> Polygons:
-    if revision == 1:
-        return decode_polygons(data, *counts)
+def _polygons(data: bytes, *counts: int) -> Polygons:
     data, expected = without_check(data)
     mesh = decode_polygons(data, *counts)
     refuse_others(check_of(mesh.indices, check_of(mesh.counts)), expected)
@@ -214,8 +212,6 @@ def _polygons(data: bytes, counts: tuple[int, int, int], revision: int) -> Polyg
 
 def _uvs(data: bytes, mesh: Polygons, vertex_count: int, parameters: CodingParameters) -> CornerValues:
     steps = parameters.uv_steps or 1
-    if parameters.revision == 1:
-        return decode_uvs(data, mesh, vertex_count, steps)
     data, expected = without_check(data)
     uvs = decode_uvs(data, mesh, vertex_count, steps)
     numbers = grid_numbers(uvs.at_corners, steps)

@@ -6,7 +6,7 @@ index is found, by its first bytes:
 ==========  =====================================================================================================
 bytes       meaning, all numbers little-endian
 ==========  =====================================================================================================
-4           ``msq4``
+4           ``msq1``
 3 x 4       uint32: size of the lengths, size of the checksums, CRC-32 of both
 any         lengths, as numbers of 7 bits a byte (LEB128): number of groups of the basis, number of chunks, number of
             frames of every chunk, length of every stream
@@ -31,18 +31,11 @@ import numpy as np
 
 from mixseq.coding.bitstream.entropy import unpack_leb128
 from mixseq.errors import FormatError
-from mixseq_io.reader import refuse_newer
 
-COMPRESSED_VERSION = 4
-"""Version of model files that hold a compressed sequence. Frozen: breaks old files."""
+COMPRESSED_VERSION = 1
+"""Version of compressed models, which models with datasets do not share. Frozen: breaks old files."""
 
-TEXTURED_VERSION = 7
-"""The same with texture coordinates in a stream of their own. Frozen: breaks old files."""
-
-CHECKED_VERSION = 8
-"""The same with checksums of what is decoded: revision 2 of the coding. Frozen: breaks old files."""
-
-MAGIC = b"msq4"
+MAGIC = b"msq1"
 """What the index begins with. Frozen: breaks old files."""
 
 HEAD = struct.Struct("<4sIII")
@@ -102,9 +95,13 @@ def read_index(path: Path, container: Container) -> StreamIndex:
     Raises
     ------
     FormatError
-        If a newer mixseq wrote it; or if the index, or the attribute, is damaged: then nothing can be found.
+        If it has another version; or if the index, or the attribute, is damaged: then nothing can be found.
     """
-    refuse_newer(path, container.version, CHECKED_VERSION)
+    if container.version != COMPRESSED_VERSION:
+        raise FormatError(
+            f"{path} is a compressed model of version {container.version}, this mixseq reads {COMPRESSED_VERSION}: "
+            "upgrade with pip install --upgrade mixseq, or compress the original again"
+        )
     damaged = FormatError(f"{path}: its index is damaged, so nothing can be read; restore the file")
     if len(container.streams) < HEAD.size:
         raise damaged

@@ -11,11 +11,10 @@ from pathlib import Path
 from mixseq.arrays import FloatArray
 from mixseq.choices import StillName
 from mixseq.coding.bitstream.compressed_sequence import CompressedSequence, to_model
-from mixseq.errors import OutputError
 from mixseq.sequence import SequenceHeader
 from mixseq_io.atomic import replacing
 from mixseq_io.coded.packing import pack
-from mixseq_io.coded.stream_index import CHECKED_VERSION, Container
+from mixseq_io.coded.stream_index import Container
 from mixseq_io.gltf.buffers import GENERATOR, Layout, append, glb_size, writing_buffer
 from mixseq_io.gltf.carried_materials import carried_materials
 from mixseq_io.gltf.compression import DRACO
@@ -46,7 +45,7 @@ def write_sequence(path: Path, coded: CompressedSequence, still: StillName) -> N
     Raises
     ------
     OutputError
-        If the file cannot be written, there are no faces, or an older mixseq compressed the sequence.
+        If the file cannot be written, or there are no faces.
     MissingExtraError
         If Draco is not installed.
 
@@ -55,12 +54,7 @@ def write_sequence(path: Path, coded: CompressedSequence, still: StillName) -> N
     MixseqWarning
         If materials cannot be taken along.
     """
-    container = pack(coded)
-    if container.version != CHECKED_VERSION:
-        raise OutputError(
-            f"{path}: the web plays what this mixseq has compressed; compress the original again"
-        )
-    write_container(path, container, coded.header, to_model(coded)(coded.header.times[0]), still)
+    write_container(path, pack(coded), coded.header, to_model(coded)(coded.header.times[0]), still)
 
 
 def write_container(

@@ -17,7 +17,7 @@ same predictions from the bits that came before, and takes each bit from the que
 All of it is done with whole numbers: :math:`p` in units of :math:`2^{-16}`, :math:`x` of :math:`2^{-8}`,
 :math:`w` of :math:`2^{-16}`. The size of tables, the rates and the first weights are ours.
 
-Frozen: changing this breaks old files (golden: ``tests/formats/golden/model-v4-coded.h5``).
+Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``).
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ next 64 bits of every queue, as far as there are any, queue 0 first; every round
 up to 65536. A bit is a number 0 or 1 in the context of its queue, largest number 1, of mean magnitude :math:`r_q / (1 -
 r_q)`, where :math:`r_0 = 3/4` and :math:`r_{q+1} = 0.6041\overline{6} r_q`.
 
-Frozen: changing this breaks old files (golden: ``tests/formats/golden/model-v4-coded.h5``).
+Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``).
 """
 
 from __future__ import annotations

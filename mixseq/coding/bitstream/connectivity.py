@@ -7,7 +7,7 @@ predictions are worth is learned bit by bit, by `mixseq.coding.bitstream.bit_mix
 take 2 to 10 bits for a triangle; what has no order takes what the order itself is worth, about half a logarithm of V!
 F!.
 
-Frozen: changing this breaks old files (golden: ``tests/formats/golden/model-v4-coded.h5``).
+Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``).
 
 **The bytes.** Nothing if there are no polygons; else those of `mixseq.coding.bitstream.bit_queues`.
 

@@ -7,7 +7,7 @@ the corner before, the vertex named last at this place, and the corners of the l
 whether it is not 0, whether it is negative, whether its magnitude has a second bit, a third, ..., and its bits after
 the highest. The contexts of all bits are specified here.
 
-Frozen: changing this breaks old files (golden: ``tests/formats/golden/model-v4-coded.h5``). numba keeps compiled loops
+Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``). numba keeps compiled loops
 by the text of their own file, and this one contains those of `corner_guesses`, `bit_mixing` and `half_edges`: who
 changes these must change this file, too. Format 3.
 """

@@ -116,6 +116,9 @@ export function readGlb(file: ArrayBuffer): {
   matrix: number[];
 };
 
+/** Make sure that this decoder reads what has the extension MIXSEQ_mesh_sequence. */
+export function checkVersion(extension: { version: number }): void;
+
 export interface RemoteSequence extends Facts {
   polygons(): Promise<Polygons>;
   triangles(): Promise<Uint32Array>;
