@@ -18,11 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.coding.bitstream.decoded_check import check_of, refuse_others, with_check, without_check
 from mixseq.coding.bitstream.hard_edges import decode_hard_edges, encode_hard_edges
 from mixseq.errors import FormatError
 from mixseq.polygons import Polygons
-from mixseq.surface import WHITE, CornerValues, Surface, by_first_use
+from mixseq.surface import WHITE, CornerValues, Surface
 from mixseq_io.memory import gigabytes, max_memory
 from mixseq_io.surface_arrays import surface_arrays, surface_of_arrays
 
@@ -119,8 +118,8 @@ def _arrays_on(surface: Surface, mesh: Mesh) -> dict[str, NDArray[Any]]:
     coded = None if surface.hard_edges is None else encode_hard_edges(*mesh, surface.hard_edges)
     if coded is None:
         return arrays
-    checked = with_check(coded, check_of(by_first_use(arrays.pop("creases"))))
-    return arrays | {_HARD_EDGES: np.frombuffer(checked, dtype=np.uint8)}
+    del arrays["creases"]
+    return arrays | {_HARD_EDGES: np.frombuffer(coded, dtype=np.uint8)}
 
 
 def unpack_surface(packed: bytes, folder: Path, mesh: Mesh) -> Surface:
@@ -144,9 +143,7 @@ def unpack_surface(packed: bytes, folder: Path, mesh: Mesh) -> Surface:
         arrays = _arrays(json.loads(text), data)
         coded = arrays.pop(_HARD_EDGES, None)
         if coded is not None:
-            stream, expected = without_check(coded.tobytes())
-            arrays["creases"] = decode_hard_edges(stream, *mesh)
-            refuse_others(check_of(arrays["creases"]), expected)
+            arrays["creases"] = decode_hard_edges(coded.tobytes(), *mesh)
         if "colour_values" in arrays:
             arrays.setdefault("colour_indices", mesh[0].indices)
         return surface_of_arrays(arrays, folder)

@@ -12,8 +12,6 @@ import numpy as np
 from mixseq.choices import OrderName
 from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
 from mixseq.coding.bitstream.connectivity import encode_polygons
-from mixseq.coding.bitstream.decoded_check import check_of, with_check
-from mixseq.coding.bitstream.entropy import pack_leb128
 from mixseq.coding.bitstream.texture_coordinates import grid_numbers
 from mixseq.coding.encoder.numbering import cheapest_numbering
 from mixseq.coding.encoder.uv_quantisation import UV_ERROR, with_quantised_uvs
@@ -21,7 +19,7 @@ from mixseq.coding.encoder.uv_regions import encode_uvs
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.sequence import SequenceHeader
 from mixseq_io.coded.lossless import pack_surface, pack_times
-from mixseq_io.coded.stream_index import HEAD, MAGIC, Container
+from mixseq_io.coded.stream_index import HEAD, MAGIC, Container, pack_leb128
 
 _HDF5, _INDEX = 1200, 64
 """Bytes that HDF5 and the attributes take at most, and the index for 64 frames."""
@@ -78,8 +76,6 @@ def room_for_signals(
 def _ground(header: SequenceHeader, uv_steps: int | None) -> list[bytes]:
     """Return connectivity, surface, times; and texture coordinates, if they are multiples of ``1 / uv_steps``."""
     polygons, uvs, surface = header.polygons, header.surface.uvs, header.surface
-    connectivity = encode_polygons(polygons, header.vertex_count)
-    check = check_of(polygons.indices, check_of(polygons.counts))
     textures = []
     if uv_steps is not None:
         numbers = None if uvs is None else grid_numbers(uvs.at_corners, uv_steps)
@@ -87,11 +83,10 @@ def _ground(header: SequenceHeader, uv_steps: int | None) -> list[bytes]:
             raise InvalidSequenceError(
                 f"texture coordinates are no multiples of 1 / {uv_steps}; compress the sequence again"
             )
-        coordinates = encode_uvs(polygons, header.vertex_count, numbers)
-        textures = [with_check(coordinates, check_of(numbers))]
+        textures = [encode_uvs(polygons, header.vertex_count, numbers)]
         surface = replace(surface, uvs=None)
     return [
-        with_check(connectivity, check),
+        encode_polygons(polygons, header.vertex_count),
         pack_surface(surface, (polygons, header.vertex_count)),
         pack_times(header.times, header.fps),
         *textures,

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import accumulate
 from pathlib import Path
@@ -29,7 +29,6 @@ from zlib import crc32
 
 import numpy as np
 
-from mixseq.coding.bitstream.entropy import unpack_leb128
 from mixseq.errors import FormatError
 
 COMPRESSED_VERSION = 1
@@ -167,3 +166,31 @@ def facts_of(path: Path, container: Container) -> dict[str, Any]:
     if not isinstance(facts, dict) or not isinstance(facts.get("coding"), dict):
         raise FormatError(f"{path}: the attribute coding has no parameters; it is damaged")
     return facts
+
+
+def pack_leb128(numbers: Iterable[int]) -> bytes:
+    """Write whole numbers, none of them negative, 7 bits to the byte, the lowest first (LEB128).
+
+    Examples
+    --------
+    >>> pack_leb128([5, 300]).hex(), list(unpack_leb128(pack_leb128([5, 300])))
+    ('05ac02', [5, 300])
+    """
+    packed = bytearray()
+    for number in numbers:
+        while number > 127:
+            packed.append(number & 127 | 128)
+            number >>= 7
+        packed.append(number)
+    return bytes(packed)
+
+
+def unpack_leb128(packed: bytes) -> Iterator[int]:
+    """Read what `pack_leb128` wrote."""
+    number = shift = 0
+    for byte in packed:
+        number |= (byte & 127) << shift
+        shift += 7
+        if byte < 128:
+            yield number
+            number = shift = 0

@@ -32,8 +32,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Index
-from mixseq.coding.bitstream.bit_mixing import INPUTS, SPREAD
 from mixseq.coding.bitstream.half_edges import INTO, OUT_OF, HalfEdges
+from mixseq.coding.bitstream.hashed_contexts import INPUTS, SPREAD
 from mixseq.compiled import joined
 
 GUESSES = 16

@@ -1,7 +1,6 @@
 // A compressed sequence: what it is, and its frames at any time.
 import { decodePolygons } from "./connectivity.js";
 import { Curve } from "./curve.js";
-import { checkOf, refuseOthers, withoutCheck } from "./decoded_check.js";
 import { MixseqError, guarded } from "./errors.js";
 import { readFacts } from "./parameters.js";
 import { triangulated } from "./polygons.js";
@@ -42,12 +41,8 @@ export class Sequence {
 
   /** How many corners the polygons have, `counts`, and the vertices of all `corners`. */
   polygons() {
-    return (this.#polygons ??= guarded("the connectivity", () => {
-      const { data, expected } = withoutCheck(this.streams.connectivity);
-      const found = decodePolygons(data, this.polygonCount, this.cornerCount, this.vertexCount);
-      refuseOthers(checkOf(found.corners, checkOf(found.counts)), expected);
-      return found;
-    }));
+    return (this.#polygons ??= guarded("the connectivity", () =>
+      decodePolygons(this.streams.connectivity, this.polygonCount, this.cornerCount, this.vertexCount)));
   }
 
   /** The triangles that polygons are drawn as: three vertices each. */

@@ -1,5 +1,4 @@
 // What is on the polygons of a sequence. A module of its own, so that pages that draw none of it can do without.
-import { checkOf, refuseOthers, withoutCheck } from "./decoded_check.js";
 import { MixseqError, guarded } from "./errors.js";
 import { decodeHardEdges } from "./hard_edges.js";
 import { unpackLzma2 } from "./lzma.js";
@@ -16,9 +15,7 @@ export function uvsOf(sequence) {
       const { uv_values: values, uv_indices: rows } = surfaceOf(sequence);
       return values ? atCorners(values, ofCorners(rows, cornerCount, values.length / 2), 2) : null;
     }
-    const { counts, corners } = sequence.polygons(), { data, expected } = withoutCheck(streams.uvs);
-    const numbers = decodeUvs(data, counts, corners, vertexCount);
-    refuseOthers(checkOf(numbers), expected);
+    const { counts, corners } = sequence.polygons(), numbers = decodeUvs(streams.uvs, counts, corners, vertexCount);
     return Float32Array.from(numbers, (number) => number / parameters.uvSteps);
   });
 }
@@ -38,10 +35,8 @@ export function hardEdgesOf(sequence) {
   return guarded("the hard edges", () => {
     const { hard_edges: coded, creases } = surfaceOf(sequence);
     if (!coded) return creases ? ofCorners(creases, sequence.cornerCount, Infinity) : null;
-    const { counts, corners } = sequence.polygons(), { data, expected } = withoutCheck(coded);
-    const numbers = decodeHardEdges(data, counts, corners, sequence.vertexCount);
-    refuseOthers(checkOf(numbers), expected);
-    return numbers;
+    const { counts, corners } = sequence.polygons();
+    return decodeHardEdges(coded, counts, corners, sequence.vertexCount);
   });
 }
 
