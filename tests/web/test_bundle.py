@@ -76,7 +76,7 @@ def test_the_bundled_decoder_decodes(node: Node, tmp_path: Path) -> None:
     import { readFileSync } from "node:fs";
     const [module, folder] = process.argv.slice(2), { open } = await import(module);
     const text = readFileSync(`${folder}/text`, "latin1"), bytes = new Uint8Array(readFileSync(`${folder}/streams`));
-    const sequence = open(text, bytes);
+    const sequence = await open(text, bytes);
     console.log(sequence.at(0.06).join(), sequence.weights(0).join());
     """
     own, bundle = WEB / SEQUENCE, tmp_path / "mixseq.mjs"

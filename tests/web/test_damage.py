@@ -32,8 +32,8 @@ const random = (below) => {
 };
 
 /** All that a sequence has, as one checksum. */
-function all(text, bytes) {
-  const sequence = open(text, bytes), { times } = sequence, moments = [...times, (times[0] + 2 * times[1]) / 3];
+async function all(text, bytes) {
+  const sequence = await open(text, bytes), { times } = sequence, moments = [...times, (times[0] + 2 * times[1]) / 3];
   const found = moments.map((time) => crc32(new Uint8Array(sequence.at(time).buffer)));
   return JSON.stringify([found, uvsOf(sequence)?.length]);
 }
@@ -51,11 +51,11 @@ function repaired(text, bytes, { byteOffset: start, byteLength: size }) {
   return bytes;
 }
 
-function outcome(text, bytes) {
+async function outcome(text, bytes) {
   const start = performance.now();
   let told = "";
   try {
-    told = all(text, bytes) === sound ? "the same" : "other frames";
+    told = (await all(text, bytes)) === sound ? "the same" : "other frames";
   } catch (error) {
     if (!(error instanceof MixseqError)) throw error;
     told = error.message;
@@ -65,7 +65,7 @@ function outcome(text, bytes) {
 }
 
 let longest = 0;
-const sound = all(text, whole), told = [], { streams } = open(text, whole);
+const sound = await all(text, whole), told = [], { streams } = await open(text, whole);
 const parts = [streams.connectivity, streams.times, streams.uvs, ...streams.basis];
 parts.push(...streams.chunks.flatMap(({ coefficients, residuals }) => [coefficients, residuals]));
 const some = parts.filter((part) => part?.length).map(({ byteOffset, byteLength }) =>
@@ -76,10 +76,10 @@ for (let round = 0; round < rounds; round++) {
   for (let flips = 1 + random(3); flips > 0; flips--) {
     bytes[part.byteOffset + random(part.byteLength)] ^= 1 << random(8);
   }
-  told.push(outcome(text, round % 4 ? repaired(text, bytes, part) : bytes));
+  told.push(await outcome(text, round % 4 ? repaired(text, bytes, part) : bytes));
 }
 const nothing = { byteOffset: 0, byteLength: 0 };
-for (const changed of texts) told.push(outcome(changed, repaired(changed, whole.slice(), nothing)));
+for (const changed of texts) told.push(await outcome(changed, repaired(changed, whole.slice(), nothing)));
 console.log(JSON.stringify({ told, longest }));
 """
 

@@ -41,8 +41,8 @@ START = """([text, coding, streams]) => {
   return import(address).then((module) => { globalThis.mixseq = module; });
 }"""
 
-DRAWN = """([times, vertices, groups]) => {
-  const sequence = mixseq.open(...given), gl = document.createElement("canvas").getContext("webgl2");
+DRAWN = """async ([times, vertices, groups]) => {
+  const sequence = await mixseq.open(...given), gl = document.createElement("canvas").getContext("webgl2");
   const named = vertices && new Map(vertices.map((vertex, k) => [vertex, k]));
   const triangles = vertices ? sequence.triangles().map((vertex) => named.get(vertex)) : sequence.triangles();
   const card = mixseq.fieldTextures(gl, sequence.fields(), triangles, ...(vertices ? [vertices, groups] : []));

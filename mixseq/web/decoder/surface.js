@@ -1,10 +1,8 @@
 // What is on the polygons of a sequence. A module of its own, so that pages that draw none of it can do without.
 import { MixseqError, guarded } from "./errors.js";
 import { decodeHardEdges } from "./hard_edges.js";
-import { unpackLzma2 } from "./lzma.js";
 import { decodeUvs } from "./texture_coordinates.js";
 
-const OF_CORNER = 64, OF_TEXTS = 1 << 24; // bytes that a surface may have
 const TYPES = { "<i4": Int32Array, "<f4": Float32Array, "|u1": Uint8Array };
 
 /** Texture coordinates at the corners, u and v of each; null if there are none. */
@@ -41,16 +39,16 @@ export function hardEdgesOf(sequence) {
 }
 
 /** The arrays of a surface by name, of numbers and of texts, as mixseq_io/coded/lossless.py packs them. */
-export function surfaceOf({ streams, cornerCount }) {
-  if (!streams.surface.length) return {};
+export function surfaceOf({ surface }) {
+  if (!surface.length) return {};
   return guarded("the surface", () => {
-    const whole = unpackLzma2(streams.surface, OF_CORNER * cornerCount + OF_TEXTS), end = whole.indexOf(0), arrays = {};
+    const end = surface.indexOf(0), arrays = {};
     let start = end + 1;
-    for (const [name, ...what] of JSON.parse(new TextDecoder().decode(whole.subarray(0, end)))) {
+    for (const [name, ...what] of JSON.parse(new TextDecoder().decode(surface.subarray(0, end)))) {
       if (what.length === 1) arrays[name] = what[0];
       else {
         const [type, shape] = what, count = shape.reduce((size, each) => size * each, 1);
-        arrays[name] = unshuffled(whole, start, TYPES[type], count);
+        arrays[name] = unshuffled(surface, start, TYPES[type], count);
         start += arrays[name].byteLength;
       }
     }

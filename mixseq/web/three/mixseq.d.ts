@@ -4,7 +4,7 @@
 export class MixseqError extends Error {}
 
 /** `text` is the text `coding` of a compressed model, `streams` are its streams. Bytes are checked, nothing is decoded yet. */
-export function open(text: string, streams: Uint8Array): Sequence;
+export function open(text: string, streams: Uint8Array): Promise<Sequence>;
 
 export interface Chunk {
   readonly first: number;
