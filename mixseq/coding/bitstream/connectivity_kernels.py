@@ -33,7 +33,7 @@ from mixseq.coding.bitstream.half_edges import (
     rank_of,
     vertex_of,
 )
-from mixseq.coding.bitstream.hashed_contexts import INPUTS, Bits, code
+from mixseq.coding.bitstream.hashed_contexts import INPUTS, Bits, code, has_failed
 from mixseq.compiled import compiled, joined
 
 KINDS = 4 * GUESSES + 4 * 5
@@ -67,7 +67,7 @@ def walk(bits: Bits, mesh: HalfEdges, past: Past, counts: Index, indices: Index)
             past.about[i] = min(old, 63) << 6 | min(older, 63)
         counts[polygon] = old + _number(bits, past, _COUNTS, counts[polygon] - old)
         stop = start + counts[polygon]
-        if bits.failed[0] or counts[polygon] < 3 or stop > len(indices):
+        if has_failed(bits) or counts[polygon] < 3 or stop > len(indices):
             bits.failed[0] = 1
             return
         for corner in range(start, stop):
@@ -82,7 +82,7 @@ def walk(bits: Bits, mesh: HalfEdges, past: Past, counts: Index, indices: Index)
             if j and previous + j < first:
                 past.guesses[10] = before + indices[previous + j] - indices[previous + j - 1]
             vertex, winner = _vertex(bits, mesh, past, indices, polygon, start, corner, place, last_new, run)
-            if bits.failed[0]:
+            if has_failed(bits):
                 return
             indices[corner] = vertex
             remember(past, place, vertex, winner)
@@ -172,7 +172,7 @@ def _named(
     about[3] = about[7] = about[1] << 5 | past.winners[place, 0]
     state = 0 if bits.coded.decoding else mesh.states[vertex] - OPEN
     state = _number(bits, past, _STATES, state) + OPEN
-    if bits.failed[0] or state < UNUSED or state > CLOSED:
+    if state < UNUSED or state > CLOSED:
         bits.failed[0] = 1
         return 0, 0
 
@@ -204,7 +204,7 @@ def _named(
     distance = _number(bits, past, state, distance)
     past.last_distances[state] = distance
     rank = origin + distance
-    if bits.failed[0] or rank < 0 or rank >= members:
+    if rank < 0 or rank >= members:
         bits.failed[0] = 1
         return 0, 0
     for base in range(BASES):

@@ -82,7 +82,12 @@ def code(bits: Bits, kind: int, bit: int) -> int:
     slots, contexts = bits.models.contexts, bits.contexts
     for i in range(INPUTS):
         slots[i] = np.int64(np.uint64(contexts[i]) * SPREAD >> _HIGHEST)
-    bit = code_of_kind(bits.coded, bits.models, 0, kind, bit)
-    if bits.coded.decoding and bits.coded.place[0] > len(bits.coded.data) + BYTES_BEYOND:
+    return code_of_kind(bits.coded, bits.models, 0, kind, bit)
+
+
+@joined
+def has_failed(bits: Bits) -> bool:
+    """Whether what is read is damaged, or ends before the bits that were read; to be asked now and then."""
+    if bits.coded.place[0] > len(bits.coded.data) + BYTES_BEYOND:
         bits.failed[0] = 1
-    return bit
+    return bool(bits.failed[0])

@@ -16,7 +16,7 @@ import numpy as np
 
 from mixseq.arrays import Index
 from mixseq.coding.bitstream.growing import Corners, after, before
-from mixseq.coding.bitstream.hashed_contexts import Bits, code
+from mixseq.coding.bitstream.hashed_contexts import Bits, code, has_failed
 from mixseq.compiled import compiled
 
 SEAM_KINDS = 4
@@ -100,7 +100,7 @@ def walk_seams(bits: Bits, corners: Corners, order: Index, labels: Index, nodes:
                 count += 1
             nodes[corner] = chosen
             done[at] += 1
-        if bits.failed[0]:
+        if has_failed(bits):
             return count
     return count
 

@@ -31,7 +31,7 @@ import numpy as np
 from mixseq.arrays import Index
 from mixseq.coding.bitstream.arithmetic import code_number
 from mixseq.coding.bitstream.growing import Corners, after, before
-from mixseq.coding.bitstream.hashed_contexts import Bits, code
+from mixseq.coding.bitstream.hashed_contexts import Bits, code, has_failed
 from mixseq.coding.bitstream.uv_copies import Copies, copy, drop_anchor, fits, follow, give_image
 from mixseq.coding.bitstream.uv_guesses import (
     AROUND,
@@ -138,7 +138,7 @@ def walk_values(
                     about[2] = sizes[3] = 16 * _length(missed)
                     if abs(values[x, i]) > LARGEST:
                         bits.failed[0] = 1
-                if bits.failed[0]:
+                if has_failed(bits):
                     return
                 if guess.facts[0] == AROUND:
                     drawn = abs(values[x, 0] - seen[0] + guess.back[0])
