@@ -155,7 +155,7 @@ def test_names_load_only_what_they_need(statement: str, without: set[str]) -> No
 
 
 def test_decoding_a_compressed_model_imports_little() -> None:
-    path = ROOT / "tests/formats/golden/model-v7-coded.h5"
+    path = ROOT / "tests/formats/golden/compressed-v1-uvs.h5"
     decode = f"import mixseq\nmixseq.load({str(path)!r})(0.0)\n"
     listed = "import sys\nprint(*sys.modules)"
     for _ in range(2):  # where something must be compiled, numba imports far more

@@ -18,7 +18,7 @@ from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 import mixseq
 from mixseq.errors import OutputError
 
-LIBRARIES = ("constriction", "h5py", "numba", "scipy", "threadpoolctl")
+LIBRARIES = ("h5py", "numba", "scipy", "threadpoolctl")
 """What reading a model and decoding it imports, besides NumPy; without those for other files, as usd-core."""
 
 _PACKAGES = ("mixseq", "mixseq_io")

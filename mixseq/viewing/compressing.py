@@ -27,9 +27,6 @@ from mixseq.viewing.gathering import Extent, Gathered, PageItem
 from mixseq.viewing.packing import deflated_rows
 from mixseq_io.coded.packing import pack
 
-DECODED = 2
-"""The revision of the coding that `mixseq.web` decodes; what has an older one is compressed anew."""
-
 STOP = 15
 """Of a palette of 256 colours for numbers, every so many are in the page; it mixes those between. Ours."""
 
@@ -113,7 +110,7 @@ def page_mesh(
         If the bound is beyond the digits of the coordinates.
     """
     header = shown.mesh.header
-    if shown.coded is None or shown.coded.parameters.revision < DECODED:
+    if shown.coded is None:
         centre = gathered.poses[:1][0].mean(axis=0, dtype=np.float64)
         coded, vertices = _compressed(header, elapsed, gathered, centre, max_error, progress)
     else:

@@ -131,7 +131,7 @@ def test_our_own_wheel_decodes_models_without_anything_but_its_libraries(
     assert not others & set(done.stdout.split())
 
 
-@pytest.fixture(params=["model-v1.h5", "model-v8-coded.h5"])
+@pytest.fixture(params=["model-v1.h5", "compressed-v1-uvs.h5"])
 def golden(request: pytest.FixtureRequest) -> Path:
     path: Path = Path(__file__).parents[1] / "formats/golden" / request.param
     assert path.is_file()

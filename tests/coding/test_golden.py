@@ -55,11 +55,6 @@ CASES: dict[str, Callable[[], CompressedSequence]] = {
     "parts": _parts,
 }
 
-REVISIONS = {1: "", 2: "-2"}
-"""How streams are coded, and how the names of their files end."""
-
-FILES = [name + ending for name in CASES for ending in REVISIONS.values()]
-
 
 def stored(name: str) -> tuple[CompressedSequence, np.ndarray, np.ndarray]:
     """Return a golden sequence, the frames whose points are known, and these ``(n, V, 3)``."""
@@ -96,17 +91,15 @@ def store(name: str, coded: CompressedSequence) -> None:
     )
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", CASES)
 def test_golden_streams_decode_to_the_same_points(name: str) -> None:
     coded, frames, points = stored(name)
     found = to_model(coded).sample(frames=frames.tolist()).points
     np.testing.assert_allclose(found, points, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("revision", REVISIONS)
-def test_golden_streams_have_all_that_streams_can_have(revision: int) -> None:
-    bounded, shapes, long, parts = (stored(name + REVISIONS[revision])[0] for name in CASES)
-    assert {each.parameters.revision for each in (bounded, shapes, long, parts)} == {revision}
+def test_golden_streams_have_all_that_streams_can_have() -> None:
+    bounded, shapes, long, parts = (stored(name)[0] for name in CASES)
     assert bounded.parameters.factors == "trajectories"
     assert bounded.parameters.promised
     assert all(chunk.residuals for chunk in bounded.chunks)
@@ -118,4 +111,4 @@ def test_golden_streams_have_all_that_streams_can_have(revision: int) -> None:
 
 if __name__ == "__main__":
     for case, make in CASES.items():
-        store(case + REVISIONS[2], make())
+        store(case, make())

@@ -18,7 +18,7 @@ from mixseq.scene.camera import y_up
 from mixseq.signals import Model
 from mixseq.viewing.packing import BYTE_ORDER_MARK, ENCODING, ESCAPE
 from mixseq_io.coded.reading import sequence_of
-from mixseq_io.coded.stream_index import CHECKED_VERSION, Container
+from mixseq_io.coded.stream_index import Container
 
 _ELEMENT = re.compile(r'<script type="text/plain" data-size="(\d+)">([^<]*)</script>')
 
@@ -74,7 +74,7 @@ class Opened:
 
 
 def _item(description: dict[str, Any], streams: Any) -> OpenedItem:
-    container = Container(description["coding"].encode(), next(streams), CHECKED_VERSION)
+    container = Container(description["coding"].encode(), next(streams))
     model = to_model(sequence_of(Path(description["name"]), container))
     colours = {
         each["name"]: rows_of(next(streams), model.header.vertex_count)

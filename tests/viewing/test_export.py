@@ -38,7 +38,6 @@ from mixseq.viewing.chart_data import signals_of
 from mixseq.viewing.export import ExportSettings, export_page
 from mixseq.viewing.gathering import PageItem, extent_of, page_items
 from mixseq.viewing.packing import ENCODING, as_text, deflated_rows
-from mixseq_io.compressed_files import read_compressed
 from tests.meshes import SEQUENCES, bar
 from tests.viewing.pages import Opened, bytes_of, rows_of
 
@@ -178,18 +177,6 @@ def test_compressed_models_are_shown_at_any_rate(tmp_path: Path) -> None:
         page = Opened(tmp_path / "a.html").items[0]
         assert page.times == pytest.approx(times)
         assert page.model.times == pytest.approx(np.arange(9) / 10)
-
-
-def test_old_streams_are_compressed_anew(tmp_path: Path) -> None:
-    path = Path(__file__).parents[1] / "formats" / "golden" / "model-v7-coded.h5"
-    coded = read_compressed(path)
-    model = to_model(coded)
-    clay = {"clay": colourings_of(model.header, model(model.start))["clay"]}
-    item = PageItem(SceneItem("old", model), clay, coded=coded)
-    report = export_page(tmp_path / "a.html", [item], ExportSettings(max_error=2e-3)).items[0]
-    assert coded.parameters.revision == 1
-    assert report.max_error == 2e-3
-    assert '"revision":2' in Opened(tmp_path / "a.html").items[0].description["coding"]
 
 
 def test_parts_and_errors_are_stored(tmp_path: Path, bent_bar: MeshSequence, bar_model: Model) -> None:

@@ -20,7 +20,7 @@ import { readFileSync, writeFileSync } from "node:fs";
 import { open } from "decoder/sequence.js";
 import { coloursOf, hardEdgesOf, uvsOf } from "decoder/surface.js";
 const folder = process.argv[2], bytes = (name) => new Uint8Array(readFileSync(`${folder}/${name}`));
-const sequence = open(new TextDecoder().decode(bytes("text")), bytes("streams"));
+const sequence = await open(new TextDecoder().decode(bytes("text")), bytes("streams"));
 const write = (name, array) => writeFileSync(`${folder}/${name}`, array ?? new Uint8Array(0));
 const { streams, chunks, ...facts } = sequence, times = new Float64Array(bytes("wanted").buffer);
 const { counts, corners } = sequence.polygons(), fields = sequence.fields();

@@ -70,13 +70,13 @@ def test_the_decoder_is_a_module_of_its_own(node: Node, tmp_path: Path) -> None:
 
 
 def test_the_bundled_decoder_decodes(node: Node, tmp_path: Path) -> None:
-    write_container(tmp_path, Path(__file__).parents[1] / "formats/golden/model-v8-coded.h5")
+    write_container(tmp_path, Path(__file__).parents[1] / "formats/golden/compressed-v1-uvs.h5")
     (tmp_path / "mixseq.mjs").write_text(bundled(), encoding="utf-8")
     script = """
     import { readFileSync } from "node:fs";
     const [module, folder] = process.argv.slice(2), { open } = await import(module);
     const text = readFileSync(`${folder}/text`, "latin1"), bytes = new Uint8Array(readFileSync(`${folder}/streams`));
-    const sequence = open(text, bytes);
+    const sequence = await open(text, bytes);
     console.log(sequence.at(0.06).join(), sequence.weights(0).join());
     """
     own, bundle = WEB / SEQUENCE, tmp_path / "mixseq.mjs"
@@ -85,7 +85,7 @@ def test_the_bundled_decoder_decodes(node: Node, tmp_path: Path) -> None:
 
 def test_the_script_of_the_page_runs(node: Node, tmp_path: Path) -> None:
     """That of docs/web.md which goes on from the text and the bytes of a file."""
-    write_container(tmp_path, Path(__file__).parents[1] / "formats/golden/model-v8-coded.h5")
+    write_container(tmp_path, Path(__file__).parents[1] / "formats/golden/compressed-v1-uvs.h5")
     (tmp_path / "mixseq.js").write_text(bundled(), encoding="utf-8")
     (tmp_path / "package.json").write_text('{"type": "module"}', encoding="utf-8")
     page = (Path(__file__).parents[2] / "docs/web.md").read_text(encoding="utf-8")

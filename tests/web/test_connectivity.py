@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from mixseq.coding.bitstream.connectivity import decode_polygons, encode_polygons
-from mixseq.errors import FormatError
 from mixseq.polygons import Polygons
 from tests.meshes import flipped, grid, joined, pages, tetrahedron, torus, tube
 from tests.web.conftest import Node
@@ -171,13 +170,3 @@ def test_numbers_of_another_mesh_are_refused(node: Node, tmp_path: Path, counts:
     [found] = decoded(node, tmp_path, [[data, *counts]])
     assert isinstance(found, str)
     assert "damaged" in found
-
-
-def test_what_few_bytes_claim_is_not_believed(node: Node, tmp_path: Path) -> None:
-    """Two thousand million bits of 24 bytes would take as much memory."""
-    claim = b64encode(b"\xff\xff\xff\xff\x07" + bytes(15) + bytes(4)).decode()
-    [found] = decoded(node, tmp_path, [[claim, 600_000_000, 1_800_000_000, 4]])
-    assert isinstance(found, str)
-    assert "damaged" in found
-    with pytest.raises(FormatError):
-        decode_polygons(b"\xff\xff\xff\xff\x7f" + bytes(15), 1, 3, 3)

@@ -41,8 +41,8 @@ START = """([text, coding, streams]) => {
   return import(address).then((module) => { globalThis.mixseq = module; });
 }"""
 
-DRAWN = """([times, vertices, groups]) => {
-  const sequence = mixseq.open(...given), gl = document.createElement("canvas").getContext("webgl2");
+DRAWN = """async ([times, vertices, groups]) => {
+  const sequence = await mixseq.open(...given), gl = document.createElement("canvas").getContext("webgl2");
   const named = vertices && new Map(vertices.map((vertex, k) => [vertex, k]));
   const triangles = vertices ? sequence.triangles().map((vertex) => named.get(vertex)) : sequence.triangles();
   const card = mixseq.fieldTextures(gl, sequence.fields(), triangles, ...(vertices ? [vertices, groups] : []));
@@ -112,7 +112,7 @@ def frames_of(coded: CompressedSequence, times: Float) -> Float:
     return np.concatenate(list(to_model(coded).blocks(times)))
 
 
-@pytest.mark.parametrize("name", ["bounded-2", "shapes-2", "long-2", "parts-2"])
+@pytest.mark.parametrize("name", ["bounded", "shapes", "long", "parts"])
 def test_frames_on_the_graphics_card(page: Page, tmp_path: Path, name: str) -> None:
     coded = golden(name)
     opened(page, tmp_path, coded)
@@ -148,7 +148,7 @@ def test_vertices_that_are_cut_along_seams(page: Page, tmp_path: Path) -> None:
 
 
 def test_a_worker_decodes(page: Page, tmp_path: Path) -> None:
-    coded = golden("long-2")
+    coded = golden("long")
     opened(page, tmp_path, coded)
     told = page.evaluate(
         """async (times) => {
@@ -176,7 +176,7 @@ def test_a_worker_decodes(page: Page, tmp_path: Path) -> None:
 @pytest.mark.parametrize("method", ["open", "frame"])
 def test_what_is_wrong_in_a_worker_is_told(page: Page, tmp_path: Path, method: str) -> None:
     """Bytes with a mistake do not open; a frame at no time is refused, and the Worker goes on."""
-    opened(page, tmp_path, golden("parts-2"))
+    opened(page, tmp_path, golden("parts"))
     told = page.evaluate(
         """async (method) => {
           const kept = (error) => [error instanceof mixseq.MixseqError, error.message];
@@ -192,5 +192,5 @@ def test_what_is_wrong_in_a_worker_is_told(page: Page, tmp_path: Path, method: s
     assert told[0]
     assert "damaged" in told[1] if method == "open" else "number" in told[1]
     if method == "frame":
-        assert told[2] == 3 * golden("parts-2").header.vertex_count
+        assert told[2] == 3 * golden("parts").header.vertex_count
         assert told[3] == [True, "the sequence was closed"]

@@ -29,7 +29,7 @@ from tests.web.played import Played, played
 
 pytestmark = pytest.mark.slow
 
-GOLDEN = ("bounded-2", "shapes-2", "long-2", "parts-2")
+GOLDEN = ("bounded", "shapes", "long", "parts")
 
 SHAPES: tuple[Callable[[int, int], Mesh], ...] = (torus, tube, grid)
 
@@ -74,7 +74,7 @@ def test_golden_streams(node: Node, tmp_path: Path, name: str) -> None:
 
 
 def test_golden_file(node: Node, tmp_path: Path) -> None:
-    path = Path(__file__).parents[1] / "formats/golden/model-v8-coded.h5"
+    path = Path(__file__).parents[1] / "formats/golden/compressed-v1-uvs.h5"
     model = mixseq.load(path)
     found = played(node, tmp_path, path, model.times)
     apart = np.abs(found.positions - model.sample().points)

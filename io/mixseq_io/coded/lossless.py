@@ -1,15 +1,14 @@
 """Pack times and surfaces into few bytes without loss: what compressed models have besides mesh and signals.
 
 Numbers come in runs that change little, so their first differences are stored, byte by byte: the first bytes of all
-numbers, then the second bytes, and so on. Most of those are zeros, which lzma and zlib take well.
+numbers, then the second bytes, and so on. Most of those are zeros, which zlib takes well.
 
-Frozen: changing this breaks old files (golden: ``tests/formats/golden/model-v4-coded.h5``).
+Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``).
 """
 
 from __future__ import annotations
 
 import json
-import lzma
 import zlib
 from dataclasses import replace
 from pathlib import Path
@@ -18,11 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.coding.bitstream.decoded_check import check_of, refuse_others, with_check, without_check
 from mixseq.coding.bitstream.hard_edges import decode_hard_edges, encode_hard_edges
 from mixseq.errors import FormatError
 from mixseq.polygons import Polygons
-from mixseq.surface import WHITE, CornerValues, Surface, by_first_use
+from mixseq.surface import WHITE, CornerValues, Surface
 from mixseq_io.memory import gigabytes, max_memory
 from mixseq_io.surface_arrays import surface_arrays, surface_of_arrays
 
@@ -31,9 +29,6 @@ Mesh = tuple[Polygons, int]
 
 _HARD_EDGES = "hard_edges"
 """The array of coded hard edges; `creases` are numbers of normals. Frozen: breaks old files."""
-
-_FILTERS = [{"id": lzma.FILTER_LZMA2, "preset": 9}]
-"""How surfaces are compressed. Frozen: breaks old files."""
 
 
 def pack_times(times: NDArray[np.float64], fps: float) -> bytes:
@@ -56,7 +51,10 @@ def unpack_times(packed: bytes, first: float, count: int, fps: float) -> NDArray
     regular = _regular(first, count, fps)
     if not packed:
         return regular
-    apart = np.cumsum(_unshuffled(_inflated(packed, 8 * count), np.dtype("<i8"), count))
+    data = _decompressed(packed, 8 * count + 1, "the times are")
+    if len(data) != 8 * count:
+        raise FormatError(f"there are {len(data)} bytes of times, {8 * count} are expected")
+    apart = np.cumsum(_unshuffled(data, np.dtype("<i8"), count))
     times: NDArray[np.float64] = (_bits(regular) + apart).view(np.float64)
     return times
 
@@ -71,25 +69,20 @@ def _bits(times: NDArray[np.float64]) -> NDArray[np.int64]:
     return np.ascontiguousarray(times).view(np.int64)
 
 
-def _inflated(packed: bytes, size: int) -> bytes:
-    """Undo `zlib.compress`; more than was expected is not even made."""
-    inflater = zlib.decompressobj()
+def _decompressed(packed: bytes, most: int, what: str) -> bytes:
+    """Undo `zlib.compress`; of what is larger, so many bytes are made."""
     try:
-        data = inflater.decompress(packed, size + 1)
+        return zlib.decompressobj().decompress(packed, most)
     except zlib.error as error:
-        raise FormatError(f"{error}") from error
-    if len(data) != size:
-        raise FormatError(f"there are {len(data)} bytes of times, {size} are expected")
-    return data
+        raise FormatError(f"{what} damaged ({error})") from error
 
 
-def pack_surface(surface: Surface, mesh: Mesh | None = None) -> bytes:
+def pack_surface(surface: Surface, mesh: Mesh) -> bytes:
     """Return everything a surface has, empty if it has nothing.
 
     A JSON list of the arrays' names, types and shapes (texts are in it as they are), a zero byte, the arrays' bytes;
-    all of it compressed by lzma. With the `mesh` that it is on, hard edges are coded by
-    `mixseq.coding.bitstream.hard_edges`, if they can be: model version 8. Colours that vertices have, and not corners,
-    are then in the order of the vertices, without indices.
+    all of it compressed by zlib. Hard edges are coded by `mixseq.coding.bitstream.hard_edges`, if they can be. Colours
+    that vertices have, and not corners, are in the order of the vertices, without indices.
     """
     listed: list[list[Any]] = []
     data = []
@@ -103,13 +96,11 @@ def pack_surface(surface: Surface, mesh: Mesh | None = None) -> bytes:
     if not listed:
         return b""
     text = json.dumps(listed, separators=(",", ":")).encode("ascii")
-    return lzma.compress(b"\0".join([text, b"".join(data)]), lzma.FORMAT_RAW, filters=_FILTERS)
+    return zlib.compress(b"\0".join([text, b"".join(data)]), 9)
 
 
-def _arrays_on(surface: Surface, mesh: Mesh | None) -> dict[str, NDArray[Any]]:
+def _arrays_on(surface: Surface, mesh: Mesh) -> dict[str, NDArray[Any]]:
     """Return the arrays of a surface; those that follow from the mesh it is on are shorter, or left out."""
-    if mesh is None:
-        return surface_arrays(surface)
     polygons, vertex_count = mesh
     corners, colours = polygons.indices, surface.colours
     of_vertices = colours is not None and colours.one_per_vertex(corners)
@@ -122,8 +113,8 @@ def _arrays_on(surface: Surface, mesh: Mesh | None) -> dict[str, NDArray[Any]]:
     coded = None if surface.hard_edges is None else encode_hard_edges(*mesh, surface.hard_edges)
     if coded is None:
         return arrays
-    checked = with_check(coded, check_of(by_first_use(arrays.pop("creases"))))
-    return arrays | {_HARD_EDGES: np.frombuffer(checked, dtype=np.uint8)}
+    del arrays["creases"]
+    return arrays | {_HARD_EDGES: np.frombuffer(coded, dtype=np.uint8)}
 
 
 def unpack_surface(packed: bytes, folder: Path, mesh: Mesh) -> Surface:
@@ -138,7 +129,7 @@ def unpack_surface(packed: bytes, folder: Path, mesh: Mesh) -> Surface:
         return Surface()
     try:
         limit = max_memory()
-        whole = lzma.LZMADecompressor(lzma.FORMAT_RAW, filters=_FILTERS).decompress(packed, limit)
+        whole = _decompressed(packed, limit, "the surface is")
         if len(whole) == limit:  # it goes on, how far nobody knows
             raise FormatError(
                 f"the surface takes more than {gigabytes(limit)} of memory, the limit (--max-memory)"
@@ -147,13 +138,11 @@ def unpack_surface(packed: bytes, folder: Path, mesh: Mesh) -> Surface:
         arrays = _arrays(json.loads(text), data)
         coded = arrays.pop(_HARD_EDGES, None)
         if coded is not None:
-            stream, expected = without_check(coded.tobytes())
-            arrays["creases"] = decode_hard_edges(stream, *mesh)
-            refuse_others(check_of(arrays["creases"]), expected)
+            arrays["creases"] = decode_hard_edges(coded.tobytes(), *mesh)
         if "colour_values" in arrays:
             arrays.setdefault("colour_indices", mesh[0].indices)
         return surface_of_arrays(arrays, folder)
-    except (lzma.LZMAError, ValueError, TypeError, KeyError, IndexError) as error:
+    except (ValueError, TypeError, KeyError, IndexError) as error:
         raise FormatError(f"the surface is damaged ({error})") from error
 
 

@@ -12,8 +12,6 @@ import numpy as np
 from mixseq.choices import OrderName
 from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
 from mixseq.coding.bitstream.connectivity import encode_polygons
-from mixseq.coding.bitstream.decoded_check import check_of, with_check
-from mixseq.coding.bitstream.entropy import pack_leb128
 from mixseq.coding.bitstream.texture_coordinates import grid_numbers
 from mixseq.coding.encoder.numbering import cheapest_numbering
 from mixseq.coding.encoder.uv_quantisation import UV_ERROR, with_quantised_uvs
@@ -21,14 +19,7 @@ from mixseq.coding.encoder.uv_regions import encode_uvs
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.sequence import SequenceHeader
 from mixseq_io.coded.lossless import pack_surface, pack_times
-from mixseq_io.coded.stream_index import (
-    CHECKED_VERSION,
-    COMPRESSED_VERSION,
-    HEAD,
-    MAGIC,
-    TEXTURED_VERSION,
-    Container,
-)
+from mixseq_io.coded.stream_index import HEAD, MAGIC, Container, pack_leb128
 
 _HDF5, _INDEX = 1200, 64
 """Bytes that HDF5 and the attributes take at most, and the index for 64 frames."""
@@ -36,22 +27,16 @@ _HDF5, _INDEX = 1200, 64
 
 def pack(coded: CompressedSequence) -> Container:
     """Lay an index and the streams of a compressed sequence one after the other."""
-    steps, revision = coded.parameters.uv_steps, coded.parameters.revision
-    older = COMPRESSED_VERSION if steps is None else TEXTURED_VERSION
     text = _json(coded)
     of_chunks = [stream for chunk in coded.chunks for stream in (chunk.coefficients, chunk.residuals)]
-    streams = [*_ground(coded.header, steps, revision), *coded.basis, *of_chunks]
+    streams = [*_ground(coded.header, coded.parameters.uv_steps), *coded.basis, *of_chunks]
     counts = [chunk.count for chunk in coded.chunks]
     lengths = pack_leb128([len(coded.basis), len(counts), *counts, *map(len, streams)])
     checksums = np.array(
         [crc32(text), *(crc32(stream) for stream in streams if stream)], dtype="<u4"
     ).tobytes()
     head = HEAD.pack(MAGIC, len(lengths), len(checksums), crc32(lengths + checksums))
-    return Container(
-        text,
-        b"".join([head, lengths, checksums, *streams]),
-        older if revision == 1 else CHECKED_VERSION,
-    )
+    return Container(text, b"".join([head, lengths, checksums, *streams]))
 
 
 def room_for_signals(
@@ -88,12 +73,9 @@ def room_for_signals(
     return size - taken
 
 
-def _ground(header: SequenceHeader, uv_steps: int | None, revision: int = 2) -> list[bytes]:
+def _ground(header: SequenceHeader, uv_steps: int | None) -> list[bytes]:
     """Return connectivity, surface, times; and texture coordinates, if they are multiples of ``1 / uv_steps``."""
     polygons, uvs, surface = header.polygons, header.surface.uvs, header.surface
-    connectivity = encode_polygons(polygons, header.vertex_count)
-    if revision > 1:
-        connectivity = with_check(connectivity, check_of(polygons.indices, check_of(polygons.counts)))
     textures = []
     if uv_steps is not None:
         numbers = None if uvs is None else grid_numbers(uvs.at_corners, uv_steps)
@@ -101,12 +83,11 @@ def _ground(header: SequenceHeader, uv_steps: int | None, revision: int = 2) -> 
             raise InvalidSequenceError(
                 f"texture coordinates are no multiples of 1 / {uv_steps}; compress the sequence again"
             )
-        coordinates = encode_uvs(polygons, header.vertex_count, numbers)
-        textures = [coordinates if revision == 1 else with_check(coordinates, check_of(numbers))]
+        textures = [encode_uvs(polygons, header.vertex_count, numbers)]
         surface = replace(surface, uvs=None)
     return [
-        connectivity,
-        pack_surface(surface, (polygons, header.vertex_count) if revision > 1 else None),
+        encode_polygons(polygons, header.vertex_count),
+        pack_surface(surface, (polygons, header.vertex_count)),
         pack_times(header.times, header.fps),
         *textures,
     ]

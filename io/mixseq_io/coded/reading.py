@@ -7,7 +7,7 @@ Streams are in this order: connectivity, surface, times, texture coordinates if 
 group; coefficients and residual layer of the first chunk, of the second, and so on. Specification:
 ``docs/file-format.md``.
 
-Frozen: changing this breaks old files (golden: ``tests/formats/golden/model-v4-coded.h5``, ``model-v7-coded.h5``).
+Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1*``).
 """
 
 from __future__ import annotations
@@ -27,13 +27,10 @@ from mixseq.coding.bitstream.compressed_sequence import (
     to_model,
 )
 from mixseq.coding.bitstream.connectivity import decode_polygons
-from mixseq.coding.bitstream.decoded_check import check_of, refuse_others, without_check
-from mixseq.coding.bitstream.texture_coordinates import decode_uvs, grid_numbers
+from mixseq.coding.bitstream.texture_coordinates import decode_uvs
 from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
-from mixseq.polygons import Polygons
 from mixseq.sequence import SequenceHeader
 from mixseq.signals.model import Model
-from mixseq.surface import CornerValues
 from mixseq_io.coded.lossless import unpack_surface, unpack_times
 from mixseq_io.coded.stream_index import Container, Stream, StreamIndex, facts_of, read_index
 from mixseq_io.memory import check_memory
@@ -164,10 +161,11 @@ def read_header(
         fps = float(facts["fps"])
         if sum(chunk.count for chunk in index.chunks) != frames:
             raise FormatError(f"its chunks do not add up to {frames} frames")
-        mesh = _polygons(ground["connectivity"], (polygons, corners, vertices), parameters.revision)
+        mesh = decode_polygons(ground["connectivity"], polygons, corners, vertices)
         surface = unpack_surface(ground["surface"], path.parent, (mesh, vertices))
         if "uvs" in ground and parameters.uv_steps is not None:
-            surface = replace(surface, uvs=_uvs(ground["uvs"], mesh, vertices, parameters))
+            uvs = decode_uvs(ground["uvs"], mesh, vertices, parameters.uv_steps)
+            surface = replace(surface, uvs=uvs)
         return SequenceHeader(
             polygons=mesh,
             vertex_count=vertices,
@@ -199,23 +197,3 @@ def decoded(path: Path, coded: CompressedSequence) -> Model:
         return to_model(coded)
     except (FormatError, MemoryError) as error:
         raise FormatError(f"{path}: {error}") from error
-
-
-def _polygons(data: bytes, counts: tuple[int, int, int], revision: int) -> Polygons:
-    if revision == 1:
-        return decode_polygons(data, *counts)
-    data, expected = without_check(data)
-    mesh = decode_polygons(data, *counts)
-    refuse_others(check_of(mesh.indices, check_of(mesh.counts)), expected)
-    return mesh
-
-
-def _uvs(data: bytes, mesh: Polygons, vertex_count: int, parameters: CodingParameters) -> CornerValues:
-    steps = parameters.uv_steps or 1
-    if parameters.revision == 1:
-        return decode_uvs(data, mesh, vertex_count, steps)
-    data, expected = without_check(data)
-    uvs = decode_uvs(data, mesh, vertex_count, steps)
-    numbers = grid_numbers(uvs.at_corners, steps)
-    refuse_others(-1 if numbers is None else check_of(numbers), expected)
-    return uvs

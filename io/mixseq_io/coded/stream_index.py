@@ -5,7 +5,7 @@ The index says how long every stream is and what its CRC-32 is, so damage is kno
 ==========  =====================================================================================================
 bytes       meaning, all numbers little-endian
 ==========  =====================================================================================================
-4           ``msq4``
+4           ``msq1``
 3 x 4       uint32: size of the lengths, size of the checksums, CRC-32 of both
 any         lengths, as numbers of 7 bits a byte (LEB128): number of groups of the basis, number of chunks, number of
             frames of every chunk, length of every stream
@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import accumulate
 from pathlib import Path
@@ -28,20 +28,12 @@ from zlib import crc32
 
 import numpy as np
 
-from mixseq.coding.bitstream.entropy import unpack_leb128
 from mixseq.errors import FormatError
-from mixseq_io.reader import refuse_newer
 
-COMPRESSED_VERSION = 4
-"""Version of model files that hold a compressed sequence. Frozen: breaks old files."""
+COMPRESSED_VERSION = 1
+"""Version of compressed models, which models with datasets do not share. Frozen: breaks old files."""
 
-TEXTURED_VERSION = 7
-"""The same with texture coordinates in a stream of their own. Frozen: breaks old files."""
-
-CHECKED_VERSION = 8
-"""The same with checksums of what is decoded: revision 2 of the coding. Frozen: breaks old files."""
-
-MAGIC = b"msq4"
+MAGIC = b"msq1"
 """What the index begins with. Frozen: breaks old files."""
 
 HEAD = struct.Struct("<4sIII")
@@ -101,9 +93,13 @@ def read_index(path: Path, container: Container) -> StreamIndex:
     Raises
     ------
     FormatError
-        If a newer mixseq wrote it; or if the index, or the attribute, is damaged: then nothing can be found.
+        If it has another version; or if the index, or the attribute, is damaged: then nothing can be found.
     """
-    refuse_newer(path, container.version, CHECKED_VERSION)
+    if container.version != COMPRESSED_VERSION:
+        raise FormatError(
+            f"{path} is a compressed model of version {container.version}, this mixseq reads {COMPRESSED_VERSION}: "
+            "upgrade with pip install --upgrade mixseq, or compress the original again"
+        )
     damaged = FormatError(f"{path}: its index is damaged, so nothing can be read; restore the file")
     if len(container.streams) < HEAD.size:
         raise damaged
@@ -169,3 +165,31 @@ def facts_of(path: Path, container: Container) -> dict[str, Any]:
     if not isinstance(facts, dict) or not isinstance(facts.get("coding"), dict):
         raise FormatError(f"{path}: the attribute coding has no parameters; it is damaged")
     return facts
+
+
+def pack_leb128(numbers: Iterable[int]) -> bytes:
+    """Write whole numbers, none of them negative, 7 bits to the byte, the lowest first (LEB128).
+
+    Examples
+    --------
+    >>> pack_leb128([5, 300]).hex(), list(unpack_leb128(pack_leb128([5, 300])))
+    ('05ac02', [5, 300])
+    """
+    packed = bytearray()
+    for number in numbers:
+        while number > 127:
+            packed.append(number & 127 | 128)
+            number >>= 7
+        packed.append(number)
+    return bytes(packed)
+
+
+def unpack_leb128(packed: bytes) -> Iterator[int]:
+    """Read what `pack_leb128` wrote."""
+    number = shift = 0
+    for byte in packed:
+        number |= (byte & 127) << shift
+        shift += 7
+        if byte < 128:
+            yield number
+            number = shift = 0

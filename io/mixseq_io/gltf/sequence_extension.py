@@ -5,7 +5,7 @@
     "meshes": [{
         "primitives": [...],                 the first frame, for viewers that do not know the extension
         "extensions": {"MIXSEQ_mesh_sequence": {
-            "version": 8,                    of model files
+            "version": 1,                    of compressed models
             "coding": 5,                     buffer view: the JSON text
             "streams": 6,                    buffer view: the index, then all streams
             "polygons": [0, 120, 1, 80]      if there are several primitives: the first 120 polygons are of primitive

@@ -11,11 +11,10 @@ from pathlib import Path
 from mixseq.arrays import FloatArray
 from mixseq.choices import StillName
 from mixseq.coding.bitstream.compressed_sequence import CompressedSequence, to_model
-from mixseq.errors import OutputError
 from mixseq.sequence import SequenceHeader
 from mixseq_io.atomic import replacing
 from mixseq_io.coded.packing import pack
-from mixseq_io.coded.stream_index import CHECKED_VERSION, Container
+from mixseq_io.coded.stream_index import Container
 from mixseq_io.gltf.buffers import GENERATOR, Layout, append, glb_size, writing_buffer
 from mixseq_io.gltf.carried_materials import carried_materials
 from mixseq_io.gltf.compression import DRACO
@@ -33,12 +32,7 @@ _FINER = 1.02
 
 def write_sequence(path: Path, coded: CompressedSequence, still: StillName) -> None:
     """Write a compressed sequence as a .glb."""
-    container = pack(coded)
-    if container.version != CHECKED_VERSION:
-        raise OutputError(
-            f"{path}: the web plays what this mixseq has compressed; compress the original again"
-        )
-    write_container(path, container, coded.header, to_model(coded)(coded.header.times[0]), still)
+    write_container(path, pack(coded), coded.header, to_model(coded)(coded.header.times[0]), still)
 
 
 def write_container(

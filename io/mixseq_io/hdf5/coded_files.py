@@ -2,7 +2,7 @@
 
 ::
 
-    /            format = "mixseq-model", version = 8 (4, or 7 with texture coordinates, of old), created_by,
+    /            format = "mixseq-model", version = 1, created_by,
                  coding                  JSON: parameters, name, fps, up_axis, metres_per_unit, counts, first time
     /streams     (n,) uint8: an index, then all streams, one after the other
 

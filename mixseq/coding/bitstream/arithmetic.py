@@ -26,7 +26,7 @@ ONE = 1 << 16
 _TOP = (1 << 32) - 1
 """Ends of intervals are from 0 to this. Frozen: breaks old files."""
 
-_BYTES_BEYOND = 4
+BYTES_BEYOND = 4
 """So many bytes may be asked for beyond the end; they are zero. Frozen: breaks old files."""
 
 
@@ -63,14 +63,17 @@ def to_write(room: int) -> Coded:
 
 def with_room(coded: Coded, room: int) -> Coded:
     """Return the same with room for at least so many bytes more."""
-    if len(coded.data) - int(coded.place[0]) >= room:
+    done = int(coded.place[0])
+    if len(coded.data) - done >= room:
         return coded
-    return coded._replace(data=np.concatenate([coded.data, np.zeros(len(coded.data) + room, np.uint8)]))
+    data = np.zeros(2 * done + room, dtype=np.uint8)
+    data[:done] = coded.data[:done]
+    return coded._replace(data=data)
 
 
 def to_read(data: bytes) -> Coded:
     """Return the state in which the first bit is read of what `written` returned."""
-    padded = np.frombuffer(data + bytes(_BYTES_BEYOND), dtype=np.uint8).copy()
+    padded = np.frombuffer(data + bytes(BYTES_BEYOND), dtype=np.uint8).copy()
     first = int.from_bytes(padded[:4].tobytes(), "big")
     return Coded(True, padded, np.array([4], dtype=np.int64), np.array([0, _TOP, first], dtype=np.int64))
 
@@ -90,7 +93,7 @@ def written(coded: Coded) -> bytes:
 
 def is_beyond(coded: Coded) -> bool:
     """Whether more bits were read than there are."""
-    return int(coded.place[0]) > len(coded.data) + _BYTES_BEYOND
+    return int(coded.place[0]) > len(coded.data) + BYTES_BEYOND
 
 
 @joined

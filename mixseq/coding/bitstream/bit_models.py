@@ -47,8 +47,8 @@ class BitModels(NamedTuple):
     ----------
     shares : (inputs, contexts, positions) int32
         Frequencies of 1 and from how many bits they are: ``256 p + n``.
-    weights : (positions, inputs) int64
-        Weights.
+    weights : (kinds, inputs) int64
+        Weights. Kinds are the positions, unless contexts tell these apart.
     contexts : (inputs,) int64
         To be set before a bit: what the inputs know.
     inputs : (inputs,) int64
@@ -67,11 +67,11 @@ class BitModels(NamedTuple):
     trust: Index
 
 
-def bit_models(inputs: int, contexts: int, positions: int) -> BitModels:
-    """Return models that know nothing yet."""
+def bit_models(inputs: int, contexts: int, positions: int, kinds: int | None = None) -> BitModels:
+    """Return models that know nothing yet; there are as many kinds as positions, unless it is said how many."""
     return BitModels(
         np.full((inputs, contexts, positions), 1 << 23, dtype=np.int32),
-        np.full((positions, inputs), ((1 << 16) + inputs // 2) // inputs, dtype=np.int64),
+        np.full((kinds or positions, inputs), ((1 << 16) + inputs // 2) // inputs, dtype=np.int64),
         np.zeros(inputs, dtype=np.int64),
         np.zeros(inputs, dtype=np.int64),
         *_tables(),
@@ -93,17 +93,23 @@ def _tables() -> tuple[Index, Index, Index, Index]:
 @joined
 def code(coded: Coded, models: BitModels, position: int, bit: int) -> int:
     """Write or read a bit at a position, in the contexts that were set, learn from it, and return it."""
+    return code_of_kind(coded, models, position, position, bit)
+
+
+@joined
+def code_of_kind(coded: Coded, models: BitModels, position: int, kind: int, bit: int) -> int:
+    """Write or read a bit as `code` does, of a kind that is another number than its position."""
     shares, weights, inputs, contexts = models.shares, models.weights, models.inputs, models.contexts
     x = 0
     for i in range(len(inputs)):
         share = shares[i, contexts[i], position]
         inputs[i] = (models.stretch[share >> 12] * models.trust[share & 255]) >> 8
-        x += weights[position, i] * inputs[i]
+        x += weights[kind, i] * inputs[i]
     chance = models.squash[min(max(x >> 16, -FAR), FAR) + FAR]
     bit = code_bit(coded, chance, bit)
     error = ((bit << 16) - chance) >> 4
     for i in range(len(inputs)):
-        weights[position, i] += (inputs[i] * error * _RATE + (1 << 15)) >> 16
+        weights[kind, i] += (inputs[i] * error * _RATE + (1 << 15)) >> 16
         share = shares[i, contexts[i], position]
         p, seen = share >> 8, share & 255
         p += (((bit << 16) - bit - p) * models.steps[seen]) >> 16

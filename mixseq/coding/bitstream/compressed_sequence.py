@@ -1,7 +1,7 @@
 """A compressed sequence: the streams and parameters that a file holds, and how they decode to a model.
 
 Frozen: the names and meanings of the parameters are those of the JSON text in files; changing them breaks old files
-(golden: ``tests/formats/golden/model-v4-coded.h5``).
+(golden: ``tests/formats/golden/compressed-v1.h5``).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from mixseq.coding.bitstream.spatial_basis import (
 from mixseq.coding.bitstream.uv_values import LARGEST
 from mixseq.errors import FormatError, SettingsError
 from mixseq.prediction.operator import Operator, chosen, with_middles
-from mixseq.sequence import SequenceHeader, bounding_diagonal
+from mixseq.sequence import SequenceHeader
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.signals.modes import NEGLIGIBLE
@@ -92,8 +92,6 @@ class CodingParameters:
         Texture coordinates are multiples of one by this number. None if there are none, or they are as they were.
     uv_error : float, optional
         Largest difference of u and of v from the original; a promise. None as `uv_steps`.
-    revision : int
-        How signals, labels and residuals are coded: 1 in model versions 4 and 7, 2 in version 8.
 
     Raises
     ------
@@ -113,7 +111,6 @@ class CodingParameters:
     ranks: tuple[int, ...] = ()
     uv_steps: int | None = None
     uv_error: float | None = None
-    revision: int = 1
 
     def __post_init__(self) -> None:
         if self.factors not in get_args(BasisKind):
@@ -148,8 +145,6 @@ class CodingParameters:
             raise SettingsError(f"uv_steps is {steps!r}; a whole number from 1 to {LARGEST} is expected")
         if error is not None and not (isinstance(error, int | float) and 0 <= error < inf):
             raise SettingsError(f"uv_error is {error!r}; a non-negative number is expected")
-        if self.revision not in (1, 2) or isinstance(self.revision, bool):
-            raise SettingsError(f"revision is {self.revision!r}; 1 or 2 is expected")
         if not isinstance(self.promised, bool):
             raise SettingsError(f"promised is {self.promised!r}; true or false is expected")
 
@@ -253,8 +248,6 @@ def decode(coded: CompressedSequence) -> tuple[Model, BetweenFrames]:
         coefficients = np.concatenate([decode_coefficients(coded, chunk, basis) for chunk in coded.chunks])
         if not (np.isfinite(basis.norms).all() and np.isfinite(coefficients).all()):
             raise FormatError("coded signals are not finite; the file is damaged")
-        if parameters.revision == 1:
-            _refuse_far(basis.frames(coefficients[:1])[0], parameters)
         space, scores, mean, directions = _affine(basis, coefficients, parameters.diagonal)
         pose, shapes = straight_modes(scores, mean, directions)
     residual_layer = None
@@ -265,7 +258,6 @@ def decode(coded: CompressedSequence) -> tuple[Model, BetweenFrames]:
             header.faces,
             header.vertex_count,
             parameters.correction,
-            parameters.revision,
             graph,
         )
     between = coded.between or _chosen(header.times, scores)
@@ -278,15 +270,6 @@ def decode(coded: CompressedSequence) -> tuple[Model, BetweenFrames]:
 def _chosen(times: Float, scores: Float) -> BetweenFrames:
     operator = chosen(times, scores)
     return BetweenFrames(operator.length, operator.cubic)
-
-
-def _refuse_far(points: Float, parameters: CodingParameters) -> None:
-    """Refuse a first frame ``(V, 3)`` that is far larger than it was: older streams do not say what they decode to."""
-    if bounding_diagonal(points) > (2 + 4 * parameters.max_error) * parameters.diagonal:
-        raise FormatError(
-            "the first frame comes out far larger than it went in; the file is damaged, or this machine does not add "
-            "as the one that wrote it"
-        )
 
 
 def decode_basis(coded: CompressedSequence, graph: SignalGraph) -> SpatialBasis:
@@ -305,16 +288,14 @@ def decode_basis(coded: CompressedSequence, graph: SignalGraph) -> SpatialBasis:
             f"the spatial basis has {len(coded.basis)} groups, {groups} are expected; the file is damaged"
         )
     coordinates = 1 if parameters.factors == "trajectories" else 3
-    vectors, parts = read_basis(
-        coded.basis, ranks, coordinates, parameters.step, coded.header.faces, graph, parameters.revision
-    )
+    vectors, parts = read_basis(coded.basis, ranks, coordinates, parameters.step, coded.header.faces, graph)
     return assemble_basis(parameters.factors, vectors, parts, parameters.frame_count)
 
 
 def decode_coefficients(coded: CompressedSequence, chunk: Chunk, basis: SpatialBasis) -> Float:
     """Return the coefficients ``(n, K, d)`` of a chunk's frames, as many as the basis has varying vectors."""
     parameters = coded.parameters
-    return read_coefficients(basis, chunk.coefficients, chunk.count, parameters.step, parameters.revision)
+    return read_coefficients(basis, chunk.coefficients, chunk.count, parameters.step)
 
 
 def _affine(basis: SpatialBasis, coefficients: Float, unit: float) -> tuple[ShapeSpace, Float, Float, Float]:

@@ -3,27 +3,26 @@ r"""Code polygons without loss: the order of vertices and faces, and first corne
 Users number vertices and faces, so a coder may not renumber them, as Edgebreaker and its like do. Corners are coded one
 after the other, in their order, and predicted from the mesh so far, from the polygons before, and from the numbers of
 their neighbours (in the spirit of the index codec of *meshoptimizer*, which knows recent edges only). What the
-predictions are worth is learned bit by bit, by `mixseq.coding.bitstream.bit_mixing`. Meshes whose order is coherent
-take 2 to 10 bits for a triangle; what has no order takes what the order itself is worth, about half a logarithm of V!
-F!.
+predictions are worth is learned bit by bit, by `mixseq.coding.bitstream.hashed_contexts`. Meshes whose order is
+coherent take 2 to 10 bits for a triangle; what has no order takes what the order itself is worth, about half a
+logarithm of V! F!.
 
-Frozen: changing this breaks old files (golden: ``tests/formats/golden/model-v4-coded.h5``).
-
-**The bytes.** Nothing if there are no polygons; else those of `mixseq.coding.bitstream.bit_queues`.
+Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``).
 
 **The bits.** For every polygon, its number of corners less that of the polygon before (3 for the first), then its
-corners, as `mixseq.coding.bitstream.connectivity_kernels` says.
+corners, as `mixseq.coding.bitstream.connectivity_kernels` says. Behind them is the `decoded_check` of both.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from mixseq.coding.bitstream.bit_mixing import bits_to_code
-from mixseq.coding.bitstream.bit_queues import all_decoded, pack_queues, unpack_queues
-from mixseq.coding.bitstream.connectivity_kernels import KINDS, LONGEST, walk
+from mixseq.coding.bitstream.arithmetic import written
+from mixseq.coding.bitstream.connectivity_kernels import KINDS, walk
 from mixseq.coding.bitstream.corner_guesses import GUESSES, no_past
+from mixseq.coding.bitstream.decoded_check import check_of, with_check, without_check
 from mixseq.coding.bitstream.half_edges import no_half_edges
+from mixseq.coding.bitstream.hashed_contexts import bits_to_read, bits_to_write
 from mixseq.errors import FormatError, InvalidSequenceError
 from mixseq.polygons import Polygons
 
@@ -51,9 +50,9 @@ def encode_polygons(polygons: Polygons, vertex_count: int) -> bytes:
             f"corners have vertices {lowest} to {highest}; with {vertex_count} vertices, 0 to {vertex_count - 1} exist"
         )
     counts, indices = polygons.counts.astype(np.int64), polygons.indices.astype(np.int64)
-    bits = bits_to_code(_most_bits(len(counts), len(indices)), KINDS)
+    bits = bits_to_write(_most_bits(len(counts), len(indices), vertex_count), KINDS)
     walk(bits, no_half_edges(len(indices), vertex_count), no_past(vertex_count), counts, indices)
-    return pack_queues(bits)
+    return with_check(written(bits.coded), check_of(indices, check_of(counts)))
 
 
 def decode_polygons(data: bytes, polygon_count: int, corner_count: int, vertex_count: int) -> Polygons:
@@ -70,8 +69,7 @@ def decode_polygons(data: bytes, polygon_count: int, corner_count: int, vertex_c
     Raises
     ------
     FormatError
-        If the data are damaged, or have other numbers of polygons, corners, or vertices (not all damage is noticed:
-        files have checksums).
+        If the data are damaged, or have other numbers of polygons, corners, or vertices.
     """
     mesh = f"{polygon_count} polygons with {corner_count} corners and {vertex_count} vertices"
     if (
@@ -84,15 +82,16 @@ def decode_polygons(data: bytes, polygon_count: int, corner_count: int, vertex_c
         if data or corner_count:
             raise FormatError(f"a mesh with {mesh} has no coded corners; the file is damaged")
         return Polygons(np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.int32))
-    bits = unpack_queues(data, _most_bits(polygon_count, corner_count), KINDS, mesh)
+    stream, expected = without_check(data)
+    bits = bits_to_read(stream, KINDS)
     counts, indices = np.zeros(polygon_count, dtype=np.int64), np.zeros(corner_count, dtype=np.int64)
     walk(bits, no_half_edges(corner_count, vertex_count), no_past(vertex_count), counts, indices)
-    if not all_decoded(bits):
+    if bits.failed[0] or check_of(indices, check_of(counts)) != expected:
         raise FormatError(f"coded polygons are damaged, or those of another mesh than one of {mesh}")
     return Polygons(counts, indices)
 
 
-def _most_bits(polygon_count: int, corner_count: int) -> int:
-    """Return how many bits a mesh can take: guesses, and numbers of 66 bits for states, distances, and counts."""
-    number = 2 + 2 * LONGEST
-    return polygon_count * number + corner_count * (GUESSES + 2 * number)
+def _most_bits(polygon_count: int, corner_count: int, vertex_count: int) -> int:
+    """Return how many bits a mesh can take: guesses, and numbers for counts, states (up to 1) and distances."""
+    count, state, distance = (2 + 2 * most.bit_length() for most in (corner_count, 1, vertex_count))
+    return polygon_count * count + corner_count * (GUESSES + state + distance)

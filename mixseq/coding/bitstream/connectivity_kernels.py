@@ -7,15 +7,14 @@ the corner before, the vertex named last at this place, and the corners of the l
 whether it is not 0, whether it is negative, whether its magnitude has a second bit, a third, ..., and its bits after
 the highest. The contexts of all bits are specified here.
 
-Frozen: changing this breaks old files (golden: ``tests/formats/golden/model-v4-coded.h5``). numba keeps compiled loops
-by the text of their own file, and this one contains those of `corner_guesses`, `bit_mixing` and `half_edges`: who
-changes these must change this file, too. Format 3.
+Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``). numba keeps compiled loops
+by the text of their own file, and this one contains those of `corner_guesses`, `hashed_contexts`, `bit_models`,
+`arithmetic` and `half_edges`: who changes these must change this file, too. Format 4.
 """
 
 from __future__ import annotations
 
 from mixseq.arrays import Index
-from mixseq.coding.bitstream.bit_mixing import INPUTS, Bits, code
 from mixseq.coding.bitstream.corner_guesses import (
     BASES,
     GUESSES,
@@ -34,6 +33,7 @@ from mixseq.coding.bitstream.half_edges import (
     rank_of,
     vertex_of,
 )
+from mixseq.coding.bitstream.hashed_contexts import INPUTS, Bits, code, has_failed
 from mixseq.compiled import compiled, joined
 
 KINDS = 4 * GUESSES + 4 * 5
@@ -44,7 +44,7 @@ _COUNTS, _STATES = 3, 4
 """What numbers are about: 0 to 2 distances among unused, open, closed vertices; numbers of corners; states. Frozen:
 breaks old files."""
 
-LONGEST = 33
+_LONGEST = 33
 """Bits of the largest numbers. Frozen: breaks old files."""
 
 _LOOKED_AT = 32
@@ -67,7 +67,7 @@ def walk(bits: Bits, mesh: HalfEdges, past: Past, counts: Index, indices: Index)
             past.about[i] = min(old, 63) << 6 | min(older, 63)
         counts[polygon] = old + _number(bits, past, _COUNTS, counts[polygon] - old)
         stop = start + counts[polygon]
-        if bits.failed[0] or counts[polygon] < 3 or stop > len(indices):
+        if has_failed(bits) or counts[polygon] < 3 or stop > len(indices):
             bits.failed[0] = 1
             return
         for corner in range(start, stop):
@@ -82,7 +82,7 @@ def walk(bits: Bits, mesh: HalfEdges, past: Past, counts: Index, indices: Index)
             if j and previous + j < first:
                 past.guesses[10] = before + indices[previous + j] - indices[previous + j - 1]
             vertex, winner = _vertex(bits, mesh, past, indices, polygon, start, corner, place, last_new, run)
-            if bits.failed[0]:
+            if has_failed(bits):
                 return
             indices[corner] = vertex
             remember(past, place, vertex, winner)
@@ -170,9 +170,9 @@ def _named(
     about[1] = about[5] = (past.trail[0] << 5 | past.trail[1]) << 2 | place
     about[2] = about[6] = past.winners[place, 0] << 2 | place
     about[3] = about[7] = about[1] << 5 | past.winners[place, 0]
-    state = 0 if bits.decoding else mesh.states[vertex] - OPEN
+    state = 0 if bits.coded.decoding else mesh.states[vertex] - OPEN
     state = _number(bits, past, _STATES, state) + OPEN
-    if bits.failed[0] or state < UNUSED or state > CLOSED:
+    if state < UNUSED or state > CLOSED:
         bits.failed[0] = 1
         return 0, 0
 
@@ -200,11 +200,11 @@ def _named(
     about[5] = last << 8 | near
     about[6] = (origin * 16 // (members + 1)) << 6 | _bit_length(members)
     about[7] = (distances[best] >> 6) << 2 | place
-    distance = 0 if bits.decoding else rank_of(mesh, state, vertex) - origin
+    distance = 0 if bits.coded.decoding else rank_of(mesh, state, vertex) - origin
     distance = _number(bits, past, state, distance)
     past.last_distances[state] = distance
     rank = origin + distance
-    if bits.failed[0] or rank < 0 or rank >= members:
+    if rank < 0 or rank >= members:
         bits.failed[0] = 1
         return 0, 0
     for base in range(BASES):
@@ -239,7 +239,7 @@ def _number(bits: Bits, past: Past, what: int, number: int) -> int:
             stage = 1
         elif stage == 1:
             negative, stage, length = bit, 2, 1
-        elif stage == 2 and bit and length < LONGEST:
+        elif stage == 2 and bit and length < _LONGEST:
             length += 1
         else:
             if stage == 2:

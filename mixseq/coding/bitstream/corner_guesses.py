@@ -20,7 +20,7 @@ that, the guesses at a corner are
 
 `mixseq.coding.bitstream.half_edges` says when half-edges are open, and vertices unused.
 
-Frozen: changing this breaks old files (golden: ``tests/formats/golden/model-v4-coded.h5``). numba keeps compiled loops
+Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``). numba keeps compiled loops
 by the text of their own file: who changes this module must change `mixseq.coding.bitstream.connectivity_kernels`, too.
 """
 
@@ -32,8 +32,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Index
-from mixseq.coding.bitstream.bit_mixing import INPUTS, SPREAD
 from mixseq.coding.bitstream.half_edges import INTO, OUT_OF, HalfEdges
+from mixseq.coding.bitstream.hashed_contexts import INPUTS, SPREAD
 from mixseq.compiled import joined
 
 GUESSES = 16

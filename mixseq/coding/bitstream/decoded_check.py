@@ -3,7 +3,7 @@
 Decoding repeats every prediction of the encoder. A machine that adds otherwise, a library with an error, a port that is
 nearly right, or damage on the way from the file, would end in other numbers; with this they end in one error.
 
-Frozen: changing this breaks old files (golden: ``tests/coding/golden/*-2.npz``).
+Frozen: changing this breaks old files (golden: ``tests/coding/golden/*.npz``).
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ A vertex is *unused* until a polygon has it, then *open* while open half-edges e
 open again. Vertices of a state have ranks, in the order of their numbers, by a tree of partial sums (Fenwick 1994,
 *A new data structure for cumulative frequency tables*).
 
-Frozen: changing this breaks old files (golden: ``tests/formats/golden/model-v4-coded.h5``).
+Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 r"""Tables of the logistic function and its inverse, in whole numbers: :math:`p = 1 / (1 + e^{-x})`.
 
-Frozen: changing this breaks old files (golden: ``tests/coding/golden/*.npz``, ``tests/formats/golden/*-coded.h5``).
+Frozen: changing this breaks old files (golden: ``tests/coding/golden/*.npz``, ``tests/formats/golden/compressed-v1*``).
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ In the order of the mesh's graph: whether a vertex has the label that most of it
 is second, and else the label itself, from its highest bit. Both questions are bits in the context of how many
 neighbours there are, and how many have either label.
 
-Frozen: changing this breaks old files (golden: ``tests/coding/golden/parts-2.npz``).
+Frozen: changing this breaks old files (golden: ``tests/coding/golden/parts.npz``).
 """
 
 from __future__ import annotations

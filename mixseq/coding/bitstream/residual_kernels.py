@@ -1,6 +1,6 @@
 """The compiled loop of `mixseq.coding.bitstream.residual_layer`: the residuals of a frame, node by node.
 
-Frozen: changing this breaks old files (golden: ``tests/coding/golden/bounded-2.npz``). All of it is whole numbers.
+Frozen: changing this breaks old files (golden: ``tests/coding/golden/bounded.npz``). All of it is whole numbers.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ none. Which of them have one is coded frame by frame, in contexts of the vertice
 where a few basis vectors too few make an error, it lasts a while.
 
 Frozen: changing this breaks old files (golden: ``tests/coding/golden/bounded.npz``,
-``tests/formats/golden/model-v4-coded.h5``).
+``tests/formats/golden/compressed-v1.h5``).
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from mixseq.arrays import Float, Index
 from mixseq.coding.bitstream import residual_kernels as kernels
 from mixseq.coding.bitstream.arithmetic import Coded
 from mixseq.coding.bitstream.bit_models import bit_models
-from mixseq.coding.bitstream.revision_1 import residuals as older_residuals
 from mixseq.coding.bitstream.signal_coder import Reader, Writer
 from mixseq.coding.bitstream.signal_graph import SignalGraph, mesh_graph
 from mixseq.errors import FormatError
@@ -57,8 +56,6 @@ class CodedResidualLayer(PickledWithoutCaches):
         Number V of vertices.
     unit : float
         Length of the unit w, in the units of the sequence.
-    revision : int
-        How the streams are coded: see `CodingParameters`.
     known : SignalGraph, optional
         The graph of the mesh, where it has been found already.
     """
@@ -68,7 +65,6 @@ class CodedResidualLayer(PickledWithoutCaches):
     faces: NDArray[np.int32]
     vertex_count: int
     unit: float
-    revision: int = 2
     known: InitVar[SignalGraph | None] = None
 
     def __post_init__(self, known: SignalGraph | None) -> None:
@@ -119,7 +115,7 @@ class CodedResidualLayer(PickledWithoutCaches):
             decoded = self._cache.get((chunk, run))
             if decoded is None:
                 count, stream = self.chunks[chunk]
-                decoded = read_residuals(stream, count, run, self._graph, self.revision)
+                decoded = read_residuals(stream, count, run, self._graph)
                 self._cache[chunk, run] = decoded
                 while len(self._cache) > _KEPT:
                     self._cache.pop(next(iter(self._cache)))
@@ -164,9 +160,7 @@ def write_residuals(residuals: Callable[[int], Index], frames: range, graph: Sig
     return np.array([len(run) for run in runs], dtype="<u4").tobytes() + b"".join(runs)
 
 
-def read_residuals(
-    stream: bytes, count: int, run: int, graph: SignalGraph, revision: int = 2
-) -> list[Residuals]:
+def read_residuals(stream: bytes, count: int, run: int, graph: SignalGraph) -> list[Residuals]:
     """Return the residuals of one run of frames.
 
     Parameters
@@ -179,8 +173,6 @@ def read_residuals(
         Which run: frames from ``run * RUN`` on.
     graph : SignalGraph
         Of the mesh.
-    revision : int
-        How the stream is coded: see `CodingParameters`.
 
     Returns
     -------
@@ -204,8 +196,7 @@ def read_residuals(
     data = stream[start : start + int(lengths[run])]
     if not data:
         return [_NOTHING] * frames
-    read_run = older_residuals.read_run if revision == 1 else _read_run
-    return read_run(data, frames, graph)
+    return _read_run(data, frames, graph)
 
 
 def _write_run(known: tuple[Callable[[int], Index], SignalGraph], frames: range) -> bytes:

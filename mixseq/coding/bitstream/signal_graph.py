@@ -16,7 +16,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -35,25 +34,17 @@ WIDEST = 6
 ROOTS = 6
 """Nodes without neighbours are predicted from so many such nodes before them. Frozen: breaks old files."""
 
-FEWEST = 8
-"""Levels are coded together until they have so many nodes: models learn after each batch. Frozen: breaks old files."""
-
-FEWEST_FRAMES = 24
-"""The same of frames: their signals are many and short. Frozen: breaks old files."""
-
 
 @dataclass(frozen=True, eq=False)
 class SignalGraph:
     """Nodes in the order of their coding, and the earlier nodes each is predicted from.
 
-    Nodes have the numbers of that order everywhere, so that what is coded together lies together.
+    Nodes have the numbers of that order everywhere.
 
     Attributes
     ----------
     order : (N,) int64
         Vertices, or frames, of the nodes: coarse to fine.
-    batches : tuple of slice
-        Nodes that are coded at once.
     neighbours : (N, n) int64
         For every node, nodes before it.
     counts : (N,) int64
@@ -68,7 +59,6 @@ class SignalGraph:
     """
 
     order: Index
-    batches: tuple[slice, ...]
     neighbours: Index
     counts: Index
     weights: Float
@@ -122,7 +112,7 @@ def mesh_graph(faces: NDArray[np.integer], vertex_count: int) -> SignalGraph:
         counts[roots[place]] = len(before)
     known = np.arange(MOST) < counts[:, None]
     weights = known / np.maximum(counts, 1)[:, None]
-    # Every root needs those before it, and is a level of its own: few, and all in the first batch.
+    # Every root needs those before it, and is a level of its own.
     return _graph([roots, *levels[::-1]], neighbours, counts, weights, ring, ring_starts)
 
 
@@ -218,9 +208,7 @@ def path_graph(count: int) -> SignalGraph:
     frames = np.arange(count)
     pairs = np.stack([frames[:-1], frames[1:]], axis=1)
     ring_starts, ring = neighbours_of(pairs, count)
-    return replace(
-        _graph(levels, neighbours, counts, weights, ring, ring_starts, FEWEST_FRAMES), over_time=True
-    )
+    return replace(_graph(levels, neighbours, counts, weights, ring, ring_starts), over_time=True)
 
 
 def _lagrange(nodes: Index, at: int) -> Float:
@@ -242,18 +230,8 @@ def _graph(
     weights: Float,
     ring: Index,
     ring_starts: Index,
-    fewest: int = FEWEST,
 ) -> SignalGraph:
     order = np.concatenate(levels)
-    cuts, done, since = [0], 0, 0
-    for level in levels:
-        done, since = done + len(level), since + len(level)
-        if since >= fewest:
-            cuts.append(done)
-            since = 0
-    cuts = [*(cut for cut in cuts if cut == 0 or len(order) - cut >= fewest or cut == len(order)), len(order)]
-    ends = sorted(set(cuts))
-    batches = tuple(slice(a, b) for a, b in pairwise(ends))
     place = np.empty(len(order), dtype=np.int64)
     place[order] = np.arange(len(order))
     given = (
@@ -266,4 +244,4 @@ def _graph(
     counts = counts[order]
     known = np.arange(neighbours.shape[1]) < counts[:, None]
     neighbours = np.where(known, place[neighbours[order]], 0)
-    return SignalGraph(order, batches, neighbours, counts, weights[order], ring, starts)
+    return SignalGraph(order, neighbours, counts, weights[order], ring, starts)

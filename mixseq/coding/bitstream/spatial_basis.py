@@ -15,8 +15,6 @@ Basis vectors go to several streams (groups), each with twice as many as the one
 has the most important ones; every stream has vectors of all parts. Coefficients go to one stream for every chunk of
 frames, and every chunk is coded by itself. The first group begins with the part of every vertex (`part_labels`).
 
-What model versions 4 and 7 have is read by modules with the same names in `revision_1`.
-
 Frozen: changing this breaks old files (golden: ``tests/coding/golden/*.npz``; ``parts.npz`` has several parts,
 ``shapes.npz`` several groups, ``long.npz`` several chunks). `mixseq.coding.encoder.trial` writes these streams.
 """
@@ -26,15 +24,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Float, Index
-from mixseq.coding.bitstream import part_labels, signal_coder
-from mixseq.coding.bitstream.revision_1 import labels as older_labels
-from mixseq.coding.bitstream.revision_1 import signals as older_signals
+from mixseq.coding.bitstream.part_labels import read_labels
+from mixseq.coding.bitstream.signal_coder import NumberModels, Reader, SignalCoder
 from mixseq.coding.bitstream.signal_graph import SignalGraph, mesh_graph, path_graph
 from mixseq.mapping import on_two_threads
 
@@ -179,7 +176,6 @@ def read_basis(
     step: float,
     faces: NDArray[np.integer],
     graph: SignalGraph,
-    revision: int = 2,
 ) -> tuple[list[Float], list[Index]]:
     """Return the basis vectors ``(K, c, n)`` of every part, and its vertices.
 
@@ -188,24 +184,22 @@ def read_basis(
     FormatError
         If the streams are damaged.
     """
-    signals, labelled = (older_signals, older_labels) if revision == 1 else (signal_coder, part_labels)
-    models, labels = signals.NumberModels(), np.zeros(graph.size, dtype=np.int64)
-    readers = [signals.Reader(stream) for stream in streams]
+    models, labels = NumberModels(), np.zeros(graph.size, dtype=np.int64)
+    readers = [Reader(stream) for stream in streams]
     if len(ranks) > 1:
-        labels = labelled.read_labels(readers[0], len(ranks), graph)
+        labels = read_labels(readers[0], len(ranks), graph)
     parts, vectors = vertices_of(labels), [list[Float]() for _ in ranks]
     coders: dict[
-        int, Any
+        int, SignalCoder
     ] = {}  # a coder takes more than a kilobyte a vertex: there is none before or after it is needed
     for reader, of_parts in zip(readers, groups_of_parts(ranks), strict=True):
         for place, group in of_parts:
             coder = coders.pop(place, None)
             if coder is None:
                 own = part_graph(place, parts[place], labels, faces) if len(ranks) > 1 else graph
-                coder = signals.SignalCoder(own, coordinates, models)
-            read = coder.read if revision == 1 else coder.read_ahead
+                coder = SignalCoder(own, coordinates, models)
             for _ in range(group.start, group.stop):
-                vectors[place] += [read(reader) for _ in range(coordinates)]
+                vectors[place] += [coder.read_ahead(reader) for _ in range(coordinates)]
             if group.stop < ranks[place]:
                 coders[place] = coder
             del coder
@@ -238,16 +232,13 @@ def assemble_basis(
     return SpatialBasis(kind, tuple(blocks), np.concatenate(owners), frame_count)
 
 
-def read_coefficients(
-    basis: SpatialBasis, stream: bytes, count: int, step: float, revision: int = 2
-) -> Float:
+def read_coefficients(basis: SpatialBasis, stream: bytes, count: int, step: float) -> Float:
     """Return the coefficients ``(n, K, d)`` of the varying vectors in a chunk of `count` frames."""
-    signals = older_signals if revision == 1 else signal_coder
     scales = basis.norms[basis.varying] / step
-    models, graph = signals.NumberModels(), path_graph(count)
+    models, graph = NumberModels(), path_graph(count)
     coefficients = np.empty((count, len(scales), 3 if basis.kind == "trajectories" else 1))
-    coders = [signals.SignalCoder(graph, coefficients.shape[2], models) for _ in basis.blocks]
-    reader = signals.Reader(stream)
+    coders = [SignalCoder(graph, coefficients.shape[2], models) for _ in basis.blocks]
+    reader = Reader(stream)
     for place, coordinate in np.ndindex(coefficients.shape[1:]):
         coder = coders[basis.parts[basis.varying][place]]
         coefficients[:, place, coordinate] = coder.read(reader) / scales[place]

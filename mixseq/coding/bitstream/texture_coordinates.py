@@ -2,8 +2,8 @@ r"""Code texture coordinates on the polygons of a mesh: multiples of 1 / n, with
 
 First where the seams are (`mixseq.coding.bitstream.uv_seams`): which corners at a vertex have the same coordinates, and
 so are one *node*. Then the coordinates of nodes (`mixseq.coding.bitstream.uv_values`), predicted from the polygons on
-nodes. Both are bits, mixed and sorted by `mixseq.coding.bitstream.bit_mixing` with weights
-of 11000 to begin with, and packed by `mixseq.coding.bitstream.bit_queues`.
+nodes. Both are bits in contexts of `mixseq.coding.bitstream.hashed_contexts`; behind them is the `decoded_check` of the
+coordinates at all corners.
 
 The coordinate k is the float32 next to the float64 k / n. All that is decided is decided by whole numbers.
 
@@ -17,19 +17,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from mixseq.arrays import FloatArray, Index
-from mixseq.coding.bitstream.bit_mixing import Bits, bits_to_code
-from mixseq.coding.bitstream.bit_queues import all_decoded, pack_queues, unpack_queues
+from mixseq.coding.bitstream.arithmetic import written
+from mixseq.coding.bitstream.decoded_check import check_of, with_check, without_check
 from mixseq.coding.bitstream.growing import Corners, corners_of, growing_order
+from mixseq.coding.bitstream.hashed_contexts import Bits, bits_to_read, bits_to_write, with_room
 from mixseq.coding.bitstream.uv_copies import Copies, no_copies
 from mixseq.coding.bitstream.uv_guesses import Known, no_guess
-from mixseq.coding.bitstream.uv_seams import MOST_NODES, SEAM_KINDS, walk_seams
+from mixseq.coding.bitstream.uv_seams import MOST_SEAM_BITS, SEAM_KINDS, walk_seams
 from mixseq.coding.bitstream.uv_values import LARGEST, LONGEST, VALUE_KINDS, walk_values
 from mixseq.errors import FormatError
 from mixseq.polygons import Polygons
 from mixseq.surface import CornerValues
 
-_FIRST_WEIGHT = 11000
-"""Weights to begin with, in units of 2^-16. Frozen: breaks old files."""
+_MOST_BITS = 2 * (2 * LONGEST + 1)
+"""Bits of a pair of numbers at most. Free: memory is taken ahead."""
 
 
 def grid_numbers(values: FloatArray, steps: int) -> Index | None:
@@ -91,14 +92,13 @@ def code_uvs(polygons: Polygons, vertex_count: int, numbers: Index, regions: Ind
     """
     keys = np.column_stack([polygons.indices, numbers])
     labels = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
-    bits = bits_to_code(_most_bits(len(labels), 0), SEAM_KINDS + VALUE_KINDS)
+    bits = bits_to_write(len(labels) * MOST_SEAM_BITS, SEAM_KINDS + VALUE_KINDS)
     corners, count = _walked_seams(bits, polygons, vertex_count, labels)
-    room = np.empty(_most_bits(0, count + len(polygons.counts)), dtype=np.uint8)
-    bits = bits._replace(queued=np.concatenate([bits.queued[: bits.heads[0]], room]))
+    bits = with_room(bits, (count + len(polygons.counts)) * _MOST_BITS)
     values = np.zeros((count, 2), dtype=np.int64)
     values[corners.node] = numbers
     copies, known = _walked_values(bits, corners, values, regions)
-    return CodedUVs(pack_queues(bits), corners, copies, known)
+    return CodedUVs(with_check(written(bits.coded), check_of(numbers)), corners, copies, known)
 
 
 def decode_uvs(data: bytes, polygons: Polygons, vertex_count: int, steps: int) -> CornerValues:
@@ -107,22 +107,22 @@ def decode_uvs(data: bytes, polygons: Polygons, vertex_count: int, steps: int) -
     Raises
     ------
     FormatError
-        If the data are damaged, or those of another mesh (not all damage is noticed: files have checksums).
+        If the data are damaged, or those of another mesh.
     """
     what = f"texture coordinates at {polygons.indices.size} corners"
-    most = _most_bits(polygons.indices.size, polygons.indices.size + len(polygons.counts))
-    bits = unpack_queues(data, most, SEAM_KINDS + VALUE_KINDS, what)
+    stream, expected = without_check(data)
+    bits = bits_to_read(stream, SEAM_KINDS + VALUE_KINDS)
     corners, count = _walked_seams(bits, polygons, vertex_count, np.zeros(polygons.indices.size, np.int64))
+    values = np.zeros((count, 2), dtype=np.int64)
     if not bits.failed[0]:
-        _, known = _walked_values(bits, corners, np.zeros((count, 2), dtype=np.int64), None)
-    if not all_decoded(bits):
+        _walked_values(bits, corners, values, None)
+    if bits.failed[0] or check_of(values[corners.node]) != expected:
         raise FormatError(f"{what} are damaged, or those of another mesh")
-    return CornerValues(grid_values(known.values, steps), corners.node)
+    return CornerValues(grid_values(values, steps), corners.node)
 
 
 def _walked_seams(bits: Bits, polygons: Polygons, vertex_count: int, labels: Index) -> tuple[Corners, int]:
     """Walk over the seams; return corners on nodes, and how many nodes there are."""
-    bits.weights[:] = _FIRST_WEIGHT
     corners = corners_of(polygons, vertex_count)
     nodes = np.full(len(labels), -1, dtype=np.int64)
     count = int(walk_seams(bits, corners, growing_order(corners), labels, nodes))
@@ -139,8 +139,3 @@ def _walked_values(
     begin = np.zeros(len(order), dtype=np.int64) if regions is None else regions
     walk_values(bits, corners, order, copies, begin, known, no_guess())
     return copies, known
-
-
-def _most_bits(corners: int, numbers: int) -> int:
-    """Return how many bits there can be: for every corner those of nodes, and so many pairs of numbers."""
-    return corners * (2 + MOST_NODES) + numbers * 2 * (2 * LONGEST + 1)

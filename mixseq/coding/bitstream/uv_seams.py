@@ -6,8 +6,8 @@ vertex has already, the newest first; each of these is a bit, unless it was said
 takes none, it has a new node. Nodes are numbered as they come.
 
 Frozen: changing this breaks old files (golden: ``tests/coding/golden/uvs.npz``). numba keeps compiled loops by the text
-of their own file, and this one contains those of `bit_mixing` and `growing`: who changes these must change this file,
-too. Format 2.
+of their own file, and this one contains those of `hashed_contexts`, `bit_models`, `arithmetic` and `growing`: who
+changes these must change this file, too. Format 3.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from __future__ import annotations
 import numpy as np
 
 from mixseq.arrays import Index
-from mixseq.coding.bitstream.bit_mixing import Bits, code
 from mixseq.coding.bitstream.growing import Corners, after, before
+from mixseq.coding.bitstream.hashed_contexts import Bits, code, has_failed
 from mixseq.compiled import compiled
 
 SEAM_KINDS = 4
@@ -28,6 +28,9 @@ old files."""
 
 MOST_NODES = 32
 """So many nodes of a vertex are looked at: time stays bounded. Frozen: breaks old files."""
+
+MOST_SEAM_BITS = 2 + MOST_NODES
+"""Bits of a corner at most. Free: memory is taken ahead."""
 
 
 @compiled
@@ -97,7 +100,7 @@ def walk_seams(bits: Bits, corners: Corners, order: Index, labels: Index, nodes:
                 count += 1
             nodes[corner] = chosen
             done[at] += 1
-        if bits.failed[0]:
+        if has_failed(bits):
             return count
     return count
 

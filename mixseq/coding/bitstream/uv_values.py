@@ -20,8 +20,8 @@ edge across, of how far guesses are apart (of v: of u). A *size* is the number o
 each, plus the four after the highest.
 
 Frozen: changing this breaks old files (golden: ``tests/coding/golden/uvs.npz``). numba keeps compiled loops by the text
-of their own file, and this one contains those of `bit_mixing`, `growing`, `uv_guesses` and `uv_copies`: who changes
-these must change this file, too. Format 2.
+of their own file, and this one contains those of `hashed_contexts`, `bit_models`, `arithmetic`, `growing`, `uv_guesses`
+and `uv_copies`: who changes these must change this file, too. Format 3.
 """
 
 from __future__ import annotations
@@ -29,8 +29,9 @@ from __future__ import annotations
 import numpy as np
 
 from mixseq.arrays import Index
-from mixseq.coding.bitstream.bit_mixing import Bits, code, pass_through
+from mixseq.coding.bitstream.arithmetic import code_number
 from mixseq.coding.bitstream.growing import Corners, after, before
+from mixseq.coding.bitstream.hashed_contexts import Bits, code, has_failed
 from mixseq.coding.bitstream.uv_copies import Copies, copy, drop_anchor, fits, follow, give_image
 from mixseq.coding.bitstream.uv_guesses import (
     AROUND,
@@ -137,7 +138,7 @@ def walk_values(
                     about[2] = sizes[3] = 16 * _length(missed)
                     if abs(values[x, i]) > LARGEST:
                         bits.failed[0] = 1
-                if bits.failed[0]:
+                if has_failed(bits):
                     return
                 if guess.facts[0] == AROUND:
                     drawn = abs(values[x, 0] - seen[0] + guess.back[0])
@@ -238,10 +239,8 @@ def _number(bits: Bits, about: Index, sizes: Index, what: int, number: int) -> i
         length += 1
     if length == 0:
         return 0
-    value = 1
-    for shift in range(length - 2, -1, -1):
-        value = value << 1 | pass_through(bits, (magnitude >> shift) & 1)
-    if what < _BACK and pass_through(bits, 1 if number < 0 else 0):
+    value = 1 << (length - 1) | code_number(bits.coded, length - 1, magnitude)
+    if what < _BACK and code_number(bits.coded, 1, 1 if number < 0 else 0):
         return -value
     return value
 

@@ -168,7 +168,6 @@ def _found(
         promised=max_error is not None,
         correction=0.0 if best.bound is None else width(best.bound),
         ranks=best.ranks if len(best.ranks) > 1 else (),
-        revision=2,
     )
     return CompressedSequence(frames.header, parameters, best.coding.streams.basis, best.chunks)
 

@@ -31,7 +31,7 @@ var mixseqPoseSource = function (script, changed, failed) {
   function answerHere(question, take) {
     if (!here) document.head.append(Object.assign(document.createElement("script"), { textContent: script }));
     here = mixseqPoses;
-    setTimeout(() => take(here.answer(question)));
+    setTimeout(async () => take(await here.answer(question)));
   }
 
   function ask(ask, about) {

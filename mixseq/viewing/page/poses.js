@@ -4,10 +4,11 @@
 var mixseqPoses = (function () {
   const AXES = { X: [2, 0, 1], Y: [0, 1, 2], Z: [1, 2, 0] }; // which become x, y and z, where y is up
   const meshes = [];
+  let last = Promise.resolve(); // questions are answered in turn
 
   /** Open a mesh of the attribute coding and its streams; returns its triangles, and the times of its frames since the first. */
-  function open({ coding, streams }) {
-    const sequence = mixseqDecoder.open(coding, streams), faces = sequence.triangles();
+  async function open({ coding, streams }) {
+    const sequence = await mixseqDecoder.open(coding, streams), faces = sequence.triangles();
     meshes.push({ sequence, faces, vertices: sequence.vertexCount, measures: {} });
     return { faces, vertices: sequence.vertexCount, times: Array.from(sequence.times, (time) => time - sequence.times[0]) };
   }
@@ -39,16 +40,13 @@ var mixseqPoses = (function () {
 
   /** Answer a question {ask: "open" or "pose", about}, with what went wrong as {error}. */
   function answer({ ask, about }) {
-    try {
-      return ask === "open" ? open(about) : pose(about);
-    } catch (error) {
-      return { error: error.message };
-    }
+    last = last.then(() => (ask === "open" ? open(about) : pose(about))).catch(({ message }) => ({ error: message }));
+    return last;
   }
 
   if (typeof document === "undefined") {
-    onmessage = ({ data }) => {
-      const said = answer(data);
+    onmessage = async ({ data }) => {
+      const said = await answer(data);
       postMessage(said, [said.places, said.normals].filter(Boolean).map(({ buffer }) => buffer));
     };
   }

@@ -10,22 +10,25 @@ for (let x = 0; x < SQUASH.length; x++) SQUASH[x] = Math.min(Math.max(SQUASH[x],
 const STEPS = Int32Array.from({ length: PATIENCE + 1 }, (_, count) => Math.floor((1 << 17) / (2 * count + 3)));
 const TRUST = Int32Array.from({ length: PATIENCE + 1 }, (_, count) => Math.floor((256 * count) / (count + 1)));
 
-/** What is known about bits to come; `contexts` are to be set before a bit: what the inputs know. */
+/**
+ * What is known about bits to come; `contexts` are to be set before a bit: what the inputs know. There are as many `kinds`,
+ * which have weights, as positions, unless contexts tell these apart.
+ */
 export class BitModels {
-  constructor(inputs, contexts, positions) {
+  constructor(inputs, contexts, positions, kinds = positions) {
     this.positions = positions;
     this.width = contexts * positions; // of an input
     this.shares = new Int32Array(inputs * this.width).fill(1 << 23); // 256 p + n
-    this.weights = new Float64Array(positions * inputs).fill(Math.floor((65536 + (inputs >> 1)) / inputs));
+    this.weights = new Float64Array(kinds * inputs).fill(Math.floor((65536 + (inputs >> 1)) / inputs));
     this.contexts = new Int32Array(inputs);
     this.inputs = new Int32Array(inputs); // x of the current bit
     this.places = new Int32Array(inputs); // of its shares
   }
 
-  /** Read a bit at a position, and learn from it. */
-  read(bits, position) {
+  /** Read a bit of a kind at a position, and learn from it. */
+  read(bits, position, kind = position) {
     const { shares, weights, contexts, inputs, places, positions, width } = this;
-    const count = inputs.length, own = position * count;
+    const count = inputs.length, own = kind * count;
     let sum = 0; // may have more than 32 bits
     for (let i = 0, first = position; i < count; i++, first += width) {
       const place = first + contexts[i] * positions, share = shares[place];

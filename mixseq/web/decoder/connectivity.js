@@ -1,14 +1,14 @@
 // Polygons without loss, in their order, as mixseq/coding/bitstream/connectivity.py and its kernels decode them.
-import { INPUTS, mixedBits } from "./bit_mixing.js";
-import { unpackQueues } from "./bit_queues.js";
 import { BASES, GUESSES, makeGuesses, noPast, remember, slotOf } from "./corner_guesses.js";
+import { checkOf, refuseOthers, withoutCheck } from "./decoded_check.js";
 import { MixseqError } from "./errors.js";
 import { CLOSED, OPEN, UNUSED, addPolygon, move, noHalfEdges, rankOf, vertexOf } from "./half_edges.js";
+import { INPUTS, hashedBits } from "./hashed_contexts.js";
 
 const COUNTS = 3, STATES = 4; // what numbers are about; 0 to 2 are distances among unused, open, closed vertices
-const KINDS = 4 * GUESSES + 4 * 5, FIRST_WEIGHT = 1 << 14, LONGEST = 33, LOOKED_AT = 32;
+const KINDS = 4 * GUESSES + 4 * 5, LONGEST = 33, LOOKED_AT = 32;
 
-/** Polygons `{counts, corners}`: their numbers of corners, and the vertices of these. `bytes` are those before the check. */
+/** Polygons `{counts, corners}`: their numbers of corners, and the vertices of these. */
 export function decodePolygons(bytes, polygonCount, cornerCount, vertexCount) {
   const whole = [polygonCount, cornerCount, vertexCount].every((count) => count >= 0 && count < 2 ** 31 && count % 1 === 0);
   if (!whole || cornerCount < 3 * polygonCount) throw damaged();
@@ -16,11 +16,10 @@ export function decodePolygons(bytes, polygonCount, cornerCount, vertexCount) {
     if (bytes.length || cornerCount) throw damaged();
     return { counts: new Uint32Array(0), corners: new Uint32Array(0) };
   }
-  const number = 2 + 2 * LONGEST, most = polygonCount * number + cornerCount * (GUESSES + 2 * number);
-  const bits = mixedBits(unpackQueues(bytes, polygonCount + cornerCount, most, "the mesh"), KINDS, FIRST_WEIGHT);
   const mesh = { counts: new Uint32Array(polygonCount), corners: new Uint32Array(cornerCount) };
-  walk(bits, noHalfEdges(cornerCount, vertexCount), noPast(vertexCount), mesh.counts, mesh.corners);
-  if (!bits.ended()) throw damaged();
+  const { data, expected } = withoutCheck(bytes);
+  walk(hashedBits(data, KINDS), noHalfEdges(cornerCount, vertexCount), noPast(vertexCount), mesh.counts, mesh.corners);
+  refuseOthers(checkOf(mesh.corners, checkOf(mesh.counts)), expected);
   return mesh;
 }
 

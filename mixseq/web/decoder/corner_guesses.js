@@ -1,6 +1,6 @@
 // Guesses at the next corner of a mesh, and what they take, as in mixseq/coding/bitstream/corner_guesses.py.
-import { INPUTS, spread } from "./bit_mixing.js";
 import { INTO, OUT_OF } from "./half_edges.js";
+import { INPUTS, spread } from "./hashed_contexts.js";
 
 /** Number of guesses at a corner. */
 export const GUESSES = 16;

@@ -7,7 +7,7 @@ const LARGEST_STEPS = 2 ** 26;
 const LARGEST = 2 ** 32; // bytes that a sequence may take
 const PARAMETERS = [
   "factors", "rank", "frame_count", "step", "diagonal", "max_error", "kg_percent", "promised", "correction", "ranks", "uv_steps",
-  "uv_error", "revision",
+  "uv_error",
 ];
 
 const isCount = (value) => Number.isInteger(value) && value > 0;
@@ -17,7 +17,6 @@ const isSize = (value) => typeof value === "number" && value >= 0 && value < Inf
 export function readFacts(text) {
   const facts = parsed(text), given = facts.coding, strange = Object.keys(given).find((name) => !PARAMETERS.includes(name));
   if (strange !== undefined) throw new MixseqError(`this decoder does not know the parameter ${strange}; take a newer one`);
-  if ((given.revision ?? 1) === 1) throw new MixseqError("it was compressed by an older mixseq; compress it again with this one");
   const { vertex_count: vertices, polygon_count: polygons, corner_count: corners, frame_count: frames, fps } = facts;
   const { factors, rank, ranks = [], uv_steps: steps = null, uv_error: error = null } = given, shapes = factors === "shapes";
   const parts = Array.isArray(ranks) ? ranks : [0];
@@ -27,7 +26,6 @@ export function readFacts(text) {
     corner_count: Number.isInteger(corners) && corners >= 3 * polygons,
     frame_count: isCount(frames) && frames === given.frame_count,
     factors: shapes || factors === "trajectories",
-    revision: given.revision === 2,
     rank: isCount(rank) && rank <= 3 * Math.min(Math.max(parts.length, 1) * frames, vertices) + Math.max(parts.length, 1),
     ranks: parts.every(isCount) && parts.length <= MOST_PARTS && (!parts.length || (!shapes && parts.reduce((a, b) => a + b) === rank)),
     step: isSize(given.step) && given.step > 0,

@@ -1,7 +1,7 @@
 // A compressed sequence: what it is, and its frames at any time.
 import { decodePolygons } from "./connectivity.js";
 import { Curve } from "./curve.js";
-import { checkOf, refuseOthers, withoutCheck } from "./decoded_check.js";
+import { decompressed } from "./decompression.js";
 import { MixseqError, guarded } from "./errors.js";
 import { readFacts } from "./parameters.js";
 import { triangulated } from "./polygons.js";
@@ -10,15 +10,21 @@ import { ResidualLayer } from "./residual_layer.js";
 import { meshGraph } from "./signal_graph.js";
 import { readBasis, readWeights } from "./spatial_basis.js";
 import { readIndex } from "./stream_index.js";
-import { unpackTimes } from "./times.js";
+import { timesOf } from "./times.js";
 export { MixseqError };
 
+const OF_CORNER = 64, OF_TEXTS = 1 << 24; // bytes that a surface may have
+
 /**
- * Open a sequence: `text` is the attribute `coding` of a compressed model, `streams` are the bytes of its dataset. All
- * bytes are checked, nothing is decoded yet.
+ * Open a sequence: `text` is the attribute `coding` of a compressed model, `bytes` are those of its dataset. All bytes
+ * are checked; times and surface are decompressed, and nothing is decoded yet.
  */
-export function open(text, streams) {
-  return guarded("the sequence", () => new Sequence(text, streams));
+export async function open(text, bytes) {
+  const facts = guarded("the sequence", () => readFacts(text)), { parameters, cornerCount, frameCount } = facts;
+  const streams = guarded("the sequence", () => readIndex(text, bytes, parameters.uvSteps !== null));
+  const surface = await decompressed(streams.surface, OF_CORNER * cornerCount + OF_TEXTS, "the surface's bytes");
+  const times = await decompressed(streams.times, 8 * frameCount, "the times");
+  return guarded("the sequence", () => new Sequence(facts, streams, surface, times));
 }
 
 /** Decoded as it is asked for: the mesh, the fields over it, and chunk by chunk their weights over time. */
@@ -29,25 +35,20 @@ export class Sequence {
   #basis;
   #weights = [];
 
-  constructor(text, bytes) {
-    const { firstTime, between, ...told } = readFacts(text);
-    Object.assign(this, told, { streams: readIndex(text, bytes, told.parameters.uvSteps !== null) });
+  constructor({ firstTime, between, ...facts }, streams, surface, times) {
+    Object.assign(this, facts, { streams, surface });
     this.chunks = this.streams.chunks.map(({ first, count }) => ({ first, count, loaded: false }));
     if (this.chunks.reduce((sum, { count }) => sum + count, 0) !== this.frameCount) {
       throw new MixseqError(`its chunks are not of ${this.frameCount} frames; it is damaged`);
     }
-    this.times = unpackTimes(this.streams.times, firstTime, this.frameCount, this.fps);
+    this.times = timesOf(times, firstTime, this.frameCount, this.fps);
     this.#between = between;
   }
 
   /** How many corners the polygons have, `counts`, and the vertices of all `corners`. */
   polygons() {
-    return (this.#polygons ??= guarded("the connectivity", () => {
-      const { data, expected } = withoutCheck(this.streams.connectivity);
-      const found = decodePolygons(data, this.polygonCount, this.cornerCount, this.vertexCount);
-      refuseOthers(checkOf(found.corners, checkOf(found.counts)), expected);
-      return found;
-    }));
+    return (this.#polygons ??= guarded("the connectivity", () =>
+      decodePolygons(this.streams.connectivity, this.polygonCount, this.cornerCount, this.vertexCount)));
   }
 
   /** The triangles that polygons are drawn as: three vertices each. */

@@ -2,7 +2,7 @@
 import { crc32 } from "./crc32.js";
 import { MixseqError } from "./errors.js";
 
-const MAGIC = 0x3471736d; // msq4
+const MAGIC = 0x3171736d; // msq1
 const HEAD = 16; // bytes
 
 /**

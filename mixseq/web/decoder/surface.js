@@ -1,11 +1,8 @@
 // What is on the polygons of a sequence. A module of its own, so that pages that draw none of it can do without.
-import { checkOf, refuseOthers, withoutCheck } from "./decoded_check.js";
 import { MixseqError, guarded } from "./errors.js";
 import { decodeHardEdges } from "./hard_edges.js";
-import { unpackLzma2 } from "./lzma.js";
 import { decodeUvs } from "./texture_coordinates.js";
 
-const OF_CORNER = 64, OF_TEXTS = 1 << 24; // bytes that a surface may have
 const TYPES = { "<i4": Int32Array, "<f4": Float32Array, "|u1": Uint8Array };
 
 /** Texture coordinates at the corners, u and v of each; null if there are none. */
@@ -16,9 +13,7 @@ export function uvsOf(sequence) {
       const { uv_values: values, uv_indices: rows } = surfaceOf(sequence);
       return values ? atCorners(values, ofCorners(rows, cornerCount, values.length / 2), 2) : null;
     }
-    const { counts, corners } = sequence.polygons(), { data, expected } = withoutCheck(streams.uvs);
-    const numbers = decodeUvs(data, counts, corners, vertexCount);
-    refuseOthers(checkOf(numbers), expected);
+    const { counts, corners } = sequence.polygons(), numbers = decodeUvs(streams.uvs, counts, corners, vertexCount);
     return Float32Array.from(numbers, (number) => number / parameters.uvSteps);
   });
 }
@@ -38,24 +33,22 @@ export function hardEdgesOf(sequence) {
   return guarded("the hard edges", () => {
     const { hard_edges: coded, creases } = surfaceOf(sequence);
     if (!coded) return creases ? ofCorners(creases, sequence.cornerCount, Infinity) : null;
-    const { counts, corners } = sequence.polygons(), { data, expected } = withoutCheck(coded);
-    const numbers = decodeHardEdges(data, counts, corners, sequence.vertexCount);
-    refuseOthers(checkOf(numbers), expected);
-    return numbers;
+    const { counts, corners } = sequence.polygons();
+    return decodeHardEdges(coded, counts, corners, sequence.vertexCount);
   });
 }
 
 /** The arrays of a surface by name, of numbers and of texts, as mixseq_io/coded/lossless.py packs them. */
-export function surfaceOf({ streams, cornerCount }) {
-  if (!streams.surface.length) return {};
+export function surfaceOf({ surface }) {
+  if (!surface.length) return {};
   return guarded("the surface", () => {
-    const whole = unpackLzma2(streams.surface, OF_CORNER * cornerCount + OF_TEXTS), end = whole.indexOf(0), arrays = {};
+    const end = surface.indexOf(0), arrays = {};
     let start = end + 1;
-    for (const [name, ...what] of JSON.parse(new TextDecoder().decode(whole.subarray(0, end)))) {
+    for (const [name, ...what] of JSON.parse(new TextDecoder().decode(surface.subarray(0, end)))) {
       if (what.length === 1) arrays[name] = what[0];
       else {
         const [type, shape] = what, count = shape.reduce((size, each) => size * each, 1);
-        arrays[name] = unshuffled(whole, start, TYPES[type], count);
+        arrays[name] = unshuffled(surface, start, TYPES[type], count);
         start += arrays[name].byteLength;
       }
     }

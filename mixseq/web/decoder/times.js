@@ -1,11 +1,11 @@
 // The times of frames, which need not be regular. Mirrors io/mixseq_io/coded/lossless.py.
 import { MixseqError } from "./errors.js";
-import { inflated } from "./inflate.js";
 
-/** The times of so many frames, in seconds. */
-export function unpackTimes(packed, first, count, fps) {
+/** The times of so many frames, in seconds, of the bytes of their differences from regular ones; none if they are regular. */
+export function timesOf(bytes, first, count, fps) {
+  if (bytes.length !== 0 && bytes.length !== 8 * count) throw new MixseqError("the times of frames are too few; it is damaged");
   const times = Float64Array.from({ length: count }, (_, frame) => first + frame / fps);
-  if (packed.length) addDifferences(times, inflated(packed, 8 * count));
+  if (bytes.length) addDifferences(times, bytes);
   if (!times.every((time, k) => Number.isFinite(time) && !(k && time <= times[k - 1]))) {
     throw new MixseqError("the times of frames do not increase; it is damaged");
   }

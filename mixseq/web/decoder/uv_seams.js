@@ -3,10 +3,7 @@
 /** Kinds of bits with weights of their own. */
 export const SEAM_KINDS = 4;
 
-/** So many nodes of a vertex are looked at. */
-export const MOST_NODES = 32;
-
-const INTO = 0, OUT = 1, OTHER = 2, BOTH = 3;
+const INTO = 0, OUT = 1, OTHER = 2, BOTH = 3, MOST_NODES = 32; // that are looked at, of a vertex
 
 /** The node `Int32Array(C)` of every corner, numbered as they come, and how many there are. */
 export function walkSeams(bits, corners, order) {

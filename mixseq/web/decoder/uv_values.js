@@ -4,13 +4,10 @@ import { copy, dropAnchor, fits, follow, giveImage, noCopies } from "./uv_copies
 import { AROUND, BESIDE, COPIED, makeGuess, noGuess } from "./uv_guesses.js";
 import { SEAM_KINDS } from "./uv_seams.js";
 
-const GROUPS = 4, LARGEST = 1 << 26, TOLERATED = 8, BACK = 2 * GROUPS, PLACE = 2 * GROUPS + 1;
+const GROUPS = 4, LONGEST = 40, LARGEST = 1 << 26, TOLERATED = 8, BACK = 2 * GROUPS, PLACE = 2 * GROUPS + 1;
 
 /** Kinds of bits with weights of their own, after those of seams. */
 export const VALUE_KINDS = 2 * GROUPS + 2;
-
-/** Bits of the largest numbers. */
-export const LONGEST = 40;
 
 /** The values `Int32Array(2N)` of all nodes. */
 export function walkValues(bits, corners, order, count) {
@@ -88,7 +85,7 @@ export function walkValues(bits, corners, order, count) {
   /** Read a number, in contexts of known facts and expected sizes; those of regions have no sign. */
   function readNumber(what) {
     const { contexts } = bits;
-    let length = 0, value = 1;
+    let length = 0;
     while (length < LONGEST) {
       const expected = beyond(length, sizes[0], 4);
       for (let i = 0; i < 4; i++) contexts[i] = beyond(length, sizes[i], 3);
@@ -101,8 +98,8 @@ export function walkValues(bits, corners, order, count) {
       length++;
     }
     if (!length) return 0;
-    for (let k = 1; k < length; k++) value = 2 * value + bits.plain();
-    return what < BACK && bits.plain() ? -value : value;
+    const value = 2 ** (length - 1) + bits.plain(length - 1);
+    return what < BACK && bits.plain(1) ? -value : value;
   }
 }
 

@@ -1,7 +1,7 @@
 // GLB files with a mesh sequence: glTF's JSON, and what the extension MIXSEQ_mesh_sequence refers to.
 import { MixseqError } from "../decoder/errors.js";
 
-const MAGIC = 0x46546c67, JSON_CHUNK = 0x4e4f534a, NAME = "MIXSEQ_mesh_sequence";
+const MAGIC = 0x46546c67, JSON_CHUNK = 0x4e4f534a, NAME = "MIXSEQ_mesh_sequence", VERSION = 1;
 
 /**
  * Read the first mesh sequence of a file, an `ArrayBuffer`: `text` and `streams` as for `open`, the `mesh` of the file's `json` that it
@@ -13,6 +13,7 @@ export function readGlb(file) {
   const size = view.getUint32(12, true), start = 28 + size, json = JSON.parse(new TextDecoder().decode(new Uint8Array(file, 20, size)));
   const mesh = json.meshes?.find(({ extensions }) => extensions?.[NAME]), extension = mesh?.extensions[NAME];
   if (!extension) throw new MixseqError("this GLB file has no mesh sequence");
+  checkVersion(extension);
   const bytes = (number) => {
     const { byteOffset = 0, byteLength } = json.bufferViews[number];
     if (start + byteOffset + byteLength > file.byteLength) throw new MixseqError("this GLB file is not all there");
@@ -23,4 +24,10 @@ export function readGlb(file) {
     text: new TextDecoder().decode(bytes(extension.coding)), streams: bytes(extension.streams),
     json, mesh, matrix: node?.matrix ?? [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1],
   };
+}
+
+/** Make sure that an extension of a file is one that this decoder knows. */
+export function checkVersion({ version }) {
+  if (version === VERSION) return;
+  throw new MixseqError(`this mesh sequence has version ${version}, this decoder reads ${VERSION}; take another decoder, or compress the original again`);
 }

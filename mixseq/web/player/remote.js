@@ -53,7 +53,7 @@ export async function openRemote(text, streams, address = import.meta.url) {
  * before decodes it here, and where no Worker starts all is decoded here.
  */
 export async function openDecoded(text, streams, address) {
-  const sequence = open(text, streams), remote = await openRemote(text, streams, address).catch(() => null);
+  const sequence = await open(text, streams), remote = await openRemote(text, streams, address).catch(() => null);
   if (!remote) return { sequence, drawn: drawnMesh(sequence) };
   try {
     const [drawn, first] = await Promise.all([remote.drawn(), remote.share(0)]);

@@ -16,20 +16,20 @@ export const GIVEN_AWAY = ["uvs", "weights", "residuals", "at", "frame"];
 export function serve(port) {
   let sequence;
 
-  function answer(method, given) {
-    if (method === "open") sequence = open(...given);
+  async function answer(method, given) {
+    if (method === "open") sequence = await open(...given);
     if (method === "begin") sequence.fields();
     if (method === "uvs") return uvsOf(sequence);
     if (method === "drawn") return drawnMesh(sequence);
     if (COPIED.includes(method) || GIVEN_AWAY.includes(method)) return sequence[method](...given);
-    const { streams, ...facts } = sequence, sizes = streams.chunks.map(({ coefficients }) => coefficients.length);
+    const { streams, surface, ...facts } = sequence, sizes = streams.chunks.map(({ coefficients }) => coefficients.length);
     const first = streams.basis.reduce((sum, group) => sum + group.length, streams.connectivity.length);
     return method === "open" ? { facts, sizes: [first, ...sizes] } : null;
   }
 
-  port.onmessage = ({ data: { number, method, given } }) => {
+  port.onmessage = async ({ data: { number, method, given } }) => {
     try {
-      const result = answer(method, given);
+      const result = await answer(method, given);
       port.postMessage({ number, result }, GIVEN_AWAY.includes(method) && result ? [result.buffer] : []);
     } catch (error) {
       port.postMessage({ number, error: error.message });

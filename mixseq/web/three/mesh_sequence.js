@@ -6,7 +6,7 @@
 //   const { scene } = await loader.loadAsync("shot.glb"), shots = meshSequences(scene);
 //   ... each frame: for (const shot of shots) shot.update(seconds % shot.duration);
 import { BufferAttribute, BufferGeometry, GLBufferAttribute, Mesh, MeshStandardMaterial } from "three";
-import { fieldTextures, openDecoded, takeNormals, takePositions } from "./mixseq.js";
+import { checkVersion, fieldTextures, openDecoded, takeNormals, takePositions } from "./mixseq.js";
 
 const NAME = "MIXSEQ_mesh_sequence", DRACO = "KHR_draco_mesh_compression";
 
@@ -28,7 +28,9 @@ export class MeshSequencePlugin {
     return extension ? this.#load(mesh, extension) : null;
   }
 
-  async #load({ name = "", primitives }, { coding, streams, polygons }) {
+  async #load({ name = "", primitives }, extension) {
+    checkVersion(extension);
+    const { coding, streams, polygons } = extension;
     const bytes = async (view) => new Uint8Array(await this.parser.getDependency("bufferView", view));
     const materials = primitives.map(({ material }) => (material === undefined ? null : this.parser.getDependency("material", material)));
     const [text, data] = await Promise.all([coding, streams].map(bytes));

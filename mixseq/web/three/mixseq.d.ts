@@ -4,7 +4,7 @@
 export class MixseqError extends Error {}
 
 /** `text` is the text `coding` of a compressed model, `streams` are its streams. Bytes are checked, nothing is decoded yet. */
-export function open(text: string, streams: Uint8Array): Sequence;
+export function open(text: string, streams: Uint8Array): Promise<Sequence>;
 
 export interface Chunk {
   readonly first: number;
@@ -115,6 +115,9 @@ export function readGlb(file: ArrayBuffer): {
   mesh: any;
   matrix: number[];
 };
+
+/** Make sure that this decoder reads what has the extension MIXSEQ_mesh_sequence. */
+export function checkVersion(extension: { version: number }): void;
 
 export interface RemoteSequence extends Facts {
   polygons(): Promise<Polygons>;

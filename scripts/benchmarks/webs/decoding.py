@@ -47,7 +47,7 @@ const folder = process.argv[2], rounds = 12, opened = [], frames = [];
 const text = readFileSync(`${folder}/text`, "latin1"), streams = new Uint8Array(readFileSync(`${folder}/streams`));
 for (let round = 0; round < rounds; round++) {
   const seconds = () => { const { user, system } = process.cpuUsage(); return (user + system) / 1e6; };
-  const begin = seconds(), sequence = open(text, streams);
+  const begin = seconds(), sequence = await open(text, streams);
   sequence.fields();
   sequence.chunks.forEach((_, chunk) => sequence.load(chunk));
   const middle = seconds(), positions = new Float32Array(3 * sequence.vertexCount);

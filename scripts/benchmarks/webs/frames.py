@@ -33,7 +33,7 @@ _MODULES = ("decoder/sequence.js", "player/field_textures.js")
 _SCRIPT = """
 async ([module, text, streams]) => {
   const { open, fieldTextures } = await import(URL.createObjectURL(new Blob([module], { type: "text/javascript" })));
-  const sequence = open(text, Uint8Array.from(atob(streams), (letter) => letter.charCodeAt(0)));
+  const sequence = await open(text, Uint8Array.from(atob(streams), (letter) => letter.charCodeAt(0)));
   const gl = document.createElement("canvas").getContext("webgl2"), { times, vertexCount } = sequence;
   const { parts } = sequence.fields(), card = fieldTextures(gl, sequence.fields(), sequence.triangles());
   const out = new Float32Array(3 * vertexCount), last = times[times.length - 1], read = new Float32Array(4);

@@ -1,0 +1,93 @@
+"""Bits in contexts that are too many for tables: of what is known, a number of 16 bits is looked at (hashing).
+
+Every bit has a kind and, of every input, a *context*: any number of 64 bits that says what is known when it is coded.
+Contexts share the frequencies of `bit_models` if the highest 16 bits of their product with a constant are the same.
+
+Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mixseq.arrays import Index
+from mixseq.coding.bitstream import arithmetic
+from mixseq.coding.bitstream.arithmetic import BYTES_BEYOND, Coded
+from mixseq.coding.bitstream.bit_models import BitModels, bit_models, code_of_kind
+from mixseq.compiled import joined
+
+INPUTS = 8
+"""Number of contexts of a bit. Frozen: breaks old files."""
+
+SLOTS = 1 << 16
+"""Contexts of an input that are told apart; more share their frequencies. Frozen: breaks old files."""
+
+SPREAD = np.uint64(11400714819323198485)
+"""Spreads contexts over slots (2^64 divided by the golden ratio). Products overflow, which only numbers without a sign
+may: of others LLVM takes for granted that they do not. Frozen: breaks old files."""
+
+_HIGHEST = np.uint64(48)
+"""The highest 16 bits of a product say which slot it is. Frozen: breaks old files."""
+
+_BYTES_OF_BIT = 2
+"""Bytes that a bit takes at most: none is less likely than 2^-12. Free: memory is taken ahead."""
+
+
+class Bits(NamedTuple):
+    """Bits that are written or read, and what is known about those to come.
+
+    Attributes
+    ----------
+    coded : Coded
+        Where they are written or read.
+    models : BitModels
+        What is known of slots and kinds.
+    contexts : (INPUTS,) int64
+        To be set before every bit: what the inputs know, any numbers.
+    failed : (1,) int64
+        Whether what is read is damaged.
+    """
+
+    coded: Coded
+    models: BitModels
+    contexts: Index
+    failed: Index
+
+
+def bits_to_write(count: int, kinds: int) -> Bits:
+    """Return a state in which nothing is known, with room for so many bits of so many kinds."""
+    return _bits(arithmetic.to_write(_BYTES_OF_BIT * count), kinds)
+
+
+def bits_to_read(data: bytes, kinds: int) -> Bits:
+    """Return a state in which nothing is known, and bits are read that `arithmetic.written` returned."""
+    return _bits(arithmetic.to_read(data), kinds)
+
+
+def with_room(bits: Bits, count: int) -> Bits:
+    """Return the same with room for so many bits more."""
+    return bits._replace(coded=arithmetic.with_room(bits.coded, _BYTES_OF_BIT * count))
+
+
+def _bits(coded: Coded, kinds: int) -> Bits:
+    models = bit_models(INPUTS, SLOTS, 1, kinds)
+    return Bits(coded, models, np.zeros(INPUTS, dtype=np.int64), np.zeros(1, dtype=np.int64))
+
+
+@joined
+def code(bits: Bits, kind: int, bit: int) -> int:
+    """Write or read a bit of a kind in the contexts that were set, learn from it, and return it."""
+    slots, contexts = bits.models.contexts, bits.contexts
+    for i in range(INPUTS):
+        slots[i] = np.int64(np.uint64(contexts[i]) * SPREAD >> _HIGHEST)
+    return code_of_kind(bits.coded, bits.models, 0, kind, bit)
+
+
+@joined
+def has_failed(bits: Bits) -> bool:
+    """Whether what is read is damaged, or ends before the bits that were read; to be asked now and then."""
+    if bits.coded.place[0] > len(bits.coded.data) + BYTES_BEYOND:
+        bits.failed[0] = 1
+    return bool(bits.failed[0])

@@ -1,0 +1,21 @@
+// Bytes that zlib has compressed, by what every browser has for that, which takes its time: it is done when a sequence is opened.
+import { MixseqError } from "./errors.js";
+
+/** The bytes that were compressed, at most so many; nothing of nothing. */
+export async function decompressed(data, most, what) {
+  if (!data.length) return data;
+  const reader = new Blob([data]).stream().pipeThrough(new DecompressionStream("deflate")).getReader(), parts = [];
+  const next = () => reader.read().catch((error) => {
+    throw new MixseqError(`${what} are damaged (${error.message})`);
+  });
+  let size = 0;
+  for (let part = await next(); !part.done; part = await next()) {
+    size += part.value.length;
+    if (size > most) {
+      reader.cancel();
+      throw new MixseqError(`${what} take more than the ${most} bytes that they may`);
+    }
+    parts.push(part.value);
+  }
+  return new Uint8Array(await new Blob(parts).arrayBuffer());
+}
