@@ -70,7 +70,9 @@ def test_frames_of_other_meshes_are_refused(name: SpaceName) -> None:
     space, points = make_space(LONG, name), LONG.points
     assert space.vertex_count == LONG.vertex_count
     for wrong in (points[:, :-1], points[:, :, :2], points[0, 0], points[None], points[:0, :-1]):
-        with pytest.raises(SettingsError, match=r"points have shape .*; \(T, 38, 3\) is expected, or \(38, 3\)"):
+        with pytest.raises(
+            SettingsError, match=r"points have shape .*; \(T, 38, 3\) is expected, or \(38, 3\)"
+        ):
             space.encode(wrong)
     for dtype in (np.complex128, np.bool_, np.object_):
         with pytest.raises(SettingsError, match=r"points are (complex128|bool|object); real numbers"):
@@ -111,8 +113,13 @@ def test_predicted_poses_pass_through_the_frames(name: SpaceName) -> None:
     """And need no corrections there."""
     space, times = make_space(LONG, name), LONG.times
     vectors, size = space.encode(LONG.points), space.shape_dim
-    poses, placements = vectors[:, size - space.pose_dim : size], vectors[:, size : size + space.placement_dim]
-    targets, placed = space.predicted_poses(Operator(times, 2.0), poses, placements, with_middles(times), True)
+    poses, placements = (
+        vectors[:, size - space.pose_dim : size],
+        vectors[:, size : size + space.placement_dim],
+    )
+    targets, placed = space.predicted_poses(
+        Operator(times, 2.0), poses, placements, with_middles(times), True
+    )
     assert placed.shape == (2 * len(times) - 1, space.placement_dim)
     np.testing.assert_allclose(placed[::2], placements, atol=1e-12)
     corrections = space.corrections(poses, targets[::2])
