@@ -38,10 +38,6 @@ SHORTEST = 1e-12
 """No side is shorter, in diagonals: a triangle has a side 01 that its frame can follow."""
 
 
-FLATTEST = 1e-7
-"""Heights below this share of a side are rounding errors of lengths: such a triangle is laid on a line."""
-
-
 def flat_triangles(lengths: Float) -> Float:
     """Lay triangles with sides ``(m, 3)`` = 01, 12, 20 into the plane, as corners ``(m, 3, 2)``.
 
@@ -54,8 +50,7 @@ def flat_triangles(lengths: Float) -> Float:
     """
     l01, l12, l20 = np.maximum(lengths, SHORTEST).T
     x = np.clip((l01**2 + l20**2 - l12**2) / (2.0 * l01), -l20, l20)
-    square = l20**2 - x**2
-    y = np.sqrt(np.where(square > FLATTEST**2 * l20**2, square, 0.0))
+    y = np.sqrt(l20**2 - x**2)
     zero = np.zeros_like(x)
     return np.stack([zero, zero, l01, zero, x, y], axis=1).reshape(-1, 3, 2)
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from mixseq.arrays import Float
 from mixseq.geometry.rotations import inverse, normalised, product
-from mixseq.shells.face_frames import FrameGraph, connected
+from mixseq.shells.face_frames import FrameGraph, bridging, connected
 from tests.meshes import topology_of, torus
 
 TOPOLOGY = topology_of(torus(10, 6))
@@ -95,3 +95,12 @@ def test_frames_are_smooth_even_where_a_pair_is_half_a_turn_off() -> None:
 def test_what_is_connected() -> None:
     assert connected(5, np.array([[0, 3], [3, 1]])).tolist() == [0, 0, 1, 0, 2]
     assert connected(2, np.zeros((0, 2), dtype=np.int64)).tolist() == [0, 1]
+
+
+def test_pairs_that_are_not_sound_make_no_circles() -> None:
+    """One leads to what no sound pair reaches, however many there are; between what sound ones connect none does."""
+    pairs = np.array([[0, 1], [1, 2], [2, 3], [3, 0], [1, 3], [3, 4], [4, 5]])
+    sound = np.array([True, True, False, False, False, False, False])
+    assert bridging(6, pairs, sound).tolist() == [True, True, True, False, False, True, True]
+    assert bridging(6, pairs, np.ones(7, dtype=bool)).all()
+    assert not bridging(6, pairs[:0], sound[:0]).size

@@ -13,7 +13,7 @@ from mixseq.sequence import MeshSequence
 from mixseq.shells.fitting import ShellSettings
 from mixseq.signals import fit
 from mixseq.spaces import EdgeSettings, EdgeSpace
-from mixseq.spaces.mixed import FreeSpace, MixedSpace
+from mixseq.spaces.mixed import MixedSpace
 from mixseq.topology import Topology
 from tests.meshes import bar
 
@@ -74,7 +74,7 @@ def test_the_number_of_parts_is_used(parts: int) -> None:
 
 def test_placement_and_details_are_used() -> None:
     model = fit(SMALL, placement="free", joint_width=2, segmentation=MotionSettings(bend=200.0))
-    assert isinstance(model.space, FreeSpace) and model.space.placement == "free"
+    assert model.mixed.placement == "free"
     assert len(model.decomposition.parts) == 1
     assert fit(SMALL, joint_width=1).decomposition.widths.max() == 1
 

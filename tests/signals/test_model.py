@@ -13,7 +13,6 @@ from scipy.interpolate import CubicSpline
 
 from mixseq.choices import PLACEMENTS, PlacementName
 from mixseq.errors import SettingsError
-from mixseq.geometry.rotations import rotations_of
 from mixseq.prediction.operator import chosen, with_middles
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model, fit
@@ -67,27 +66,35 @@ def test_between_two_frames_shapes_go_straight() -> None:
 @pytest.mark.parametrize("placement", PLACEMENTS)
 @pytest.mark.parametrize("uneven", [False, True])
 def test_middles_between_frames_are_predicted(placement: PlacementName, uneven: bool) -> None:
-    """Shapes and placements by the operator that predicts the vertices best: all of them, as the mesh is small."""
+    """By the operator that predicts the vertices best: all of them, as the mesh is small."""
     model, sequence = model_of(placement, uneven=uneven), small(5, UNEVEN if uneven else None)
+    space = model.space
     operator = chosen(sequence.times, sequence.points.reshape(5, -1).astype(np.float64))
     middles = (sequence.times[1:] + sequence.times[:-1]) / 2
-    shapes, placements = np.split(model.vectors, [model.space.shape_dim], axis=1)
-    found = np.split(model.curve(middles), [model.space.shape_dim], axis=1)
-    np.testing.assert_allclose(found[0], operator.at(middles).of(shapes), atol=1e-11)
-    expected = model.space.predicted_placements(operator, placements, middles)
-    np.testing.assert_allclose(
-        model.space.poses(found[1]).centres, model.space.poses(expected).centres, atol=1e-11
-    )
-    turns, others = (rotations_of(model.space.poses(each).rotations) for each in (found[1], expected))
-    np.testing.assert_allclose(turns, others, atol=1e-11)
+    size, end = space.shape_dim, space.shape_dim + space.placement_dim
+    vectors, found = model.vectors, model.curve(middles)
+    np.testing.assert_allclose(found[:, :size], operator.at(middles).of(vectors[:, :size]), atol=1e-11)
+    off = []
+    for in_body in (False, True):  # which way is chosen by leaving frames out
+        poses = vectors[:, size - space.pose_dim : size]
+        targets, placed = space.predicted_poses(operator, poses, vectors[:, size:end], middles, in_body)
+        corrections = space.corrections(found[:, size - space.pose_dim : size], targets)
+        expected = np.concatenate([placed, corrections], axis=1)
+        off.append(np.abs(found[:, size:] - expected).max())
+    assert min(off) < 1e-9
 
 
 @pytest.mark.parametrize("uneven", [False, True])
-def test_between_frames_and_middles_vectors_follow_the_cubic_spline(uneven: bool) -> None:
+def test_between_knots_signals_follow_the_cubic_spline(uneven: bool) -> None:
+    """Shapes through frames and middles, placement and correction through quarters."""
     model = model_of(uneven=uneven)
-    times, knots = np.linspace(model.times[0], model.times[-1], 23), with_middles(model.times)
-    expected = CubicSpline(knots, model.curve(knots), bc_type="not-a-knot")(times)
-    np.testing.assert_allclose(model.curve(times), expected, atol=1e-11)
+    times, middles = np.linspace(model.times[0], model.times[-1], 23), with_middles(model.times)
+    for columns, knots in (
+        (slice(0, model.space.shape_dim), middles),
+        (slice(model.space.shape_dim, None), with_middles(middles)),
+    ):
+        spline = CubicSpline(knots, model.curve(knots)[:, columns], bc_type="not-a-knot")
+        np.testing.assert_allclose(model.curve(times)[:, columns], spline(times), atol=1e-11)
 
 
 def test_a_turning_body_turns_evenly() -> None:
@@ -184,7 +191,7 @@ def test_no_times_give_nothing() -> None:
 def test_repr_tells_what_it_is() -> None:
     model = model_of("free")
     assert repr(model) == (
-        f"Model('small': 0 to 0.4 s, 5 key shapes, mixed space of dim {model.space.dim}, 9 + 9 knots)"
+        f"Model('small': 0 to 0.4 s, 5 key shapes, mixed space of dim {model.space.dim}, 9 + 17 knots)"
     )
 
 

@@ -73,6 +73,7 @@ def assert_same(first: Model, second: Model) -> None:
         (first.time.values, second.time.values),
         (first.time.times, second.time.times),
         (first.placement.values, second.placement.values),
+        (first.correction.values, second.correction.values),
         (first.pose.matrix, second.pose.matrix),
         (first.vectors, second.vectors),
     ):

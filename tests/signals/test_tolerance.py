@@ -14,7 +14,7 @@ from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.prediction.operator import with_middles
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Curve, Model, PoseMap, fit, tolerance
-from mixseq.signals.tolerance import EXACT, made_sure
+from mixseq.signals.tolerance import EXACT, LOSSLESS_TO_THE_EYE, made_sure
 from tests.meshes import SEQUENCES, bar, rotation, tetrahedron
 
 pytestmark = pytest.mark.slow
@@ -85,7 +85,8 @@ def test_rank_truncates_shapes_but_not_placement() -> None:
     for rank in (0, 1, 3, 29):
         model = fit(LONG, rank=rank)
         assert len(model.shapes) == rank + 1
-        np.testing.assert_array_equal(model.placement.times, with_middles(LONG.times))
+        for curve in (model.placement, model.correction):
+            np.testing.assert_array_equal(curve.times, with_middles(with_middles(LONG.times)))
         errors.append(mixseq.compare(LONG, model.sample()).kg_percent)
     assert errors == sorted(errors, reverse=True)
     assert errors[0] > 0.1
@@ -96,14 +97,14 @@ def test_rank_truncates_shapes_but_not_placement() -> None:
 @pytest.mark.parametrize("pose", ["modes", "keys"])
 def test_both_forms_of_the_pose_signal_are_exact(pose: str) -> None:
     model = fit(LONG, exact=True, pose=pose)  # type: ignore[arg-type]
-    assert mixseq.compare(LONG, model.sample()).max_error < 1e-12
+    assert mixseq.compare(LONG, model.sample()).max_error < 1e-10
 
 
 def test_key_shapes_are_frames_that_can_be_exchanged() -> None:
     model = fit(LONG, rank=4, pose="keys")
     encoded = fit(LONG, exact=True).vectors[:, : model.space.shape_dim]
     apart = np.abs(encoded[:, None] - model.shapes[None]).max(axis=2).min(axis=0)
-    assert apart.max() < 1e-11
+    assert apart.max() < 1e-10  # those of exact models are rounded
 
 
 def test_knots_by_number_and_by_time() -> None:
@@ -146,6 +147,7 @@ def test_signals_must_fit_together() -> None:
         "pose": (PoseMap.of_weights(4), "key shapes have shape"),
         "time": (Curve(model.time.times, model.time.values[:, :1]), "1 coordinates, the pose signal 2"),
         "placement": (Curve(model.time.times, model.time.values), "placement has 2 coordinates; 0 are"),
+        "correction": (Curve(model.time.times, model.time.values), "correction has 2 coordinates; 0 are"),
         "header": (model.header.with_times([0.0, 99.0]), "frames are from 0 to 99 s, a signal only"),
     }
     for name, (value, message) in wrong.items():
@@ -193,5 +195,6 @@ def test_a_model_that_is_off_is_never_returned() -> None:
 def test_one_frame() -> None:
     still = MeshSequence.from_arrays(LONG.points[:1], LONG.polygons)
     for space in ("mixed", "vertex"):
-        model = fit(still, space=space)
-        np.testing.assert_allclose(model.sample().points, still.points, atol=1e-12)
+        model = fit(still, space=space, exact=True)
+        np.testing.assert_allclose(model.sample().points, still.points, atol=1e-9)
+        assert mixseq.compare(still, fit(still, space=space).sample()).max_error <= LOSSLESS_TO_THE_EYE

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from mixseq.arrays import Float
 from mixseq.choices import PLACEMENTS, PlacementName
-from mixseq.geometry.rigid import kabsch, mean_shape, transform
+from mixseq.geometry.rigid import kabsch, transform
 from mixseq.segmentation import decompose
 from mixseq.spaces import VertexSpace, mixed_space
+from mixseq.spaces.mixed import Projection
 from tests.meshes import rotation, topology_of, tube
 
 
@@ -32,12 +35,16 @@ def test_one_part_is_blended_by_its_registered_vertices(
     points, mesh = frames(), tube(8, 12)
     topology = topology_of(mesh)
     decomposition = decompose(topology, np.zeros(len(mesh[1]), dtype=np.int64), 3, points)
-    mixed = mixed_space(points, topology, decomposition, placement)
+    mixed = replace(
+        mixed_space(points, topology, decomposition, placement),
+        joint_faces=np.zeros(len(mesh[1]), dtype=bool),
+        projection=Projection(placement),
+    )
     assert not decomposition.joints
     assert mixed.dim == 3 * len(mesh[0]) + 7 + 7 + 6  # the part in its body, the body, and a correction
     blended = mixed.decode(np.array(weights)[None] @ mixed.encode(points))[0]
 
-    shape = mean_shape(points)
+    shape = mixed.shapes * mixed.scale
     registered = np.stack([transform(x, *kabsch(x, shape)) for x in points])
     vertices = VertexSpace(len(mesh[0]), mixed.scale)
     expected = vertices.decode(np.array(weights)[None] @ vertices.encode(registered))[0]

@@ -33,6 +33,9 @@ from mixseq.topology import Topology
 ROUNDS = 3
 """Rounds of rotation averaging."""
 
+LOWEST = 1e-4
+"""Heights of triangles without area below this share of a side are rounding errors of lengths."""
+
 
 class FreeFrame(NamedTuple):
     """One point of S_m.
@@ -205,6 +208,9 @@ class Assembly(PickledWithoutCaches):
         """Return the vertices ``(V, 3)``, components anywhere, that frames tell."""
         t, loose, crossing, parts = self.topology, self.joint_faces, self._crossing, len(self._parts)
         flat = flat_triangles(lengths[t.face_edges])
+        heights = flat[self.shell.thin, 2, 1]
+        noise = heights < LOWEST * lengths[t.face_edges[self.shell.thin]].max(axis=1)
+        flat[self.shell.thin, 2, 1] = np.where(noise, 0.0, heights)
         own = np.zeros((len(t.faces), 4))
         own[:, 0] = 1.0
         own[~loose] = frames_of(frame.unposed, t.faces[~loose])

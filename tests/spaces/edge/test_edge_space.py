@@ -15,14 +15,14 @@ from mixseq.arrays import Float
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.geometry.lengths_angles import edge_lengths
 from mixseq.geometry.rigid import kabsch
-from mixseq.segmentation.joints import Decomposition, make_joint
+from mixseq.segmentation import decompose
 from mixseq.sequence import MeshSequence, bounding_diagonal
 from mixseq.shells import shell
 from mixseq.shells.fitting import ShellSettings
-from mixseq.shells.shell import Relaxation
 from mixseq.spaces.edge.discrete_shell import volume
 from mixseq.spaces.edge.edge_space import EdgeSettings, EdgeSpace
-from mixseq.spaces.mixed import FreeSpace, mixed_space
+from mixseq.spaces.mixed import Projection, mixed_space
+from mixseq.spaces.mixed.joint_projection import BENDING
 from mixseq.topology import Topology
 from tests.meshes import SEQUENCES, bent, rotation, torus, tube
 
@@ -164,35 +164,32 @@ def test_volume_is_kept_better_with_its_term() -> None:
 
 
 def test_a_mesh_that_is_one_joint_is_the_same_in_the_mixed_space(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One joint of all faces, held by a part of one face: S_e, but for the lengths of that face."""
+    """In the free placement, where all faces are of joints."""
     monkeypatch.setattr(shell, "SLENDER", 1e-3)  # all hinges count the same, as in S_e
+    monkeypatch.setattr(shell, "SHRUNK", 0.0)  # whatever the areas of their triangles
     sequence = sequence_of("bar")
     topology = Topology(sequence.faces, sequence.vertex_count)
-    part = np.sort(topology.faces[0].astype(np.int64))
-    held = np.isin(np.arange(topology.vertex_count), part)
-    joint = make_joint(topology, np.ones(len(topology.faces), dtype=bool), held)
-    of_face = np.zeros(len(topology.faces), dtype=np.int64)
-    whole = Decomposition(of_face, (part,), (joint,), np.ones(1, dtype=np.int64))
-    mixed = mixed_space(sequence.points, topology, whole, "free")
-    assert isinstance(mixed, FreeSpace)
-    space = space_of(sequence, DSO, ShellSettings(tolerance=1e-14, accuracy=1e-11))
+    whole = decompose(topology, np.zeros(len(topology.faces), dtype=np.int64))
+    mixed = replace(
+        mixed_space(sequence.points, topology, whole, "free"),
+        joint_faces=np.ones(len(topology.faces), dtype=bool),
+        projection=Projection("free", 1.0, steps=400),
+    )
+    edge = space_of(sequence, DSO, ShellSettings(bending=BENDING, tolerance=1e-14, accuracy=1e-11))
+    space = replace(edge, reference_lengths=edge_lengths(mixed.reference, topology.edges))
     ours, theirs = space.encode(sequence.points), mixed.encode(sequence.points)
-    edges, stored = len(topology.edges), mixed.edge_ids
+    edges = len(topology.edges)
     blocks = mixed.split(theirs)
-    np.testing.assert_allclose(ours[:, stored], blocks.lengths, atol=1e-12)
+    np.testing.assert_allclose(ours[:, :edges], blocks.lengths, atol=1e-12)
     np.testing.assert_allclose(ours[:, edges : space.shape_dim], blocks.angles, atol=1e-12)
-    assert len(stored) == edges - 3
 
     weights = np.array([0.6, 0.0, 0.0, 0.0, 0.4])
-    blended = (weights @ theirs)[None]
-    (their,) = replace(mixed, relaxation=Relaxation(bending=0.3, steps=400)).decode(blended)
-    rigid = np.setdiff1d(np.arange(edges), stored)
-    vector = weights @ ours
-    vector[rigid] = edge_lengths(mixed.split(blended).parts[0], np.searchsorted(part, topology.edges[rigid]))
-    (our,) = space.decode(vector[None])
+    (their,), (our,) = mixed.decode((weights @ theirs)[None]), space.decode((weights @ ours)[None])
     turn, shift = kabsch(our, their)
     np.testing.assert_allclose(our @ turn.T + shift, their, atol=1e-5 * space.scale)
-    assert not np.allclose(edge_lengths(our, topology.edges), vector[:edges] * space.scale, atol=1e-4)
+    assert not np.allclose(
+        edge_lengths(our, topology.edges), (weights @ ours)[:edges] * space.scale, atol=1e-4
+    )
 
 
 def test_angles_of_triangles_without_area_say_nothing() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixseq.arrays import Float
+from mixseq.arrays import Float, FloatArray
 from mixseq.choices import PLACEMENTS, PlacementName
 from mixseq.creature import walk_cycle
 from mixseq.errors import SettingsError
@@ -97,7 +97,7 @@ def test_the_worst_faces_are_joints_within_the_budget() -> None:
 
 def test_frames_that_are_near_have_no_steps() -> None:
     for purpose in ("sequence", "few numbers"):
-        space = space_for(bar(frames=9), 2, purpose)  # type: ignore[arg-type]
+        space = space_for(bar(frames=9), 2, purpose)
         assert space.projection == Projection()
 
 
@@ -127,7 +127,7 @@ def test_what_does_not_move_has_no_joints(purpose: Purpose) -> None:
         assert space.projection.steps == 0
 
 
-def far(points: Float) -> bool:
+def far(points: FloatArray) -> bool:
     return are_far(space_for(MeshSequence.from_arrays(points, CURLED.faces), 1), points)
 
 
@@ -219,13 +219,13 @@ def test_spaces_are_the_same_whenever_they_are_made(placement: PlacementName) ->
 
 def test_single_precision_makes_nearly_the_same_space() -> None:
     points = bar().points
-    topology, labels = topology_of((points[0], bar().faces.astype(np.int64))), None
+    topology = topology_of((points[0], bar().faces.astype(np.int64)))
     labels = segment_by_labels(segment_by_motion(points, topology, 2), topology)
     decomposition = decompose(topology, labels, 3)
     spaces = [mixed_space(x, topology, decomposition) for x in (points, points.astype(np.float32))]
     np.testing.assert_allclose(spaces[0].shapes, spaces[1].shapes, atol=2 * GRID)
-    weights = [space.skinning_weights.toarray() for space in spaces]
-    np.testing.assert_allclose(*weights, atol=1e-2)
+    double, single = (space.skinning_weights.toarray() for space in spaces)
+    np.testing.assert_allclose(double, single, atol=1e-2)
 
 
 def test_the_walk_is_near_and_its_vectors_are_short() -> None:

@@ -25,7 +25,7 @@ from mixseq.segmentation import decompose, segment_by_labels
 from mixseq.sequence import MeshSequence
 from mixseq.spaces import VertexSpace, mixed_space
 from mixseq.spaces.metric import ANGLE
-from mixseq.spaces.mixed import MixedSpace, Projection, as_mixed
+from mixseq.spaces.mixed import MixedSpace, Projection, Purpose, as_mixed
 from mixseq.spaces.mixed.mixed_space import ARTICULATION_WEIGHT, JOINT_EMBEDDING_WEIGHT, JOINT_WEIGHT
 from tests.meshes import SEQUENCES, Mesh, bending, bent, rigid_motions, rotation, seeds, topology_of, tube
 from tests.spaces.mixed.made import (
@@ -280,9 +280,9 @@ def test_inside_a_part_unposed_vertices_are_the_aligned_ones() -> None:
 @settings(max_examples=15, deadline=None)
 @given(motion=rigid_motions, frame=st.integers(0, 3), purpose=st.sampled_from(["sequence", "blends"]))
 def test_a_rigid_motion_of_a_frame_changes_the_placement_only(
-    name: str, motion: tuple[Float, Float], frame: int, purpose: str
+    name: str, motion: tuple[Float, Float], frame: int, purpose: Purpose
 ) -> None:
-    space, points = space_of(name, purpose=purpose), sequence_of(name).points[frame]  # type: ignore[arg-type]
+    space, points = space_of(name, purpose=purpose), sequence_of(name).points[frame]
     turn, shift = motion
     still, moved = space.encode(points), space.encode(points @ turn.T + shift)
     shape = space.shape_dim
@@ -681,8 +681,8 @@ def test_bodies_that_do_not_touch_are_predicted_alone() -> None:
         operator, vectors[:, size - space.pose_dim : size], placements, middles, False
     )
     found, alone = space.poses(placed), predicted_alone(operator.at(middles), space.poses(placements))
-    turns = (rotations_of(each.rotations[:, body]) for each in (found, alone))
-    np.testing.assert_allclose(*turns, atol=1e-12)
+    turns, expected = (rotations_of(each.rotations[:, body]) for each in (found, alone))
+    np.testing.assert_allclose(turns, expected, atol=1e-12)
     np.testing.assert_allclose(found.centres[:, body], alone.centres[:, body], atol=1e-12)
 
 

@@ -88,8 +88,7 @@ def test_frames_are_passed(seed: int, length: float, frames: int, in_body: bool)
     times = np.cumsum(np.random.default_rng(seed).uniform(0.5, 1.5, frames))
     found = predicted(Operator(times, length), poses, ring(3), with_middles(times), in_body)
     np.testing.assert_allclose(found.centres[::2], poses.centres, atol=1e-12)
-    turns = (rotations_of(each) for each in (found.rotations[::2], poses.rotations))
-    np.testing.assert_allclose(*turns, atol=1e-12)
+    np.testing.assert_allclose(rotations_of(found.rotations)[::2], rotations_of(poses.rotations), atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(found.rotations, axis=2), 1.0, atol=1e-14)
     assert (np.einsum("tpi,tpi->tp", found.rotations[1:], found.rotations[:-1]) > 0).all()
 
@@ -210,8 +209,8 @@ def test_who_has_no_neighbours_is_alone() -> None:
     alone = predicted_alone(operator.at(middles), poses)
     for parts, some in ((strangers(4), slice(None)), (ring(3, alone=1), slice(3, None))):
         found = predicted(operator, poses, parts, middles)
-        turns = (rotations_of(each.rotations[:, some]) for each in (found, alone))
-        np.testing.assert_allclose(*turns, atol=1e-12)
+        turns, expected = (rotations_of(each.rotations[:, some]) for each in (found, alone))
+        np.testing.assert_allclose(turns, expected, atol=1e-12)
         np.testing.assert_allclose(found.centres[:, some], alone.centres[:, some], atol=1e-12)
 
 
@@ -238,6 +237,6 @@ def test_many_times_are_predicted_in_blocks() -> None:
     whole = predicted(operator, poses, ring(3), times, True)
     for number in (0, 63, 64, 149):
         single = predicted(operator, poses, ring(3), times[number : number + 1], True)
-        turns = (rotations_of(each) for each in (single.rotations[0], whole.rotations[number]))
-        np.testing.assert_allclose(*turns, atol=1e-12)
+        turns, expected = (rotations_of(each) for each in (single.rotations[0], whole.rotations[number]))
+        np.testing.assert_allclose(turns, expected, atol=1e-12)
         np.testing.assert_allclose(single.centres[0], whole.centres[number], atol=1e-12)

@@ -96,8 +96,8 @@ def test_distances_to_neighbours_that_follow_the_same_are_kept(seed: int) -> Non
         np.tile(shares[first], len(POINTS)),
     )
     moved = kernels.pose(*alike, duals, POINTS)
-    apart = [np.linalg.norm(x[:, None] - x, axis=2) for x in (POINTS, moved)]
-    np.testing.assert_allclose(*apart, atol=1e-12)
+    here, there = (np.linalg.norm(x[:, None] - x, axis=2) for x in (POINTS, moved))
+    np.testing.assert_allclose(there, here, atol=1e-12)
 
 
 def test_motions_that_add_up_to_nothing_move_nothing() -> None:

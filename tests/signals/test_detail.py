@@ -1,0 +1,183 @@
+"""Signals of a sequence: which of them knows what of the motion."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mixseq
+from mixseq.arrays import Float, FloatArray
+from mixseq.choices import SPACES, SpaceName
+from mixseq.creature import walk_cycle
+from mixseq.geometry.rigid import kabsch
+from mixseq.geometry.rotations import rotations_of
+from mixseq.prediction.operator import with_middles
+from mixseq.sequence import MeshSequence
+from mixseq.signals import Curve, Model, fit
+from mixseq.signals.detail import Detail, Encoded, build, encode
+from mixseq.signals.tolerance import EXACT_STEP, STEPS
+from mixseq.spaces import make_space
+from tests.meshes import bar
+
+LONG = bar(sides=5, rings=13, frames=12)
+
+
+@cache
+def walk() -> MeshSequence:
+    return walk_cycle()
+
+
+@cache
+def encoded(in_body: bool = False, name: SpaceName = "mixed") -> Encoded:
+    return replace(encode(LONG, make_space(LONG, name)), in_body=in_body)
+
+
+def poses_of(model: Model, times: Float) -> tuple[Float, Float]:
+    """How parts stand in their bodies: rotations and centres, with corrections."""
+    vectors, space = model.curve(times), model.mixed
+    size = space.shape_dim
+    corrections = vectors[:, size + space.placement_dim :]
+    found = space.corrected_poses(vectors[:, size - space.pose_dim : size], corrections)
+    return rotations_of(found.rotations), found.centres
+
+
+def targets_of(targets: Float) -> tuple[Float, Float]:
+    turns, centres = np.split(targets, [4 * targets.shape[1] // 7], axis=1)
+    count = len(targets)
+    return rotations_of(turns.reshape(count, -1, 4)), centres.reshape(count, -1, 3)
+
+
+def without_correction(model: Model) -> Model:
+    return Model(model.header, model.space, model.time, model.pose, model.shapes, model.placement)
+
+
+@pytest.mark.parametrize("in_body", [False, True])
+def test_parts_go_where_they_are_predicted_to_be(in_body: bool) -> None:
+    """At frames and at quarters between them, whatever blends of key shapes say."""
+    model, between = build(encoded(in_body), Detail()), encoded(in_body).between
+    np.testing.assert_array_equal(between.times, with_middles(LONG.times))
+    np.testing.assert_array_equal(between.quarters, with_middles(between.times))
+    np.testing.assert_allclose(model.placement(between.quarters), between.placement, atol=1e-12)
+    expected = targets_of(between.targets)
+    for found, wanted in zip(poses_of(model, between.quarters), expected, strict=True):
+        np.testing.assert_allclose(found, wanted, atol=1e-9)
+
+
+@pytest.mark.parametrize("detail", [Detail(), Detail(step=EXACT_STEP)])
+def test_at_frames_exact_models_need_no_correction(detail: Detail) -> None:
+    model = build(encoded(), detail)
+    assert np.abs(model.correction(model.times)).max() < 1e-9
+    assert np.abs(model.correction(with_middles(model.times))).max() > 1e-6
+
+
+@pytest.mark.parametrize("settings", [{"rank": 0}, {"rank": 2}, {"rank": 2, "pose": "keys"}])
+def test_with_few_modes_frames_have_the_poses_of_their_parts(settings: dict[str, int]) -> None:
+    model = fit(LONG, **settings)  # type: ignore[arg-type]
+    size, end = model.space.shape_dim, model.space.shape_dim + model.space.placement_dim
+    vectors = model.mixed.encode(LONG.points)
+    blocks = model.mixed.split(vectors)
+    np.testing.assert_allclose(model.placement(LONG.times), vectors[:, size:end], atol=1e-9)
+    turns, centres = poses_of(model, LONG.times)
+    np.testing.assert_allclose(turns, rotations_of(blocks.turns), atol=1e-9)
+    np.testing.assert_allclose(centres, blocks.centres, atol=1e-9)
+    assert np.abs(model.correction(LONG.times)).max() > 1e-6
+
+
+def test_with_few_knots_signals_have_these_knots() -> None:
+    model = fit(LONG, knots=3)
+    for curve in model.curves:
+        np.testing.assert_array_equal(curve.times[2:-2], model.time.times[2:-2])
+    full = fit(LONG, knots=8)
+    assert mixseq.compare(LONG, full.sample()).max_error < 1e-10
+
+
+@pytest.mark.parametrize("name", SPACES)
+def test_other_spaces_have_no_correction(name: SpaceName) -> None:
+    model = build(encoded(name=name), Detail())
+    assert model.correction.dim == model.space.correction_dim
+    assert bool(model.correction.dim) == (name == "mixed")
+    np.testing.assert_array_equal(model.correction.times[[0, -1]], LONG.times[[0, -1]])
+
+
+def test_a_model_without_correction_has_none() -> None:
+    """It is what time, pose and shape say alone; in the frames that is everything."""
+    exact = fit(LONG, exact=True)
+    plain = without_correction(exact)
+    assert plain.correction.dim == exact.correction.dim
+    assert not plain.correction.values.any()
+    np.testing.assert_array_equal(plain.correction.times, exact.placement.times[[0, -1]])
+    np.testing.assert_allclose(plain.sample().points, LONG.points, atol=1e-8)
+    assert not plain.rates([0.1])[:, -exact.correction.dim :].any()
+
+
+def test_another_motion_through_the_same_shapes() -> None:
+    model = fit(LONG, exact=True)
+    time, placement, correction = (
+        Curve(LONG.times[-1] - curve.times[::-1], curve.values[::-1]) for curve in model.curves
+    )
+    header = model.header.with_times(LONG.times)
+    moved = model.with_motion(time, placement, correction, header=header)
+    assert moved.header is header and moved.space is model.space
+    np.testing.assert_array_equal(moved.shapes, model.shapes)
+    assert moved.residual_layer is None
+    assert moved.curves == (time, placement, correction)
+    np.testing.assert_allclose(moved.sample().points, LONG.points[::-1], atol=1e-8)
+    assert model.with_motion(*model.curves).header is model.header
+
+
+def test_key_shapes_of_exact_models_are_rounded() -> None:
+    model = fit(LONG, exact=True)
+    np.testing.assert_array_equal(np.round(model.shapes / EXACT_STEP) * EXACT_STEP, model.shapes)
+    assert mixseq.compare(LONG, model.sample()).max_error < 1e-9
+
+
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-4])
+def test_key_shapes_of_other_models_are_rounded_to_less_than_their_tolerance(tolerance: float) -> None:
+    """So coarsely that single precision holds them."""
+    model = fit(LONG, tolerance=tolerance)
+    step = 2.0 ** np.floor(np.log2(tolerance / STEPS))
+    np.testing.assert_array_equal(np.round(model.shapes / step) * step, model.shapes)
+    assert mixseq.compare(LONG, model.sample()).max_error <= tolerance
+    np.testing.assert_array_equal(model.shapes.astype(np.float32), model.shapes)
+
+
+def deformation(points: FloatArray) -> Float:
+    """Displacements from the first frame, which frames are turned and shifted to."""
+    points = points.astype(np.float64)
+    turns, shifts = kabsch(points, np.broadcast_to(points[0], points.shape))
+    return np.asarray(points @ np.swapaxes(turns, 1, 2) + shifts[:, None] - points[0])
+
+
+def share_of_deformation(model: Model) -> float:
+    """How much of the deformation is left if the placement stays what it is in the first frame, from 0 to 1."""
+    ends = model.placement.times[[0, -1]]
+    held = Curve(ends, np.repeat(model.placement(ends[:1]), 2, axis=0))
+    frozen = model.with_motion(model.time, held, model.correction).sample().points
+    whole, left = deformation(model.sample().points), deformation(frozen)
+    return float(1.0 - np.linalg.norm(whole - left) / np.linalg.norm(whole))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("settings", [{"exact": True}, {"rank": 20}, {}])
+def test_time_pose_and_shape_carry_the_walk(settings: dict[str, int]) -> None:
+    """The placement says where the fox is, and nothing else."""
+    assert share_of_deformation(fit(walk(), **settings)) > 0.95  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+@pytest.mark.realdata
+@pytest.mark.parametrize("name", ["horse_gallop", "fox_run"])
+def test_time_pose_and_shape_carry_real_motions(data: Path, name: str) -> None:
+    sequence = mixseq.read(data / "npz" / f"{name}.npz")
+    assert share_of_deformation(fit(sequence, exact=True)) > 0.95
+
+
+@pytest.mark.slow
+def test_without_correction_few_modes_carry_most_of_the_walk() -> None:
+    model = fit(walk(), rank=10)
+    whole, plain = deformation(walk().points), deformation(without_correction(model).sample().points)
+    assert np.linalg.norm(plain - whole) < 0.2 * np.linalg.norm(whole)
