@@ -62,6 +62,12 @@ JOINT_EMBEDDING_WEIGHT = 2.0
 ARTICULATION_WEIGHT = 0.2
 """Weight of part poses in the metric, against the vertices that they move."""
 
+LENGTHS_OF_STEPS = 1 / 4
+"""Step of lengths that P_m takes steps to, against that of positions."""
+
+MOST_COARSE = 64
+"""Largest step of angles in radians, against that of positions in diagonals."""
+
 
 @dataclass(frozen=True)
 class Projection:
@@ -348,6 +354,18 @@ class MixedSpace(ShapeSpace):
                 np.ones(self.sizes[9] // 2),
             ]
         )
+
+    @property
+    def coarseness(self) -> Float:
+        """Implement `ShapeSpace.coarseness`: angles turn short edges, steps magnify errors of lengths."""
+        edges, hinges, *_ = self.sizes
+        result = np.ones(self.shape_dim)
+        if self.projection.steps:
+            result[:edges] = LENGTHS_OF_STEPS
+        if self.placement == "anchored":
+            sizes = np.clip(self.angle_weights / ANGLE, 1 / MOST_COARSE, 1.0)
+            result[edges : edges + hinges] = 2.0 ** np.floor(-np.log2(sizes))
+        return result
 
     @property
     def embedding_weights(self) -> Float:
