@@ -62,6 +62,9 @@ JOINT_EMBEDDING_WEIGHT = 2.0
 ARTICULATION_WEIGHT = 0.2
 """Weight of part poses in the metric, against the vertices that they move."""
 
+WEIGHTS = (1e-6, 1e6)
+"""Range of weights in a projection: beyond it systems of equations are singular."""
+
 LENGTHS_OF_STEPS = 1 / 4
 """Step of lengths that P_m takes steps to, against that of positions."""
 
@@ -99,12 +102,11 @@ class Projection:
     relations: float = 0.1
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.share <= 1.0:
-            raise SettingsError(f"share is {self.share}; a number from 0 to 1 is expected")
-        for name in ("hold", "relations"):
-            weight = getattr(self, name)
-            if not (np.isfinite(weight) and weight > 0):
-                raise SettingsError(f"{name} is {weight}; a positive weight is expected")
+        ranges = ("number", 0.0, 1.0), ("positive weight", *WEIGHTS), ("positive weight", *WEIGHTS)
+        for name, (kind, low, high) in zip(("share", "hold", "relations"), ranges, strict=True):
+            number = getattr(self, name)
+            if not (isinstance(number, int | float | np.number) and low <= number <= high):
+                raise SettingsError(f"{name} is {number!r}; a {kind} from {low:g} to {high:g} is expected")
         if not isinstance(self.steps, int | np.integer) or self.steps < 0:
             raise SettingsError(f"steps is {self.steps!r}; a whole number of 0 or more is expected")
 
