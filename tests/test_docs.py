@@ -419,7 +419,7 @@ def test_specification_has_every_dataset_and_attribute(name: str, folder: Path) 
             assert str(dataset.dtype) in dtype.split(" or "), key
             if dataset.size:
                 filters = dataset.fletcher32, dataset.shuffle, dataset.compression, dataset.compression_opts
-                assert filters == (True, True, "gzip", 4), key
+                assert filters == (True, True, "gzip", 6), key
 
 
 def contents(file: h5py.File) -> tuple[dict[str, Any], dict[str, h5py.Dataset]]:

@@ -31,6 +31,9 @@ from mixseq.spaces.base import ShapeSpace
 SAMPLED = 256
 """So many vertices tell which operator in time predicts a sequence best."""
 
+CORRECTION_STEP = 2.0**-24
+"""Step to which corrections are rounded where they are zero at the frames, in diagonals and radians."""
+
 
 class Between(NamedTuple):
     """Frames and times between them, as predicted: cubic splines through all go as the prediction goes.
@@ -199,7 +202,8 @@ class Detail:
     knots : int or (n,) array_like, optional
         Inner knots of all curves, instead of those that slack chooses.
     step : float
-        Key shapes are rounded to multiples of this number, a power of two, so that they take few bytes; zero not to.
+        Key shapes and curves are rounded to multiples of this number, a power of two in diagonals, so that they take
+        few bytes; zero not to.
     """
 
     rank: int | None = None
@@ -225,13 +229,12 @@ def build(encoded: Encoded, detail: Detail) -> Model:
         frames = choose_keys(modes.scores)
         pose = key_map(modes.scores[frames])
         shapes = encoded.shapes[frames]
-    if detail.step:
-        shapes = np.round(shapes / detail.step) * detail.step
+    shapes = _rounded(shapes, detail.step * encoded.space.coarseness)
     signals = Signals(encoded, pose, shapes[:, encoded.pose_columns])
     if detail.knots is not None:
         curves = signals.with_knots(modes.scores, _inner_knots(detail.knots, times))
     else:
-        curves = signals.within(modes.scores, detail.slack)
+        curves = signals.within(modes.scores, detail.slack, detail.step)
     return Model(encoded.header, encoded.space, curves[0], pose, shapes, *curves[1:])
 
 
@@ -263,14 +266,16 @@ class Signals:
         )
         return time, placement, least_squares_curve(times, self._corrections(time, times, parts), inner)
 
-    def within(self, scores: Float, slack: float) -> tuple[Curve, Curve, Curve]:
-        """Return curves of time, placement and correction that stay within slack of frames and predictions."""
+    def within(self, scores: Float, slack: float, step: float) -> tuple[Curve, Curve, Curve]:
+        """Return curves of time, placement and correction that stay within slack of frames and predictions, rounded."""
         encoded = self.encoded
         sites, rows, quarters, targets, placed = encoded.between
-        time = _curve(sites, rows.of(scores), slack, encoded.shape_measure)
-        placement = _curve(quarters, placed, slack, encoded.placement_measure)
+        time = _curve(sites, rows.of(scores), slack, encoded.shape_measure, step)
+        placement = _curve(quarters, placed, slack, encoded.placement_measure, step)
         corrections = self._corrections(time, quarters, targets)
-        return time, placement, _curve(quarters, corrections, slack, encoded.correction_measure)
+        if step and not slack:
+            step = max(step, CORRECTION_STEP)
+        return time, placement, _curve(quarters, corrections, slack, encoded.correction_measure, step)
 
     def _corrections(self, time: Curve, times: Float, targets: Float) -> Float:
         """What blended shapes lack at times ``(N,)`` of the poses of their parts ``(N, ...)``."""
@@ -278,8 +283,14 @@ class Signals:
         return self.encoded.space.corrections(blended, targets)
 
 
-def _curve(times: Float, values: Float, slack: float, measure: Measure) -> Curve:
-    return fit_curve(times, values, slack, measure) if slack > 0 else Curve(times, values)
+def _curve(times: Float, values: Float, slack: float, measure: Measure, step: float) -> Curve:
+    curve = fit_curve(times, values, slack, measure) if slack > 0 else Curve(times, values)
+    return Curve(curve.times, _rounded(curve.values, step))
+
+
+def _rounded(values: Float, step: float | Float) -> Float:
+    """Round to multiples of a step, or of one for every column; zero not to."""
+    return np.asarray(np.round(values / step) * step) if np.all(step) else values
 
 
 def _rank(encoded: Encoded, detail: Detail) -> int:

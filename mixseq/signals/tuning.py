@@ -141,7 +141,7 @@ class Trial:
         topology = self.space.topology
         for made, real in zip(points, self.points, strict=True):
             (lengths, angles), (wanted, expected) = (
-                lengths_and_angles(np.ascontiguousarray(x), topology.edges, topology.hinges)
+                lengths_and_angles(np.ascontiguousarray(x, dtype=np.float64), topology.edges, topology.hinges)
                 for x in (made, real)
             )
             strain = lengths / np.maximum(wanted, 1e-12) - 1.0

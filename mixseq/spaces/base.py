@@ -78,6 +78,11 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         return self.weights[: self.shape_dim]
 
     @property
+    def coarseness(self) -> Float:
+        """How much coarser than positions numbers ``(S,)`` of a shape may be rounded: powers of two."""
+        return np.ones(self.shape_dim)
+
+    @property
     def embedding_weights(self) -> Float:
         """Weights ``(S,)`` of the same where poses are to be told apart: embeddings, and what is similar."""
         return self.shape_weights

@@ -231,7 +231,7 @@ def test_decode_the_original_frames(run: Run, bent_bar: MeshSequence) -> None:
     table = rows(succeed(run("decode", "model.h5", "new.npz")))
     assert table["frames"].strip() == "4 (0 to 3)"
     assert table["time"].strip() == "0 to 0.3 s at 10 frames per second"
-    assert mixseq.compare(bent_bar, mixseq.read("new.npz")).max_error < 1e-12
+    assert mixseq.compare(bent_bar, mixseq.read("new.npz")).max_error < 1e-10
 
 
 @pytest.mark.parametrize(
@@ -268,7 +268,7 @@ def test_quiet_decode(run: Run) -> None:
 def test_compare(run: Run) -> None:
     table = rows(succeed(run("compare", "bar.npz", "model.h5")))
     assert table["compared"].strip() == "4 frames of 77 vertices"
-    assert float(table["max error"].split()[0]) < 1e-12
+    assert float(table["max error"].split()[0]) < 1e-10
     assert {"KG error", "rms error", "worst frame", "edge strain", "dihedral error", "volume error"} <= set(
         table
     )
@@ -291,7 +291,7 @@ def test_compare_at_shared_times(run: Run) -> None:
     succeed(run("decode", "model.h5", "new.npz", "--fps", "20"))
     text = succeed(run("compare", "bar.npz", "new.npz"))
     assert text.startswith("compared at the 4 times that new.npz shares, out of 7\n")
-    assert float(rows(text)["max error"].split()[0]) < 1e-12
+    assert float(rows(text)["max error"].split()[0]) < 1e-10
     facts = json.loads(succeed(run("compare", "bar.npz", "new.npz", "--json")))
     assert (facts["frames"], facts["left_out"]) == (4, 3)
 
@@ -320,6 +320,6 @@ def test_demo(run: Run, folder: Path) -> None:
     assert sorted(path.name for path in place.iterdir()) == names
     assert (place / "contact_sheet.png").read_bytes().startswith(b"\x89PNG")
     assert table["frames"].strip() == "2 encoded, 3 decoded"
-    assert float(table["max error"].split()[0]) < 1e-12
+    assert float(table["max error"].split()[0]) < 1e-10
     assert mixseq.load(place / "model.h5").header.frame_count == 2
     assert mixseq.read(place / "decoded.usdc").frame_count == 3

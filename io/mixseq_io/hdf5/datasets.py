@@ -19,9 +19,8 @@ from mixseq.errors import FormatError
 from mixseq.frame_store import LARGEST, SMALLEST
 from mixseq.shells.fitting import ShellSettings
 from mixseq_io.hdf5.contents import Contents
-from mixseq_io.hdf5.h5_writing import CHECKED, put_array, put_text
+from mixseq_io.hdf5.h5_writing import put_array, put_text
 
-_CHUNK_ELEMENTS = 1 << 17
 _LARGEST = 1e20
 """Nothing sound comes near, and products of several are still finite."""
 
@@ -29,14 +28,12 @@ _KINDS = {"integers": "iu", "floats": "f"}  # as NumPy names them
 
 
 def put(file: h5py.File, name: str, array: NDArray[Any]) -> None:
-    """Store an array, its first axis cut into chunks of about a mebibyte; in single precision where that is enough."""
+    """Store an array, in single precision where that is enough."""
     if array.dtype == np.float64 and array.size:
         with np.errstate(over="ignore"):
             single = array.astype(np.float32)
         array = single if np.array_equal(single, array) else array
-    row = max(1, array[:1].size)
-    chunks = (max(1, min(len(array), _CHUNK_ELEMENTS // row)), *array.shape[1:]) if array.size else None
-    put_array(file, name, array, chunks=chunks, **(CHECKED if array.size else {}))
+    put_array(file, name, array)
 
 
 def put_lists(file: h5py.File, group: str, name: str, lists: Sequence[NDArray[Any]]) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from math import prod
 from pathlib import Path
 from typing import IO, Any
 
@@ -22,8 +23,12 @@ from mixseq.sequence import SequenceHeader
 from mixseq_io.atomic import replacing
 from mixseq_io.surface_arrays import surface_arrays
 
-CHECKED: dict[str, Any] = {"fletcher32": True, "shuffle": True, "compression": "gzip", "compression_opts": 4}
-"""How every dataset is stored."""
+CHECKED: dict[str, Any] = {"fletcher32": True, "shuffle": True, "compression": "gzip", "compression_opts": 6}
+"""How every dataset is stored that has elements."""
+
+_CHUNK_ROWS = 64
+_CHUNK_COLUMNS = 2048
+"""Numbers of a row in a chunk: few, so that gzip, which looks back over 32 KiB, finds what rows have in common."""
 
 
 def put_text(holder: h5py.Group, name: str, text: str) -> None:
@@ -32,15 +37,24 @@ def put_text(holder: h5py.Group, name: str, text: str) -> None:
     holder.attrs.create(name, data, dtype=h5py.string_dtype("utf-8", max(1, len(data))))
 
 
-def put_array(file: h5py.File, name: str, array: NDArray[Any], **storage: Any) -> None:
-    """Store an array as a dataset, and write it at once, so that equal contents are equal files.
+def put_array(file: h5py.File, name: str, array: NDArray[Any]) -> None:
+    """Store an array in chunks of a mebibyte at most, and write it at once, so that equal contents are equal files.
 
     Left to itself HDF5 finds a place for the numbers when the dataset is closed, that is, when Python drops the last
     reference to it. Whoever looks at our frames meanwhile holds another: a debugger, or the profiler that every worker
     of a dask cluster has.
     """
-    file.create_dataset(name, data=array, **storage)
+    file.create_dataset(
+        name, data=array, **(CHECKED | {"chunks": _chunks(array.shape)} if array.size else {})
+    )
     file.flush()
+
+
+def _chunks(shape: tuple[int, ...]) -> tuple[int, ...]:
+    if len(shape) == 1:
+        return (min(shape[0], _CHUNK_ROWS * _CHUNK_COLUMNS),)
+    count, columns, *rest = shape
+    return (min(count, _CHUNK_ROWS), min(columns, max(1, _CHUNK_COLUMNS // prod(rest))), *rest)
 
 
 def write_header(file: h5py.File, header: SequenceHeader) -> None:
@@ -49,14 +63,13 @@ def write_header(file: h5py.File, header: SequenceHeader) -> None:
     file.attrs["fps"] = header.fps
     put_text(file, "up_axis", header.up_axis)
     file.attrs["metres_per_unit"] = header.metres_per_unit
-    put_array(file, "polygons/counts", header.polygons.counts, chunks=True, **CHECKED)
-    put_array(file, "polygons/indices", header.polygons.indices, chunks=True, **CHECKED)
+    put_array(file, "polygons/counts", header.polygons.counts)
+    put_array(file, "polygons/indices", header.polygons.indices)
     for name, array in surface_arrays(header.surface).items():
         if array.dtype.kind == "U":
             # Fixed length: strings of any length lie outside the dataset and its checksum.
             array = np.char.encode(array, "utf-8")
-        storage = CHECKED | {"chunks": True} if array.size else {}
-        put_array(file, f"surface/{name}", array, **storage)
+        put_array(file, f"surface/{name}", array)
 
 
 @contextmanager

@@ -8,14 +8,15 @@
     /segmentation/             part_of_face, widths                         (mixed space)
     /segmentation/parts/       vertices, sizes                              (mixed space)
     /segmentation/joints/      faces, sizes                                 (mixed space)
-    /space/                    scale; placement, shapes (mixed space); reference (all but vertex, basis);
-                               reference_lengths (free mixed and edge space); fields (basis space);
-                               free (anchored mixed space)
-    /space/shares/             sizes, parts, weights                        (anchored mixed space)
+    /space/                    scale; reference (all but vertex, basis); shapes, joint_faces (mixed space);
+                               reference_lengths (edge space); fields (basis space)
+    /space/skinning/           sizes, parts, weights                        (mixed space)
+    /space/steadiness/         turns, centres, relation_turns, relation_points  (mixed space)
     /signals/time/             frames, times, values
     /signals/pose/             offset, matrix
     /signals/shape/            what vectors consist of, see `shape_blocks`
     /signals/placement/        times, rotations, translations
+    /signals/correction/       times, rotations, translations               (mixed space)
 
 Compressed models have a layout of their own: `mixseq_io.coded.reading`.
 """

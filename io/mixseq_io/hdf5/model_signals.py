@@ -93,10 +93,12 @@ def _put_blocks(file: h5py.File, group: str, blocks: Blocks, values: Float) -> N
 
 def _get_blocks(path: Path, file: Contents, group: str, blocks: Blocks, count: int) -> Float:
     """Read what `_put_blocks` stored."""
-    columns = [
-        floats(path, file, f"{group}/{name}", (count, *shape)).reshape(count, int(np.prod(shape)))
-        for name, shape in blocks.items()
-    ]
+    columns = []
+    for name, shape in blocks.items():
+        values = floats(path, file, f"{group}/{name}", (count, *shape))
+        if shape[1:] == (4,) and not values.any(axis=(0, 2)).all():
+            raise FormatError(f"{path}: {group}/{name} has quaternions that are always zero, no rotations")
+        columns.append(values.reshape(count, int(np.prod(shape))))
     return np.concatenate(columns, axis=1)
 
 

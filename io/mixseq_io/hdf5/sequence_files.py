@@ -136,7 +136,7 @@ def _fill(
     put_text(file, "format", FORMAT)
     file.attrs["version"] = VERSION
     write_header(file, header)
-    put_array(file, "times", header.times, chunks=True, **CHECKED)
+    put_array(file, "times", header.times)
     shape = (header.frame_count, header.vertex_count, 3)
     frame_bytes = header.vertex_count * 3 * dtype.itemsize
     frames = min(max(1, _CHUNK_BYTES // frame_bytes), header.frame_count)

@@ -15,7 +15,7 @@ from mixseq.errors import FormatError
 from mixseq.segmentation.joints import Decomposition, make_joint
 from mixseq.sequence import SequenceHeader
 from mixseq.spaces import MixedSpace, Projection
-from mixseq.spaces.mixed.articulation import Steadiness
+from mixseq.spaces.mixed.articulation import STEADINESS, Steadiness
 from mixseq.topology import Topology
 from mixseq_io.hdf5.contents import Contents
 from mixseq_io.hdf5.datasets import (
@@ -92,8 +92,11 @@ def read_mixed_space(path: Path, file: Contents, header: SequenceHeader) -> Mixe
 
 def _read_steadiness(path: Path, file: Contents, name: str) -> Float:
     values = floats(path, file, f"space/steadiness/{name}", (None,))
-    if (values <= 0).any():
-        raise FormatError(f"{path}: space/steadiness/{name} has numbers that are not positive")
+    low, high = STEADINESS
+    if ((values < low) | (values > high)).any():
+        raise FormatError(
+            f"{path}: space/steadiness/{name} has numbers outside {low:g} to {high:g}; it is damaged"
+        )
     return values
 
 

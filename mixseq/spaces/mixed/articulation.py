@@ -51,6 +51,9 @@ TOUCHING = 0.1
 STILL = 1e-2
 """Motions below this, in diagonals, are all the same."""
 
+STEADINESS = (1e-8, STILL**-2)
+"""Range of steadiness: motions above 10,000 diagonals are all the same, too."""
+
 
 class PartPoses(NamedTuple):
     """Articulation in T frames: p parts and n relations of neighbours.
@@ -292,7 +295,8 @@ class Articulation:
             cosines = np.minimum(np.abs(np.einsum("tpi,pi->tp", turns, mean)), 1.0)
             angles = 2.0 * np.arccos(cosines) * radius
             away = np.linalg.norm(places - places.mean(axis=0), axis=2)
-            found += [1.0 / (np.square(each).mean(axis=0) + STILL**2) for each in (angles, away)]
+            squares = [np.square(each).mean(axis=0) + STILL**2 for each in (angles, away)]
+            found += [np.clip(1.0 / square, *STEADINESS) for square in squares]
         return Steadiness(*found)
 
     def corrections(self, poses: Poses, targets: Poses) -> Float:

@@ -72,6 +72,15 @@ EDIT_ROUNDS, EDIT_ERROR = 12, 1e-11
 ARTICULATION_WEIGHT = 0.2
 """Weight of part poses in the metric, against the vertices that they move."""
 
+WEIGHTS = (1e-6, 1e6)
+"""Range of weights in a projection: beyond it systems of equations are singular."""
+
+LENGTHS_OF_STEPS = 1 / 4
+"""Step of lengths that P_m takes steps to, against that of positions."""
+
+MOST_COARSE = 64
+"""Largest step of angles in radians, against that of positions in diagonals."""
+
 
 @dataclass(frozen=True)
 class Projection:
@@ -103,12 +112,11 @@ class Projection:
     relations: float = 0.1
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.share <= 1.0:
-            raise SettingsError(f"share is {self.share}; a number from 0 to 1 is expected")
-        for name in ("hold", "relations"):
-            weight = getattr(self, name)
-            if not (np.isfinite(weight) and weight > 0):
-                raise SettingsError(f"{name} is {weight}; a positive weight is expected")
+        ranges = ("number", 0.0, 1.0), ("positive weight", *WEIGHTS), ("positive weight", *WEIGHTS)
+        for name, (kind, low, high) in zip(("share", "hold", "relations"), ranges, strict=True):
+            number = getattr(self, name)
+            if not (isinstance(number, int | float | np.number) and low <= number <= high):
+                raise SettingsError(f"{name} is {number!r}; a {kind} from {low:g} to {high:g} is expected")
         if not isinstance(self.steps, int | np.integer) or self.steps < 0:
             raise SettingsError(f"steps is {self.steps!r}; a whole number of 0 or more is expected")
 
@@ -358,6 +366,18 @@ class MixedSpace(ShapeSpace):
                 np.ones(self.sizes[9] // 2),
             ]
         )
+
+    @property
+    def coarseness(self) -> Float:
+        """Implement `ShapeSpace.coarseness`: angles turn short edges, steps magnify errors of lengths."""
+        edges, hinges, *_ = self.sizes
+        result = np.ones(self.shape_dim)
+        if self.projection.steps:
+            result[:edges] = LENGTHS_OF_STEPS
+        if self.placement == "anchored":
+            sizes = np.clip(self.angle_weights / ANGLE, 1 / MOST_COARSE, 1.0)
+            result[edges : edges + hinges] = 2.0 ** np.floor(-np.log2(sizes))
+        return result
 
     @property
     def embedding_weights(self) -> Float:

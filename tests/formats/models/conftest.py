@@ -10,6 +10,8 @@ import pytest
 import mixseq
 from mixseq.shells.fitting import ShellSettings
 from mixseq.signals import Model
+from mixseq.signals.detail import Detail
+from tests.formats.models.model_cases import jointed
 from tests.meshes import bar
 
 
@@ -19,7 +21,7 @@ def models() -> dict[str, Model]:
     sequence = bar(sides=5, rings=13, frames=7)
     shell = ShellSettings(bending=0.4, iterations=77)
     return {
-        "mixed": mixseq.fit(sequence, rank=2, knots=1, parts=2, joint_width=3),
+        "mixed": jointed(sequence, Detail(rank=2, knots=1)),
         "free": mixseq.fit(sequence, rank=2, knots=1, parts=2, joint_width=3, placement="free"),
         "vertex": mixseq.fit(sequence, rank=2, knots=1, space="vertex", pose="keys"),
         "gradient": mixseq.fit(sequence, rank=2, knots=1, space="gradient"),

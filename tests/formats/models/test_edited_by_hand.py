@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 import mixseq
-from mixseq.geometry.rotations import rotations_of
+from mixseq.geometry.rotations import normalised, product, rotations_of
 from mixseq.signals import Curve, Model
-from mixseq.spaces import (
-    AnchoredSpace,
-)
-from tests.formats.models.model_cases import INSIDE, anchored, points_at, replace, scale
+from tests.formats.models.model_cases import INSIDE, points_at, replace, scale
 from tests.meshes import bar
 
 # Use ------------------------------------------------------------------------------------------------------
@@ -113,29 +109,40 @@ def test_an_edited_translation_moves_the_body_there(copy: Path, model: Model) ->
     assert np.abs(np.delete(moved, knot, axis=0)).max() < 1e-9
 
 
-def held_by_one(space: AnchoredSpace, part: int) -> NDArray[np.int64]:
-    """Return the vertices of a part that follow it alone."""
-    vertices = space.decomposition.parts[part]
-    alone: NDArray[np.int64] = vertices[space.frames.alone[vertices] == part]
-    assert len(alone) > 3
-    return alone
-
-
-def test_an_edited_rotation_turns_a_part_there(copy: Path, model: Model) -> None:
-    """By half a turn about z: vertices that follow the part alone go where it goes, about its centre."""
-    space, knot = anchored(model), 2
+def test_an_edited_rotation_turns_the_body_there(copy: Path, model: Model) -> None:
+    """By half a turn about z: as a whole, about its centre."""
+    knot, space = 2, model.mixed
     with h5py.File(copy, "r+") as file:
-        file["signals/placement/rotations"][knot, 0] = [0.0, 0.0, 0.0, 1.0]
-    time = model.placement.times[knot]
-    rest, poses = space.frames.rest, space.poses(model.placement.values)
-    before = rotations_of(rest.rotations[0, 0])
-    assert np.abs(rotations_of(poses.rotations[knot, 0]) - np.diag([-1, -1, 1])).max() > 0.5
-    alone = held_by_one(space, 0)
-    shapes = model.pose.weights(model.time([time])) @ model.shapes
-    unposed = space.split(np.append(shapes, model.placement.values[knot])[None]).unposed[0, alone]
-    seen = (unposed - rest.centres[0, 0]) @ before  # from the part
-    expected = space.scale * (seen @ np.diag([-1, -1, 1]) + poses.centres[knot, 0])
-    np.testing.assert_allclose(mixseq.load(copy)(time)[alone], expected, atol=1e-9)
+        before, centre = (
+            file[f"signals/placement/{name}"][knot, 0] for name in ("rotations", "translations")
+        )
+        file["signals/placement/rotations"][knot, 0] = product(np.array([0.0, 0.0, 0.0, 1.0]), before)
+    time, centre = model.placement.times[knot], centre * space.scale
+    expected = (model(time) - centre) @ np.diag([-1, -1, 1]) + centre
+    np.testing.assert_allclose(mixseq.load(copy)(time), expected, atol=1e-9)
+
+
+def kept_by(model: Model, part: int) -> NDArray[np.int64]:
+    """Return vertices that follow one part, and are no neighbours of joints."""
+    space, faces = model.mixed, model.mixed.topology.faces
+    near = np.isin(faces, faces[space.joint_faces]).any(axis=1)
+    kept = np.setdiff1d(np.flatnonzero(space.only_part == part), faces[near])
+    assert len(kept) > 3
+    return kept
+
+
+def test_an_edited_correction_moves_a_part_there(copy: Path, model: Model) -> None:
+    """As seen from the body; vertices that follow the other part alone stay."""
+    knot, shift, space = 2, np.array([0.05, 0.0, -0.02]), model.mixed
+    with h5py.File(copy, "r+") as file:
+        file["signals/correction/translations"][knot, 0] += shift
+    times = model.correction.times
+    moved = points_at(mixseq.load(copy), times) - points_at(model, times)
+    body = rotations_of(normalised(space.poses(model.placement(times[[knot]])).rotations))[0, 0]
+    found = moved[knot][kept_by(model, 0)]
+    np.testing.assert_allclose(found, np.broadcast_to(space.scale * body @ shift, found.shape), atol=1e-9)
+    assert np.abs(moved[knot][kept_by(model, 1)]).max() < 1e-9
+    assert np.abs(np.delete(moved, knot, axis=0)).max() < 1e-9
 
 
 def test_quaternions_of_any_length_are_rotations(copy: Path, model: Model) -> None:
@@ -147,27 +154,25 @@ def test_quaternions_of_any_length_are_rotations(copy: Path, model: Model) -> No
 
 def test_an_edited_vertex_moves_with_its_frame(copy: Path, model: Model) -> None:
     """One that a part keeps, lifted in every key shape, is lifted as its frame is turned, whatever the pose."""
-    space, bump = anchored(model), np.array([0.0, 0.02, 0.01])
-    vertex = space.decomposition.parts[0][5]
+    space, bump = model.mixed, np.array([0.0, 0.02, 0.01])
+    vertex = kept_by(model, 0)[0]
     with h5py.File(copy, "r+") as file:
         file["signals/shape/unposed"][:, vertex] += bump
     times = model.placement.times
     moved = points_at(mixseq.load(copy), times) - points_at(model, times)
-    poses = space.poses(model.placement.values)
-    motions = np.stack([space.frames.motions(*pose) for pose in zip(*poses, strict=True)])
-    np.testing.assert_allclose(
-        moved[:, vertex], space.scale * rotations_of(motions[:, vertex, :4]) @ bump, atol=1e-9
-    )
+    vectors = model.curve(times)
+    blocks, poses = space.split(vectors), vectors[:, : space.shape_dim][:, -space.pose_dim :]
+    turns = space.corrected_poses(poses, blocks.corrections).rotations
+    turns = product(normalised(blocks.body_turns[:, 0]), turns[:, 0])
+    np.testing.assert_allclose(moved[:, vertex], space.scale * rotations_of(turns) @ bump, atol=1e-9)
 
 
-def test_edited_sides_move_free_vertices_only(copy: Path, model: Model) -> None:
+def test_edited_lengths_move_joints_only(copy: Path, model: Model) -> None:
     with h5py.File(copy, "r+") as file:
-        file["signals/shape/sides"][...] *= 1.1
+        file["signals/shape/lengths"][...] *= 1.1
     moved = np.abs(points_at(mixseq.load(copy), INSIDE) - points_at(model, INSIDE)).max(axis=(0, 2))
-    free = anchored(model).free
-    assert free.any()
-    assert moved[free].min() > 1e-3
-    assert moved[~free].max() == 0.0
+    assert moved[model.mixed.topology.faces[model.mixed.joint_faces]].max() > 1e-2
+    assert not moved[np.concatenate([kept_by(model, 0), kept_by(model, 1)])].any()
 
 
 def test_frames_can_be_chosen_anew(copy: Path, model: Model) -> None:
@@ -175,16 +180,13 @@ def test_frames_can_be_chosen_anew(copy: Path, model: Model) -> None:
     np.testing.assert_array_equal(mixseq.read(copy).points, model.sample([0.05, 0.5]).points)
 
 
-def test_shares_that_are_edited_by_hand_move_vertices(copy: Path, model: Model) -> None:
+def test_skinning_weights_that_are_edited_by_hand_move_vertices(copy: Path, model: Model) -> None:
     """Vertices follow one part each: key shapes mean something else between frames, but it is a model."""
-
-    def first(values: Any) -> Any:
-        return values[anchored(model).shares.indptr[:-1]]
-
-    replace(copy, "space/shares/parts", first)
-    replace(copy, "space/shares/weights", lambda values: np.ones(67))
-    replace(copy, "space/shares/sizes", lambda sizes: np.ones_like(sizes))
-    space = anchored(mixseq.load(copy))
-    assert (space.frames.alone >= 0).all()
+    starts = model.mixed.skinning_weights.indptr[:-1]
+    replace(copy, "space/skinning/parts", lambda values: values[starts])
+    replace(copy, "space/skinning/weights", lambda _: np.ones(67))
+    replace(copy, "space/skinning/sizes", lambda sizes: np.ones_like(sizes))
+    space = mixseq.load(copy).mixed
+    assert (space.only_part >= 0).all()
     points = bar(sides=5, rings=13, frames=7).points
     np.testing.assert_allclose(space.decode(space.encode(points)), points, atol=1e-12)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.spaces import AnchoredSpace, EdgeSpace, GradientSpace, LRISpace, VertexSpace
+from mixseq.spaces import EdgeSpace, GradientSpace, LRISpace, MixedSpace, VertexSpace
 from tests.formats.models.model_cases import GOLDEN
 
 BETWEEN = {
@@ -34,7 +34,7 @@ def test_golden_files_still_decode_to_the_same_points(name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "kind", "frames", "knots"),
     [
-        ("model-v1", AnchoredSpace, 6, 11),
+        ("model-v1", MixedSpace, 6, 11),
         ("model-v1-vertex", VertexSpace, 7, 5),
         ("model-v1-gradient", GradientSpace, 5, 9),
         ("model-v1-lri", LRISpace, 5, 9),
@@ -47,11 +47,12 @@ def test_golden_files_hold_what_they_should(name: str, kind: type, frames: int, 
     model = mixseq.load(GOLDEN / f"{name}.h5")
     assert isinstance(model.space, kind)
     assert (len(model.times), len(model.time.times)) == (frames, knots)
-    if isinstance(model.space, AnchoredSpace):
+    if isinstance(model.space, MixedSpace):
         assert len(model.decomposition.parts) == 2
-        assert any(joint.free.any() for joint in model.decomposition.joints)
-        assert len(model.space.seams.faces) > 10
-        assert (np.diff(model.space.shares.indptr) > 1).sum() > 10
+        assert model.space.joint_faces.sum() > 10
+        assert model.space.projection.share == 0.5
+        assert (np.diff(model.space.skinning_weights.indptr) > 1).sum() > 10
+        assert np.abs(model.correction.values).max() > 1e-4
     if isinstance(model.space, VertexSpace):
         assert len(model.shapes) == 3
     if isinstance(model.space, GradientSpace | LRISpace | EdgeSpace):

@@ -17,11 +17,7 @@ from mixseq.errors import OutputError
 from mixseq.sequence import MeshSequence, Polygons
 from mixseq.shells.fitting import ShellSettings
 from mixseq.signals import Curve, Model
-from mixseq.spaces import (
-    AnchoredSpace,
-    EdgeSpace,
-    MixedSpace,
-)
+from mixseq.spaces import EdgeSpace, MixedSpace
 from mixseq.surface import CornerValues, FaceSet, MeshObject, Origin, Surface
 from mixseq_io.surface_arrays import surface_arrays
 from tests.formats.models.model_cases import (
@@ -135,8 +131,7 @@ def test_what_the_documentation_names_is_there(space: str, files: Path, models: 
 
         file.visititems(note)
         assert set(file.attrs) == ATTRIBUTES
-        parts = isinstance(models[space].space, MixedSpace)
-        assert set(file["space"].attrs) == {"scale"} | ({"placement"} if parts else set())
+        assert set(file["space"].attrs) == {"scale"}
         assert file.attrs["format"] == b"mixseq-model"
         assert file.attrs["version"] == 1
         assert file.attrs["space"].decode() == models[space].space.name
@@ -159,14 +154,18 @@ def test_what_the_documentation_names_is_there(space: str, files: Path, models: 
     np.testing.assert_array_equal(values, model.placement.values)
     norms = np.linalg.norm(poses[0], axis=2)
     assert not norms.size or np.abs(norms - 1.0).max() < 0.05  # curves with few knots cut corners
-    if isinstance(model.space, AnchoredSpace):
-        np.testing.assert_array_equal(found["space/free"], np.flatnonzero(model.space.free))
-        np.testing.assert_array_equal(found["space/known"], np.flatnonzero(model.space.known))
-        starts = np.cumsum([0, *found["space/shares/sizes"]])
-        shares = model.space.shares
-        np.testing.assert_array_equal(starts, shares.indptr)
-        np.testing.assert_array_equal(found["space/shares/parts"], shares.indices)
-        np.testing.assert_array_equal(found["space/shares/weights"], shares.data)
+    if isinstance(model.space, MixedSpace):
+        assert settings["projection"]["placement"] == model.mixed.placement
+        np.testing.assert_array_equal(found["space/joint_faces"], np.flatnonzero(model.mixed.joint_faces))
+        weights = model.mixed.skinning_weights
+        np.testing.assert_array_equal(np.cumsum([0, *found["space/skinning/sizes"]]), weights.indptr)
+        np.testing.assert_array_equal(found["space/skinning/parts"], weights.indices)
+        np.testing.assert_array_equal(found["space/skinning/weights"], weights.data)
+        for name, steadiness in model.mixed.articulation.steadiness._asdict().items():
+            np.testing.assert_array_equal(found[f"space/steadiness/{name}"], steadiness)
+        corrections = [found[f"signals/correction/{name}"] for name in ("rotations", "translations")]
+        values = np.concatenate([each.reshape(5, -1) for each in corrections], axis=1)
+        np.testing.assert_array_equal(values, model.correction.values)
 
 
 def test_a_failed_save_leaves_the_old_file(model: Model, copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
