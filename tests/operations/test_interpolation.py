@@ -15,7 +15,7 @@ from mixseq.errors import SettingsError
 from mixseq.mapping import on_threads, serially
 from mixseq.operations.interpolation import PoseInterpolator
 from mixseq.sequence import MeshSequence
-from mixseq.spaces.mixed import AnchoredSpace
+from mixseq.spaces.mixed import MixedSpace
 from tests.meshes import SEQUENCES, bar, bent, rotation, tube
 
 POSES = bar(sides=5, rings=13, frames=4)
@@ -63,12 +63,12 @@ def test_awkward_meshes_blend(name: str, placement: PlacementName) -> None:
     assert np.ptp(middle, axis=0).max() < 2 * poses.diagonal
 
 
-@pytest.mark.parametrize(("placement", "apart"), [("anchored", 0.1), ("free", 1e-12)])
-def test_a_blend_is_what_a_model_has_between_its_frames(placement: PlacementName, apart: float) -> None:
-    """Half way rotations are the same; but anchored, a model also asks how parts see each other, a blend does not."""
+@pytest.mark.parametrize("placement", PLACEMENTS)
+def test_a_blend_is_nearly_what_a_model_has_between_its_frames(placement: PlacementName) -> None:
+    """But a model has corrections, and a blend follows lengths and angles."""
     pair = MeshSequence.from_arrays(POSES.points[[0, 3]], POSES.faces, [0.0, 1.0])
     model = mixseq.fit(pair, exact=True, placement=placement)
-    for weight, within in ((0.5, apart), (1.0, 1e-12)):
+    for weight, within in ((0.5, 0.1), (1.0, 1e-9)):
         ours = mixseq.interpolate(pair, [1 - weight, weight], placement=placement)
         np.testing.assert_allclose(ours, model(weight), atol=within * pair.diagonal)
 
@@ -127,10 +127,12 @@ def test_settings_are_used() -> None:
 def test_lengths_and_angles_are_made_to_agree_between_poses_that_are_apart() -> None:
     """In an animation of the same frames there is no need to."""
     space = PoseInterpolator.of(POSES, among=[0, 3]).space
-    assert isinstance(space, AnchoredSpace) and space.relaxation.steps > 0 and space.known.any()
+    assert isinstance(space, MixedSpace) and space.joint_faces.any()
+    assert space.projection.steps > 0 and space.projection.share == 1
     near = MeshSequence.from_arrays(POSES.points[[0, 0]] + np.array([0.0, 1.0])[:, None, None], POSES.faces)
     for other in (mixseq.fit(POSES).space, PoseInterpolator.of(near).space):
-        assert isinstance(other, AnchoredSpace) and not (other.relaxation.steps or other.known.any())
+        assert isinstance(other, MixedSpace)
+        assert not (other.projection.steps or other.projection.share or other.joint_faces.any())
 
 
 def test_fits_are_reported() -> None:

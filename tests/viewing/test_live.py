@@ -99,7 +99,7 @@ ON_SCREEN = """() => {
 def foremost_part(window: Window, model: Model) -> tuple[int, tuple[float, float]]:
     """A part that hangs on another one, and the place on the page where it is nearest to the camera of all."""
     seen, parts = np.array(window.page.evaluate(ON_SCREEN)), model.decomposition
-    hangs = (model.space.parents[parts.part_of_face] >= 0) & (parts.joint_of_face < 0)
+    hangs = (model.mixed.articulation.parents[parts.part_of_face] >= 0) & (parts.joint_of_face < 0)
     middles = seen[model.header.faces].mean(axis=1)
     face = np.flatnonzero(hangs)[middles[hangs, 2].argmin()]
     return int(parts.part_of_face[face]), (float(middles[face, 0]), float(middles[face, 1]))
