@@ -338,8 +338,7 @@ def sketched(path: Path) -> None:
     walk = walk_model()
     angles = np.linspace(0, 2 * np.pi, 13)
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    curve = 0.12 * circle
-    drawn = sketch(walk, curve, duration=1.0)
+    drawn = sketch(walk, circle, duration=1.0)
     times = np.arange(6) / 6
     with chart_style():
         figure = matplotlib_module("figure").Figure(figsize=(12, 4.6))
@@ -347,10 +346,10 @@ def sketched(path: Path) -> None:
         draw_embedding(ax, walk, [])
         ax.set_title("Layout of the walk; the drawn curve in red")
         ax.plot(
-            *Curve(angles, curve)(np.linspace(0, 2 * np.pi, 200)).T, color=JOINT_RED, linewidth=2, zorder=5
+            *Curve(angles, circle)(np.linspace(0, 2 * np.pi, 200)).T, color=JOINT_RED, linewidth=2, zorder=5
         )
         view, limits, ground = camera([drawn.sample(times).points])
-        for number, (time, place) in enumerate(zip(times, curve[::2], strict=False)):
+        for number, (time, place) in enumerate(zip(times, circle[::2], strict=False)):
             ax.plot(*place, "o", color=JOINT_RED, markersize=7, zorder=6)
             text, offset = f"{time:.2f} s", -22 * circle[2 * number]
             ax.annotate(
