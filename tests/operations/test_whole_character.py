@@ -90,7 +90,7 @@ def test_the_time_signal_backwards_shows_the_frames_backwards(made: Made, rank: 
 @pytest.mark.parametrize(("rank", "least"), [(None, 0.95), (20, 0.9)])
 def test_a_body_that_stands_still_keeps_its_deformation(made: Made, rank: int | None, least: float) -> None:
     model = made(rank)
-    whole = aligned(model.sample().points)
+    whole = aligned(np.asarray(model.sample().points, dtype=np.float64))
     for still in (standing(model), standing(uncorrected(model))):
         kept = still.sample().points
         assert np.linalg.norm(kept - kept.mean(axis=0)) > least * np.linalg.norm(whole - whole.mean(axis=0))

@@ -128,7 +128,7 @@ def kept_by(model: Model, part: int) -> NDArray[np.int64]:
     near = np.isin(faces, faces[space.joint_faces]).any(axis=1)
     kept = np.setdiff1d(np.flatnonzero(space.only_part == part), faces[near])
     assert len(kept) > 3
-    return kept
+    return kept.astype(np.int64)
 
 
 def test_an_edited_correction_moves_a_part_there(copy: Path, model: Model) -> None:
