@@ -89,7 +89,9 @@ class Trial:
         left, rows = encoded.operator.left_out()
         most = int(np.clip(VERTICES // space.vertex_count, FEWEST_FRAMES, FRAMES))
         some = evenly(len(left), most)
-        points = np.stack([frames[frame : frame + 1][0] for frame in left[some]]) / space.scale
+        points = (
+            np.stack([frames[frame : frame + 1][0].astype(np.float64) for frame in left[some]]) / space.scale
+        )
         return cls(
             encoded, space, left[some], Rows(rows.frames[some], rows.weights[some], rows.count), points
         )

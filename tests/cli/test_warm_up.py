@@ -46,13 +46,18 @@ def run(code: str, folder: Path) -> tuple[list[str], dict[str, list[str]]]:
     return told, json.loads(called)
 
 
+def kinds_of(name: str, types: list[str]) -> set[str]:
+    """Types with which a function was called; complex steps of the mixed space are its own functions once more."""
+    stepped = name.startswith("mixseq.spaces.mixed.")
+    return {each.replace("complex128", "float64") if stepped else each for each in types}
+
+
 def test_nothing_is_left_to_compile_and_nothing_is_compiled_twice(tmp_path: Path) -> None:
     [told], ready = run(WARM_UP, tmp_path)
     assert told.startswith("ready after ")
     assert sum(map(bool, ready.values())) > 30
-    # arrays that may be written, or are of int32 once and int64 elsewhere; complex numbers have velocities
-    real = {name: {each.replace("complex128", "float64") for each in types} for name, types in ready.items()}
-    assert not {name: types for name, types in real.items() if len(types) > 1}
+    # arrays that may be written, or are of int32 once and int64 elsewhere
+    assert not {name: types for name, types in ready.items() if len(kinds_of(name, types)) > 1}
     _, used = run(FIRST_USE, tmp_path)
     assert sum(map(bool, used.values())) > 30
     assert not {name: types for name, types in used.items() if not set(types) <= set(ready.get(name, []))}
