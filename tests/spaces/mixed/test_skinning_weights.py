@@ -45,7 +45,7 @@ def assert_sound(shares: sparse.csr_array, decomposition: Decomposition) -> None
     counts = np.diff(shares.indptr)
     assert counts.min() >= 1
     assert counts.max() <= MOST
-    assert shares.data.min() >= LEAST
+    assert shares.data.min() >= LEAST - GRID
     np.testing.assert_array_equal(np.round(shares.data / GRID) * GRID, shares.data)
 
 
