@@ -140,6 +140,13 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         placed = self.placements(predicted_alone(operator.at(times), self.poses(placements)))
         return np.zeros((len(times), 0)), placed
 
+    def signs(self, poses: Float, before: Float) -> Float:
+        """Return factors ``(pose_dim,)`` that keep the shape, with which it goes on from another one: 1 or -1.
+
+        Poses are ``(pose_dim,)``, at the end of shapes. A quaternion and its negative are the same rotation.
+        """
+        return np.ones(self.pose_dim)
+
     def corrections(self, poses: Float, targets: Float) -> Float:
         """Return the corrections ``(N, C)`` that shapes with poses ``(N, pose_dim)`` need to have targets."""
         return np.zeros((len(poses), 0))
