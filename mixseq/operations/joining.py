@@ -13,17 +13,20 @@ spline again, equal to the sections outside the windows. Every knot of a section
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from mixseq.arrays import Float
+from mixseq.arrays import Float, Index
 from mixseq.errors import SettingsError
 from mixseq.frame_numbers import seconds_meant, span_text
 from mixseq.operations.placements import continued
 from mixseq.operations.splines import between, breakpoints, moved, sites_of
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
+from mixseq.signals.pose import PoseMap
 
 REACHES = np.array([1.0, 2.0, 3.0]) / 3.0
 """Where the three cubics of an offset end, as fractions of the fade."""
@@ -166,9 +169,10 @@ def affine(model: Model, scale: float, offset: float) -> Model:
 def concatenated(sections: Sequence[ModelSection], seams: Sequence[Seam]) -> Model:
     """Make one model of sections that follow each other, of models that share space, pose and shapes.
 
-    Quaternions go on from section to section with the signs nearest for a body. The frames are those of the sections;
-    at a seam it is the frame of the later one, if there is any.
+    Quaternions go on from section to section with the nearest signs. The frames are those of the sections; at a seam it
+    is the frame of the later one, if there is any.
     """
+    sections = going_on(sections)
     first = sections[0].model
     placements = [CurveSection(first.placement, sections[0].start, sections[0].end)]
     for model, start, end in sections[1:]:
@@ -182,6 +186,54 @@ def concatenated(sections: Sequence[ModelSection], seams: Sequence[Seam]) -> Mod
         join([CurveSection(model.correction, start, end) for model, start, end in sections], seams),
         first.header.with_times(frames_of(sections)),
     )
+
+
+def going_on(sections: Sequence[ModelSection]) -> Sequence[ModelSection]:
+    """Return sections such that quaternions of parts go on from one to the next, also after whole turns.
+
+    A quaternion and its negative are the same rotation, and far apart in the shape space. Where signs change, all
+    models get the key shapes with the other signs, too, and pose space gets coordinates for them: how much of these
+    there is, and where in them. The models share space, pose and shapes, before and afterwards.
+    """
+    first = sections[0].model
+    size, dim = first.space.pose_dim, first.time.dim
+    signs = [np.ones(size)]
+    for before, (model, start, _) in pairwise(sections):
+        signs.append(model.space.signs(_poses(model, start), signs[-1] * _poses(before.model, before.end)))
+    numbers: dict[bytes, int] = {}
+    kinds = [numbers.setdefault(each.tobytes(), len(numbers)) for each in signs]
+    if len(numbers) == 1:
+        return sections
+    shapes = np.tile(first.shapes, (len(numbers), 1, 1))
+    for kind, own in zip(kinds, signs, strict=True):
+        shapes[kind, :, shapes.shape[2] - size :] = own * first.shapes[:, shapes.shape[2] - size :]
+    rows, places = _distinct(shapes.reshape(-1, shapes.shape[2]))
+    chosen = np.eye(len(rows))[places].reshape(len(numbers), -1, len(rows))
+    offsets, matrices = first.pose.offset @ chosen, first.pose.matrix @ chosen
+    blocks = [
+        np.vstack([offset - offsets[0], matrix]) for offset, matrix in zip(offsets, matrices, strict=True)
+    ]
+    pose = PoseMap(offsets[0], np.concatenate(blocks)[1:])
+    result = []
+    for kind, (model, start, end) in zip(kinds, sections, strict=True):
+        values = np.zeros((len(model.time.times), len(numbers) * (1 + dim)))
+        values[:, kind * (1 + dim) : (kind + 1) * (1 + dim)] = np.insert(model.time.values, 0, 1.0, axis=1)
+        time = Curve(model.time.times, values[:, 1:])
+        result.append(ModelSection(replace(model, pose=pose, shapes=rows, time=time), start, end))
+    return result
+
+
+def _poses(model: Model, time: float) -> Float:
+    """How parts stand ``(pose_dim,)`` at a time."""
+    columns = model.shapes[:, model.space.shape_dim - model.space.pose_dim :]
+    return np.asarray(model.pose.weights(model.time([time]))[0] @ columns)
+
+
+def _distinct(rows: Float) -> tuple[Float, Index]:
+    """The distinct rows, and which of them each row is."""
+    numbers: dict[bytes, int] = {}
+    places = np.array([numbers.setdefault(row.tobytes(), len(numbers)) for row in rows], dtype=np.int64)
+    return rows[np.unique(places, return_index=True)[1]], places
 
 
 def frames_of(sections: Sequence[ModelSection]) -> Float:

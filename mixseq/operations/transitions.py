@@ -26,6 +26,7 @@ from mixseq.operations.joining import (
     concatenated,
     fade_of,
     frames_of,
+    going_on,
     section_of,
     shifted,
     snapped,
@@ -119,6 +120,9 @@ def transition(a: Model, b: Model, at: Seconds, duration: Seconds, travel: bool 
         raise SettingsError(f"duration is {duration:g} s, next to no time; give more, or concatenate")
     if travel:
         later = carried(later, drift(a, later, (at, end), _step_slope(at, end))(np.array([end]))[0])
+    a, later = (
+        each.model for each in going_on([ModelSection(a, a.start, at), ModelSection(later, at, later.end)])
+    )
     middle = _mix(a, later, (at, end), _step(at, end), parts=DENSE)
     if travel:
         apart = drift(a, later, (at, end), _step_slope(at, end))
@@ -165,6 +169,7 @@ def blend(a: Model, b: Model, weight: float | Curve) -> Model:
             f"one model is from {a.start:g} to {a.end:g} s, the other from {b.start:g} to {b.end:g} s, with no time "
             "in common; shift one of them"
         )
+    a, b = (each.model for each in going_on([ModelSection(a, a.start, start), ModelSection(b, start, b.end)]))
     if isinstance(weight, Curve):
         _check_weight(weight, start, end, SLACK / a.header.fps)
         inside = np.clip([start, end], weight.start, weight.end)

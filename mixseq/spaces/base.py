@@ -149,6 +149,13 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         """Return points ``(T, n, 3)`` of vertices ``(n,)`` as seen from placements ``(T, P)``; here as they are."""
         return points
 
+    def signs(self, poses: Float, before: Float) -> Float:
+        """Return factors ``(pose_dim,)`` that keep the shape, with which it goes on from another one: 1 or -1.
+
+        Poses are ``(pose_dim,)``, at the end of shapes. A quaternion and its negative are the same rotation.
+        """
+        return np.ones(self.pose_dim)
+
     def corrections(self, poses: Float, targets: Float) -> Float:
         """Return the corrections ``(N, C)`` that shapes with poses ``(N, pose_dim)`` need to have targets."""
         return np.zeros((len(poses), 0))

@@ -11,7 +11,7 @@ from mixseq.choices import SpaceName
 from mixseq.creature import walk_cycle
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Curve, Model, fit
-from tests.meshes import bar, rotation, tube
+from tests.meshes import bar, joined, rotation, tube
 
 AXIS = np.array([2.0, 1.0, -2.0]) / 3.0
 
@@ -49,6 +49,25 @@ def spin(step: float = 0.0) -> Model:
     """One turn in one second at 12 frames per second, evenly."""
     angles = np.radians(np.arange(0, 361, 30.0))
     return fit(MeshSequence.from_arrays(spinning(angles, step), tube(5, 4)[1], fps=12), exact=True)
+
+
+HUB = np.array([0.4, 0.0, 4.5])
+"""Where the wheel turns about the y axis."""
+
+
+def wheeling(turns: Float) -> Float:
+    """Points ``(T, V, 3)`` of a trunk, and of a wheel at it that is turned by angles ``(T,)``."""
+    trunk, wheel = tube(6, 5)[0], tube(5, 4, length=1.5, radius=0.2)[0] + np.array([0.0, 0.0, 4.4])
+    moved = np.stack([(wheel - HUB) @ rotation((0.0, turn, 0.0)).T + HUB for turn in turns])
+    return np.concatenate([np.repeat(trunk[None], len(turns), axis=0), moved], axis=1)
+
+
+@cache
+def wheel(start: float = 0.0) -> Model:
+    """One turn of a wheel in one second, at 12 frames per second, evenly, from an angle on."""
+    faces = joined(tube(6, 5), tube(5, 4, length=1.5, radius=0.2))[1]
+    points = wheeling(start + np.radians(np.arange(0, 361, 30.0)))
+    return fit(MeshSequence.from_arrays(points, faces, fps=12), exact=True)
 
 
 def jets(curve: Curve, times: Float) -> Float:

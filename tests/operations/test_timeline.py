@@ -7,9 +7,9 @@ import pytest
 
 from mixseq.choices import SpaceName
 from mixseq.errors import SettingsError
-from mixseq.operations import cut, loop, repeat, reverse, shift, speed, travel_of
+from mixseq.operations import concatenate, cut, loop, repeat, reverse, shift, speed, travel_of
 from mixseq.signals import Model
-from tests.operations.motions import CIRCLE, bar_motion, jets, jumps, spin, spinning
+from tests.operations.motions import CIRCLE, bar_motion, jets, jumps, spin, spinning, wheel, wheeling
 
 MODELS = [("mixed", None), ("mixed", 2), ("vertex", None)]
 """Spaces, and inner knots: with few, the placement of the mixed space has none at most frames."""
@@ -256,3 +256,32 @@ def test_speeds_are_positive(factor: float) -> None:
 def test_shifts_are_finite(seconds: float) -> None:
     with pytest.raises(SettingsError, match=r"seconds is .*; a number is expected"):
         shift(bar_motion(), seconds)
+
+
+# Parts that turn by whole turns ---------------------------------------------------------------------------
+
+OFF = 0.01
+"""How far vertices of the wheel, 2 from its hub, are off next to a seam; quaternions go straight from knot to knot."""
+
+
+def test_a_wheel_that_is_repeated_turns_on() -> None:
+    longer = repeat(wheel(), 0.0, 1.0, 3)
+    times = np.linspace(0, 3, 145)
+    np.testing.assert_allclose(longer.sample(times).points, wheeling(2 * np.pi * times), atol=OFF)
+    assert len(longer.shapes) == 2 * len(wheel().shapes)
+    assert all((jumps(curve) < 1e-9).all() for curve in longer.curves)
+
+
+@pytest.mark.parametrize("times", [1, 3])
+def test_a_wheel_in_a_loop_turns_on(times: int) -> None:
+    at = np.linspace(0, times, 48 * times + 1)
+    for closed in (loop(repeat(wheel(), 0.0, 1.0, times)), repeat(loop(wheel()), 0.0, 1.0, times)):
+        np.testing.assert_allclose(closed.sample(at).points, wheeling(2 * np.pi * at), atol=OFF)
+        assert len(closed.shapes) == 2 * len(wheel().shapes)
+
+
+def test_a_wheel_goes_on_as_another_one() -> None:
+    """Which begins with the other sign."""
+    both = concatenate(cut(wheel(), 0.0, 0.6), wheel(1.2 * np.pi))
+    times = np.linspace(0, 1.6, 97)
+    np.testing.assert_allclose(both.sample(times).points, wheeling(2 * np.pi * times), atol=OFF)

@@ -193,6 +193,20 @@ def test_signs_of_quaternions_do_not_matter(edit: Callable[[Model, Model], Model
     )
 
 
+@pytest.mark.parametrize(
+    "edit", [concatenate, lambda a, b: transition(a, b, 0.2, 0.3), lambda a, b: blend(a, b, 0.4)]
+)
+def test_signs_of_quaternions_of_parts_do_not_matter(edit: Callable[[Model, Model], Model]) -> None:
+    a, b = chain(), reverse(chain())
+    shapes = np.array(b.shapes)
+    start = b.space.shape_dim - b.space.pose_dim
+    shapes[:, start + 4 : start + 8] *= -1  # of part 1
+    times = edit(a, b).times
+    np.testing.assert_allclose(
+        edit(a, replace(b, shapes=shapes)).sample(times).points, edit(a, b).sample(times).points, atol=1e-9
+    )
+
+
 @pytest.mark.parametrize("angle", [1.0, 2.0, np.pi])
 def test_parts_stay_together_however_a_body_turns(angle: float) -> None:
     """From one motion into another that looks elsewhere: joints bend as if it looked the same way."""

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.arrays import Float, Index
+from mixseq.arrays import Float, FloatArray, Index
 from mixseq.creature import walk_cycle
 from mixseq.geometry.rigid import kabsch
 from mixseq.operations import drag, exaggerate, exaggerate_part, hold, sculpt, swap_key
@@ -42,7 +42,7 @@ def made(request: pytest.FixtureRequest) -> Made:
     return cache(lambda rank: fit(sequence, exact=rank is None, rank=rank))
 
 
-def aligned(points: Float) -> Float:
+def aligned(points: FloatArray) -> Float:
     """Frames ``(T, V, 3)``, each moved rigidly to where the first one is."""
     motions = [kabsch(frame, points[0]) for frame in points]
     return np.stack([frame @ turn.T + shift for frame, (turn, shift) in zip(points, motions, strict=True)])

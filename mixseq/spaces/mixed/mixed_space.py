@@ -554,6 +554,16 @@ class MixedSpace(ShapeSpace):
         back = np.swapaxes(rotations_of(bodies.rotations), -1, -2)[:, body]
         return turned(back, points - self.scale * bodies.centres[:, body])
 
+    def signs(self, poses: Float, before: Float) -> Float:
+        """Implement `ShapeSpace.signs`."""
+        here, there = self.part_poses(poses[None]), self.part_poses(before[None])
+        turns, relations = (
+            np.where(np.einsum("tpi,tpi->p", one, other) < 0, -1.0, 1.0)
+            for one, other in zip(here[::2], there[::2], strict=True)
+        )
+        blocks = (turns, 4), (np.ones_like(turns), 3), (relations, 4), (np.ones_like(relations), 3)
+        return np.concatenate([np.repeat(factors, size) for factors, size in blocks])
+
     def corrections(self, poses: Float, targets: Float) -> Float:
         """Implement `ShapeSpace.corrections`."""
         parts = len(self.decomposition.parts)
