@@ -28,7 +28,7 @@ EXACT_STEP = 2.0**-38
 """Step to which signals of exact models are rounded, in diagonals: frames are off by some 1e-11."""
 
 STEPS = 64
-"""Signals of other models are rounded to the tolerance over this, or less; also to the slack over a quarter of it."""
+"""Signals of other models are rounded to the tolerance over this, or less where that is what is too coarse."""
 
 ENOUGH = 0.6
 """A model is not made coarser if its error is above this fraction of the tolerance."""
@@ -74,14 +74,16 @@ def within(
     """
     low, high, slack = 0.0, np.inf, tolerance / 4
     best: Model | None = None
-    errors: dict[tuple[bytes, float], float] = {}  # of what was tried: short sequences have few models
+    step = 2.0 ** np.floor(np.log2(tolerance / STEPS))
+    errors: dict[bytes, float] = {}  # of what was tried: short sequences have few models
     for number in range(ROUNDS):
         progress(number, ROUNDS, "choosing modes and knots")
-        step = _step(min(tolerance, 4 * slack))
         model = build(encoded, Detail(slack=slack, step=step))
-        signals = _digest(model), step
+        signals = _digest(model)
         if signals not in errors:
             errors[signals] = largest_error(model, sequence, 2 * tolerance, workers)
+        elif errors[signals] > tolerance:  # these are all modes and knots
+            step /= 2
         error = errors[signals]
         if error <= tolerance:
             low, best = slack, model
@@ -94,12 +96,8 @@ def within(
     progress(ROUNDS, ROUNDS, "choosing modes and knots")
     if best is not None:
         return best
-    finest = build(encoded, Detail(step=min(_step(tolerance), EXACT_STEP)))
+    finest = build(encoded, Detail(step=min(step, EXACT_STEP)))
     return made_sure(finest, sequence, tolerance, workers)
-
-
-def _step(tolerance: float) -> float:
-    return float(2.0 ** np.floor(np.log2(tolerance / STEPS)))
 
 
 def _digest(model: Model) -> bytes:

@@ -149,7 +149,7 @@ def mixed_space(
             joint_faces=mixed | (wrong > 1.0),
             projection=Projection("free", 1.0, FAR_HOLD, FREE_STEPS, FAR_RELATIONS),
         )
-    wrong[flat_in_some_frame(topology, frames)] = 0.0
+    wrong[flat_in_some_frame(topology, frames) | at_winding_hinges(topology, frames)] = 0.0
     joint_faces = wrong > 1.0
     if purpose != "blends":
         joint_faces = _within_budget(posed, wrong)
@@ -197,6 +197,17 @@ def flat_in_some_frame(topology: Topology, frames: FloatArray) -> Mask:
     for frame in frames:
         flat |= flat_faces(frame.astype(np.float64), topology.faces, FLATTEST)
     return flat
+
+
+def at_winding_hinges(topology: Topology, frames: FloatArray) -> Mask:
+    """Mark the faces ``(F,)`` at hinges whose angles in frames ``(S, V, 3)`` are more than half a turn apart."""
+    lowest = highest = dihedral_angles(frames[0].astype(np.float64), topology.hinges)
+    for frame in frames[1:]:
+        angles = dihedral_angles(frame.astype(np.float64), topology.hinges)
+        lowest, highest = np.minimum(lowest, angles), np.maximum(highest, angles)
+    winding = np.zeros(len(topology.faces), dtype=bool)
+    winding[topology.hinge_faces[highest - lowest > np.pi]] = True
+    return winding
 
 
 def are_far(space: MixedSpace, frames: LargeArray) -> bool:
