@@ -16,7 +16,7 @@ from importlib.resources import files
 from typing import Any
 
 from mixseq.viewing.packing import BYTE_ORDER_MARK, ENCODING, as_text
-from mixseq.web.bundle import bundled, compact
+from mixseq.web.bundle import bundled, stripped
 
 CHART_SCRIPTS = (
     "frame_numbers.js",
@@ -79,7 +79,7 @@ def page_text(description: Mapping[str, Any], data: Sequence[bytes]) -> bytes:
         json.dumps(description, ensure_ascii=False, allow_nan=False, separators=(",", ":")),
     )
     code = zlib.compress("\0".join(parts).encode(), 9)
-    title, loader = escape(description["title"]), compact(script("loader.js"))
+    title, loader = escape(description["title"]), stripped(script("loader.js"))
     shell = _plain(script("page.html")).replace("<title>mixseq</title>", f"<title>{title}</title>")
     before, after = shell.replace('<script src="loader.js"></script>', f"<script>{loader}</script>").split(
         _DATA
@@ -93,7 +93,7 @@ def decoder_script() -> str:
     """Return what makes poses of streams, for a worker or a script element."""
     decoder = re.sub(r"^export const ?{.*}=(\w+);$", r"return \1;", bundled(), flags=re.MULTILINE)
     return f"var mixseqDecoder = (() => {{\n{decoder}}})();\n" + "".join(
-        compact(script(name)) for name in POSE_SCRIPTS
+        stripped(script(name)) for name in POSE_SCRIPTS
     )
 
 
@@ -101,7 +101,7 @@ def decoder_script() -> str:
 def page_scripts(charts: bool) -> str:
     """Return the scripts of a page, with charts or without."""
     names = (*CHART_SCRIPTS[: None if charts else 1], *PLAYER_SCRIPTS)
-    return "".join(compact(script(name)) for name in names)
+    return "".join(stripped(script(name)) for name in names)
 
 
 _DATA = "<!-- data -->"

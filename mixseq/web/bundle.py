@@ -7,8 +7,6 @@ from functools import cache
 from importlib.resources import files
 from posixpath import dirname, join, normpath
 
-from mixseq.web.short_names import with_short_names
-
 SEQUENCE = "decoder/sequence.js"
 """The module that opens compressed sequences: all of the decoder is under it."""
 
@@ -30,7 +28,7 @@ def bundled(*entries: str) -> str:
     """Return modules, and all they import, as one ES module without imports.
 
     Every module becomes a function that is called once, so that names of different modules do not meet. What only
-    people need is taken away, as by `compact`.
+    people need is taken away, as by `stripped`.
 
     Parameters
     ----------
@@ -42,7 +40,7 @@ def bundled(*entries: str) -> str:
     for entry in entries:
         _place(entry, places)
     names = {path: f"module{number}" for number, path in enumerate(places)}
-    parts = [compact(_as_function(path, places[path], names)) for path in places]
+    parts = [stripped(_as_function(path, places[path], names)) for path in places]
     exports = [f"export const {{ {_exported(places[path])} }} = {names[path]};\n" for path in entries]
     return "".join(parts) + stripped("".join(exports))
 
@@ -74,11 +72,6 @@ def _exported(source: str) -> str:
     for what, first, rest in _EXPORT.findall(source):
         names += [first, *(re.findall(r", (\w+) = ", rest) if what in ("const", "let") else [])]
     return ", ".join([*names, *_AGAIN.findall(source)])
-
-
-def compact(source: str) -> str:
-    """Return a script with short names for its own variables, as `stripped` leaves it."""
-    return with_short_names(stripped(source))
 
 
 def stripped(source: str) -> str:

@@ -70,7 +70,7 @@ def _bits(times: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def _decompressed(packed: bytes, most: int, what: str) -> bytes:
-    """Undo `zlib.compress`; of what is larger, so many bytes are made."""
+    """Undo `zlib.compress`, and stop after `most` bytes."""
     try:
         return zlib.decompressobj().decompress(packed, most)
     except zlib.error as error:

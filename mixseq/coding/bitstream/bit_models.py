@@ -27,8 +27,10 @@ from numpy.typing import NDArray
 
 from mixseq.arrays import Index
 from mixseq.coding.bitstream.arithmetic import Coded, code_bit
-from mixseq.coding.bitstream.logistic import FAR, logistic_tables
 from mixseq.compiled import joined
+
+_FAR = 2047
+"""Largest magnitude of x, in units of 2^-8: about 8, a chance of 1 in 3000. Frozen: breaks old files."""
 
 _PATIENCE = 255
 """Frequencies follow their last so many bits. Frozen: breaks old files."""
@@ -68,7 +70,7 @@ class BitModels(NamedTuple):
 
 
 def bit_models(inputs: int, contexts: int, positions: int, kinds: int | None = None) -> BitModels:
-    """Return models that know nothing yet; there are as many kinds as positions, unless it is said how many."""
+    """Return models that have learned nothing; by default every position is a kind."""
     return BitModels(
         np.full((inputs, contexts, positions), 1 << 23, dtype=np.int32),
         np.full((kinds or positions, inputs), ((1 << 16) + inputs // 2) // inputs, dtype=np.int64),
@@ -80,7 +82,7 @@ def bit_models(inputs: int, contexts: int, positions: int, kinds: int | None = N
 
 @lru_cache(maxsize=1)
 def _tables() -> tuple[Index, Index, Index, Index]:
-    stretch, squash = logistic_tables()
+    stretch, squash = _logistic_tables()
     counts = np.arange(_PATIENCE + 1, dtype=np.int64)
     return (
         stretch,
@@ -88,6 +90,18 @@ def _tables() -> tuple[Index, Index, Index, Index]:
         (1 << 17) // (2 * counts + 3),
         256 * counts // (counts + 1),
     )
+
+
+def _logistic_tables() -> tuple[Index, Index]:
+    """Return x ``(4096,)`` of p in units of 2^-12, and p ``(2 _FAR + 1,)`` of x from ``-_FAR`` on."""
+    squash = np.ones(2 * _FAR + 1)
+    factor = 1.0039138893383475  # exp(1 / 256), and products of it: exp itself differs between machines
+    for x in range(_FAR):
+        squash[_FAR + x + 1] = squash[_FAR + x] * factor
+    squash[:_FAR] = 1 / squash[:_FAR:-1]
+    squash = np.floor(65536 * (squash / (1 + squash)))
+    stretch = np.searchsorted(squash, np.arange(4096) * 16 + 8).clip(0, 2 * _FAR) - _FAR
+    return stretch.astype(np.int64), squash.astype(np.int64)
 
 
 @joined
@@ -98,14 +112,14 @@ def code(coded: Coded, models: BitModels, position: int, bit: int) -> int:
 
 @joined
 def code_of_kind(coded: Coded, models: BitModels, position: int, kind: int, bit: int) -> int:
-    """Write or read a bit as `code` does, of a kind that is another number than its position."""
+    """Write or read a bit as `code` does, with the weights of a kind."""
     shares, weights, inputs, contexts = models.shares, models.weights, models.inputs, models.contexts
     x = 0
     for i in range(len(inputs)):
         share = shares[i, contexts[i], position]
         inputs[i] = (models.stretch[share >> 12] * models.trust[share & 255]) >> 8
         x += weights[kind, i] * inputs[i]
-    chance = models.squash[min(max(x >> 16, -FAR), FAR) + FAR]
+    chance = models.squash[min(max(x >> 16, -_FAR), _FAR) + _FAR]
     bit = code_bit(coded, chance, bit)
     error = ((bit << 16) - chance) >> 4
     for i in range(len(inputs)):

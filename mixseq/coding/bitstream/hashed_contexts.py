@@ -1,4 +1,4 @@
-"""Bits in contexts that are too many for tables: of what is known, a number of 16 bits is looked at (hashing).
+"""Code bits in contexts that are too many for tables: every context is hashed to 16 bits.
 
 Every bit has a kind and, of every input, a *context*: any number of 64 bits that says what is known when it is coded.
 Contexts share the frequencies of `bit_models` if the highest 16 bits of their product with a constant are the same.
@@ -57,17 +57,17 @@ class Bits(NamedTuple):
 
 
 def bits_to_write(count: int, kinds: int) -> Bits:
-    """Return a state in which nothing is known, with room for so many bits of so many kinds."""
+    """Return models that have learned nothing, and room for a number of bits."""
     return _bits(arithmetic.to_write(_BYTES_OF_BIT * count), kinds)
 
 
 def bits_to_read(data: bytes, kinds: int) -> Bits:
-    """Return a state in which nothing is known, and bits are read that `arithmetic.written` returned."""
+    """Return models that have learned nothing, to read what `arithmetic.written` returned."""
     return _bits(arithmetic.to_read(data), kinds)
 
 
 def with_room(bits: Bits, count: int) -> Bits:
-    """Return the same with room for so many bits more."""
+    """Return the same with room for a number of further bits."""
     return bits._replace(coded=arithmetic.with_room(bits.coded, _BYTES_OF_BIT * count))
 
 
@@ -87,7 +87,7 @@ def code(bits: Bits, kind: int, bit: int) -> int:
 
 @joined
 def has_failed(bits: Bits) -> bool:
-    """Whether what is read is damaged, or ends before the bits that were read; to be asked now and then."""
+    """Return whether what is read is damaged or ends early; loops ask once a corner, as asking costs time."""
     if bits.coded.place[0] > len(bits.coded.data) + BYTES_BEYOND:
         bits.failed[0] = 1
     return bool(bits.failed[0])

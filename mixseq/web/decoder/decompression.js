@@ -1,7 +1,7 @@
-// Bytes that zlib has compressed, by what every browser has for that, which takes its time: it is done when a sequence is opened.
+// Decompression by the browser, which is asynchronous: it is done once, when a sequence is opened.
 import { MixseqError } from "./errors.js";
 
-/** The bytes that were compressed, at most so many; nothing of nothing. */
+/** Undo zlib, up to `most` bytes; no bytes stay none. `what` names them in messages. */
 export async function decompressed(data, most, what) {
   if (!data.length) return data;
   const reader = new Blob([data]).stream().pipeThrough(new DecompressionStream("deflate")).getReader(), parts = [];
