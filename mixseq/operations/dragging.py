@@ -159,7 +159,9 @@ def _pulled(curve: Curve, time: float, reach: float, change: Float) -> Curve:
     sites = sites_of(ends, between(knots, *ends))
     sites[np.abs(sites - time).argmin()] = time  # which may be taken for a knot that is nearly there
     weight = smoothstep(sites, time - reach, time) * (1.0 - smoothstep(sites, time, time + reach))
-    return Curve(sites, curve(sites) + weight[:, None] * change)
+    values, near = curve(sites), weight > 0
+    values[near] += weight[near, None] * change
+    return Curve(sites, values)
 
 
 def default_reach(model: Model) -> float:

@@ -40,7 +40,7 @@ LONGEST = 1e9
 
 @public
 def smooth(model: Model, seconds: Seconds) -> Model:
-    """Return the model without changes that are faster than a period: all its signals, shape and placement.
+    """Return the model without changes that are faster than a period: time, placement and correction.
 
     A sine of this period loses half its power. Of the amplitude, 0.13 are left at half the period, 0.97 at twice
     the period. Near the ends, over about a period, less is certain and less is smoothed.

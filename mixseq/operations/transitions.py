@@ -2,7 +2,7 @@ r"""From one motion into another: concatenation, transitions, blends.
 
 .. math:: s(t) = (1 - w(t))\, s_a(t) + w(t)\, s_b(t)
 
-for all signals but rotations, which go along the turn from one to the other, parts in their joints
+for all signals but rotations of bodies, which go along the turn from one to the other
 (`mixseq.operations.placements`). In a transition the weight is the step
 :math:`w = 6x^5 - 15x^4 + 10x^3`, which is two times continuously differentiable. Weight times signal is no cubic
 spline; there, and only there, the result is the spline through many points.
