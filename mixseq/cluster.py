@@ -28,28 +28,7 @@ _ONE_THREAD = dict.fromkeys(
 
 @contextmanager
 def cluster(address: str) -> Iterator[Cluster]:
-    """Connect to a cluster, or start one here, for as long as the block lasts.
-
-    Parameters
-    ----------
-    address : str
-        Address of a scheduler, ``tcp://host:8786``, or ``local:N`` for N processes on this machine with a thread each.
-        Scripts that start processes need ``if __name__ == "__main__":`` around what they do.
-
-    Yields
-    ------
-    Cluster
-        An `Executor`.
-
-    Raises
-    ------
-    SettingsError
-        If the address is none.
-    ClusterError
-        If nobody answers there, there are no workers, or they have another version of mixseq.
-    MissingExtraError
-        If dask.distributed is not installed.
-    """
+    """Connect to a cluster, or start one here, for as long as the block lasts."""
     processes = _local_processes(address)
     distributed = dask_module("distributed")  # first: it brings the settings, of which we change one
     # Items may be blocks of frames: large, but never many at once, which is all that dask warns about.

@@ -34,13 +34,7 @@ _DAMAGE = (pickle.UnpicklingError, EOFError, AttributeError, ImportError, Lookup
 
 
 def compiled(function: Function) -> Function:
-    """Compile a function of arrays and numbers.
-
-    Warns
-    -----
-    MixseqWarning
-        When it is called, if what is kept of it is damaged, or nothing can be kept; once in a process.
-    """
+    """Compile a function of arrays and numbers."""
     made = numba.njit(**_OPTIONS)(function)
     if made is function:  # NUMBA_DISABLE_JIT
         return function

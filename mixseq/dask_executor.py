@@ -31,13 +31,7 @@ Result = TypeVar("Result")
 
 
 class Cluster:
-    """An `Executor` over the workers of a cluster; made by `cluster`.
-
-    Parameters
-    ----------
-    client : distributed.Client
-        The connection.
-    """
+    """An `Executor` over the workers of a cluster; made by `cluster`."""
 
     def __init__(self, client: Any) -> None:
         self._client = client
@@ -48,13 +42,6 @@ class Cluster:
         """Yield ``function(shared, item)`` for every item, in order.
 
         Items are taken as results are: there are never more under way than keep the workers busy.
-
-        Raises
-        ------
-        GivenUpError
-            If several workers died over an item.
-        ClusterError
-            If the scheduler is gone.
         """
         ahead: deque[Any] = deque()
         submit = self._prepare(function, shared)
@@ -77,11 +64,6 @@ class Cluster:
         For work that takes long and may kill its worker, with little that is shared. To dask whatever a worker that
         dies has taken on is suspicious, so workers get no more than they work on. A neighbour may still be given up
         with the one that kills; so what was given up is tried once more at the end, with nothing beside it.
-
-        Raises
-        ------
-        ClusterError
-            If the scheduler is gone; the function that comes with an item raises it too, and GivenUpError.
         """
         suspects = []
         for item, future in self._as_done(function, shared, items, self._threads):

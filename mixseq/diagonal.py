@@ -15,18 +15,10 @@ from mixseq.arrays import Float, FloatArray
 
 @dataclass(frozen=True)
 class Diagonal:
-    """The diagonal of the bounding box of a frame, ``fraction * 2**exponent``.
+    """The diagonal of the bounding box of a frame, ``fraction * 2**exponent``."""
 
-    Attributes
-    ----------
-    fraction : float
-        From 0.5 to 2, or 0 if all points are one.
-    exponent : int
-        The power of two.
-    """
-
-    fraction: float
-    exponent: int
+    fraction: float  # from 0.5 to 2, or 0 if all points are one
+    exponent: int  # the power of two
 
     @classmethod
     def of(cls, points: FloatArray) -> Diagonal:

@@ -35,11 +35,6 @@ class DiskArray:
     """A array ``(T, ...)`` in a file that has no name: it vanishes with the object, or with the process.
 
     Rows are set by slices, and read by slices or indices, as those of an array; several threads may read at a time.
-
-    Raises
-    ------
-    OutputError
-        If there is no room for it.
     """
 
     def __init__(self, shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> None:

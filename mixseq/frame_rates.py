@@ -17,14 +17,6 @@ _ROUNDED = 0.005
 def exact_rate(fps: float, own: float | None = None) -> float:
     """Return the frames per second that a typed number means.
 
-    Parameters
-    ----------
-    fps : float
-        What was typed; numbers that are none of NTSC's stay as they are, also those that are no rates.
-    own : float, optional
-        The rate of the motion that is sampled. Where it is a whole multiple or fraction of the typed number, that stays
-        as it is, so that frames fall on the motion's frames.
-
     Examples
     --------
     >>> exact_rate(23.976) == 24000 / 1001, exact_rate(29.97) == 30000 / 1001, exact_rate(25.0)

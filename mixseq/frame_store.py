@@ -32,31 +32,14 @@ _LAST_DIGITS = 2.0**-40
 
 @dataclass(frozen=True, eq=False)
 class FrameStore:
-    """A sequence whose points can be looked at in any order.
+    """A sequence whose points can be looked at in any order."""
 
-    Attributes
-    ----------
-    header : SequenceHeader
-        Everything but the points.
-    points : (T, V, 3) array of float32 or float64
-        The points.
-    """
-
-    header: SequenceHeader
-    points: LargeArray
+    header: SequenceHeader  # everything but the points
+    points: LargeArray  # (T, V, 3) the points
 
 
 def frame_store(frames: Frames, progress: Progress = silent) -> FrameStore:
-    """Return a sequence with points that can be looked at in any order, a copy unless it is in memory.
-
-    Raises
-    ------
-    InvalidSequenceError
-        If there are more or fewer frames than the header says, frames of another mesh, or lengths whose squares double
-        precision cannot hold.
-    OutputError
-        If there is no room for a copy.
-    """
+    """Return a sequence with points that can be looked at in any order, a copy unless it is in memory."""
     store = (
         FrameStore(frames.header, frames.points)
         if isinstance(frames, MeshSequence)

@@ -133,13 +133,7 @@ def _check_process(process: int) -> None:
 
 
 def thread_count() -> int:
-    """Return how many threads to use: ``MIXSEQ_THREADS``, else as many as this process has cores.
-
-    Raises
-    ------
-    SettingsError
-        If the variable is no positive number.
-    """
+    """Return how many threads to use: ``MIXSEQ_THREADS``, else as many as this process has cores."""
     wanted = os.environ.get("MIXSEQ_THREADS")
     if wanted:
         if not (wanted.isdigit() and int(wanted) > 0):

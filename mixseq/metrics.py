@@ -205,11 +205,6 @@ def comparable(a: Frames, b: SequenceHeader) -> tuple[Frames, Renumbering]:
     """Return a sequence with vertices in the order of another one of the same mesh, and how they were numbered.
 
     Polygons may be in any order; vertices in the same one, or one of both in that of a compressed file.
-
-    Raises
-    ------
-    InvalidSequenceError
-        If they do not; the message says what differs.
     """
     header = a.header
     for what, one, other in (
@@ -244,13 +239,7 @@ def _numbering(a: SequenceHeader, b: SequenceHeader) -> Renumbering | None:
 
 
 def paired_blocks(a: Frames, b: Frames, size: int) -> Iterator[tuple[Float, Float]]:
-    """Yield the points of both, `size` frames at a time, however they are read, as float64.
-
-    Raises
-    ------
-    InvalidSequenceError
-        If one ends before the other.
-    """
+    """Yield the points of both, `size` frames at a time, however they are read, as float64."""
     x, y = (chain.from_iterable(each.blocks(size)) for each in (a, b))
     while frames := list(islice(x, size)):
         others = list(islice(y, size))

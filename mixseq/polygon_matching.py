@@ -19,15 +19,7 @@ from mixseq.polygons import Polygons
 
 @dataclass(frozen=True, eq=False)
 class PolygonMatch:
-    """Which polygon and which corner of another mesh those of a mesh are.
-
-    Parameters
-    ----------
-    polygons : (P,) int64
-        The other mesh's polygon for every polygon.
-    corners : (sum of counts,) int64
-        The other mesh's corner for every corner.
-    """
+    """Which polygon and which corner of another mesh those of a mesh are."""
 
     polygons: Index
     corners: Index
@@ -97,18 +89,6 @@ def match_triangles(ours: Polygons, theirs: Polygons, names: tuple[str, str]) ->
     """Return the other mesh's triangle ``(F,)`` for every triangle; within a polygon any of its triangles.
 
     Meshes may be cut into triangles, one of them or both.
-
-    Parameters
-    ----------
-    ours, theirs : Polygons
-        The meshes.
-    names : (str, str)
-        What they are called in messages.
-
-    Raises
-    ------
-    InvalidSequenceError
-        If they have other polygons; the message says which is the first that differs.
     """
     if np.array_equal(ours.triangles, theirs.triangles):
         return np.arange(len(ours.triangles))

@@ -96,13 +96,7 @@ def reversed_corners(counts: IntArray, *, keep_first: bool) -> NDArray[np.intp]:
 
     Twice, it changes nothing.
 
-    Parameters
-    ----------
-    counts : (P,) int
-        Number of corners of each polygon.
-    keep_first : bool
-        Whether first corners stay first, and with them the way polygons are cut into triangles; else the last ones
-        become first.
+    Shapes: counts ``(P,)``.
 
     Examples
     --------

@@ -15,21 +15,11 @@ def silent(done: int, total: int, what: str) -> None:
 
 @dataclass(frozen=True)
 class Stages:
-    """Progress of several stages as one.
+    """Progress of several stages as one."""
 
-    Attributes
-    ----------
-    progress : callable
-        Told about all of them.
-    count : int
-        Number of stages.
-    frames : int
-        Steps of every stage.
-    """
-
-    progress: Progress
-    count: int
-    frames: int
+    progress: Progress  # told about all of them
+    count: int  # number of stages
+    frames: int  # steps of every stage
 
     def at(self, first: int, stages: int = 1) -> Progress:
         """Return what tells how far one stage is, or several of them."""

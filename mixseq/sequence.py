@@ -176,13 +176,7 @@ def collect(header: SequenceHeader, blocks: Iterable[FloatArray]) -> MeshSequenc
 
 
 def check_frames(frames: object) -> None:
-    """Refuse what is no sequence.
-
-    Raises
-    ------
-    InvalidSequenceError
-        If it is the name of a file, an array, or anything else without a header.
-    """
+    """Refuse what is no sequence."""
     if not isinstance(getattr(frames, "header", None), SequenceHeader):
         raise InvalidSequenceError(
             f"a MeshSequence or an open sequence is expected, not {type(frames).__name__}; read files "
@@ -191,22 +185,7 @@ def check_frames(frames: object) -> None:
 
 
 def check_block(header: SequenceHeader, points: FloatArray, first_frame: int) -> None:
-    """Check a block of frames against its header.
-
-    Parameters
-    ----------
-    header : SequenceHeader
-        The sequence that the block belongs to.
-    points : (B, V, 3) float
-        The block.
-    first_frame : int
-        Index of its first frame, for messages.
-
-    Raises
-    ------
-    InvalidSequenceError
-        If the number of vertices differs from the header's, or a coordinate is not finite.
-    """
+    """Check a block of frames against its header: points ``(B, V, 3)``."""
     if points.ndim != 3 or points.shape[2] != 3:
         raise InvalidSequenceError(f"points have shape {points.shape}; (frames, vertices, 3) is expected")
     if points.shape[1] != header.vertex_count:

@@ -150,22 +150,7 @@ def header_fields(header: SequenceHeader) -> dict[str, Any]:
 
 
 def frame_times(start: float, end: float, fps: float, slack: float = 1e-6) -> NDArray[np.float64]:
-    """Return the times ``(T,)`` of frames from one time on, at a rate, up to another time.
-
-    Parameters
-    ----------
-    start, end : float
-        From when to when, in seconds.
-    fps : float
-        Frames per second.
-    slack : float
-        Fraction of a frame by which the last one may miss the end; it is there then.
-
-    Raises
-    ------
-    SettingsError
-        If they are more than `MOST_FRAMES`.
-    """
+    """Return the times ``(T,)`` of frames from one time on, at a rate, up to another time."""
     if (end - start) * fps >= MOST_FRAMES:
         raise SettingsError(
             f"{end - start:g} s at {fps:g} frames per second make more than {MOST_FRAMES:,} frames; give less"

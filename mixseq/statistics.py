@@ -13,30 +13,19 @@ PERCENTILE = 0.999
 
 @dataclass(frozen=True)
 class Statistics:
-    """Statistics of one error over all elements and frames.
+    """Statistics of one error over all elements and frames."""
 
-    Attributes
-    ----------
-    rms, p999, max : float
-        Root mean square, 99.9th percentile (the smallest value that 99.9 % do not exceed), largest value.
-    skipped : int
-        How many values are not defined and were left out, counted over all frames.
-    """
-
+    # Root mean square, 99.9th percentile (the smallest value that 99.9 % do not exceed), largest value.
     rms: float
+    # Root mean square, 99.9th percentile (the smallest value that 99.9 % do not exceed), largest value.
     p999: float
+    # Root mean square, 99.9th percentile (the smallest value that 99.9 % do not exceed), largest value.
     max: float
-    skipped: int
+    skipped: int  # how many values are not defined and were left out, counted over all frames
 
 
 class RunningStatistics:
-    """Collect values block by block, and keep only what `Statistics` needs: the sum of squares and the largest.
-
-    Parameters
-    ----------
-    total : int
-        How many values there would be if none were skipped.
-    """
+    """Collect values block by block, and keep only what `Statistics` needs: the sum of squares and the largest."""
 
     def __init__(self, total: int) -> None:
         self._total = total

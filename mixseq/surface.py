@@ -36,15 +36,7 @@ WHITE = (1.0, 1.0, 1.0, 1.0)
 
 @dataclass(frozen=True, eq=False)
 class CornerValues:
-    """Values at the corners of polygons: corner ``c`` has ``values[indices[c]]``.
-
-    Parameters
-    ----------
-    values : (n, k) float32
-        The values, each stored once.
-    indices : (sum of counts,) int32
-        Row of `values` for every corner, in the order of `Polygons.indices`.
-    """
+    """Values at the corners of polygons: corner ``c`` has ``values[indices[c]]``."""
 
     values: FloatArray
     indices: IntArray
@@ -75,14 +67,7 @@ class CornerValues:
     def at_vertices(self, vertices: IntArray, count: int, default: Sequence[float]) -> NDArray[np.float32]:
         """Return the values ``(count, k)`` of vertices, each that of its first corner.
 
-        Parameters
-        ----------
-        vertices : (sum of counts,) int
-            Vertex of every corner.
-        count : int
-            Number of vertices.
-        default : sequence of k floats
-            The value of vertices without corners.
+        Shapes: vertices ``(sum of counts,)``.
 
         Examples
         --------
@@ -106,10 +91,7 @@ class CornerValues:
         Applications write a row for every corner, or for every corner of a triangle. Rows are equal if all their bits
         are. Those that several vertices share stay shared, so that there are never more rows than before.
 
-        Parameters
-        ----------
-        vertices : (sum of counts,) int
-            Vertex of every corner.
+        Shapes: vertices ``(sum of counts,)``.
 
         Examples
         --------
@@ -136,17 +118,7 @@ class CornerValues:
 
 @dataclass(frozen=True, eq=False)
 class FaceSet:
-    """A named set of polygons.
-
-    Parameters
-    ----------
-    name : str
-        Its name.
-    polygons : (n,) int32
-        Indices of the polygons, increasing.
-    material : str
-        Name or path of the material on it, "" if there is none.
-    """
+    """A named set of polygons."""
 
     name: str
     polygons: IntArray
@@ -160,19 +132,7 @@ class FaceSet:
 
 @dataclass(frozen=True)
 class MeshObject:
-    """One of the meshes that a sequence joins: a run of its vertices, and the run of polygons on them.
-
-    Parameters
-    ----------
-    name : str
-        Its name.
-    path : str
-        Where it is in the file it came from: the path of a USD prim, Alembic object or glTF node.
-    vertex_count, polygon_count : int
-        How many vertices and polygons are its own.
-    subdivision : str, optional
-        How renderers subdivide it, if otherwise than `Surface.subdivision` says.
-    """
+    """One of the meshes that a sequence joins: a run of its vertices, and the run of polygons on them."""
 
     name: str
     path: str
@@ -183,15 +143,7 @@ class MeshObject:
 
 @dataclass(frozen=True)
 class Origin:
-    """The file that a sequence was read from, on which a writer of the same format may lay new points.
-
-    Parameters
-    ----------
-    format : str
-        Name of the format in `mixseq_io.FORMATS`.
-    path : str
-        Absolute path of the file.
-    """
+    """The file that a sequence was read from, on which a writer of the same format may lay new points."""
 
     format: str
     path: str
@@ -262,13 +214,7 @@ class Surface:
         return f"Surface({', '.join(f'{name}={value}' for name, value in held.items() if value)})"
 
     def check(self, polygons: Polygons, vertex_count: int) -> None:
-        """Check that everything fits the mesh.
-
-        Raises
-        ------
-        InvalidSequenceError
-            If there are more or fewer values than corners, or a face set or an object goes beyond the mesh.
-        """
+        """Check that everything fits the mesh."""
         corners = polygons.indices.size
         for what, on, width in (("texture coordinates", self.uvs, 2), ("colours", self.colours, 4)):
             if on is not None:

@@ -27,19 +27,7 @@ _UNITS_NOT_TOLD = ("Alembic",)
 
 @dataclass(frozen=True, eq=False)
 class UnitConversion:
-    """How points are turned and scaled.
-
-    Parameters
-    ----------
-    up_axis : {"X", "Y", "Z"}
-        Axis that points up afterwards.
-    metres_per_unit : float
-        Length of a unit afterwards, in metres.
-    turn : (3, 3) float
-        Rotation of points, as columns.
-    scale : float
-        What coordinates are multiplied by.
-    """
+    """How points are turned and scaled."""
 
     up_axis: str
     metres_per_unit: float
@@ -134,11 +122,6 @@ def convert_units(
 
 def metres_of(units: str | float) -> float:
     """Return the length of a unit in metres.
-
-    Raises
-    ------
-    SettingsError
-        If it is neither a name of `UNITS` nor a positive number.
 
     Examples
     --------

@@ -12,15 +12,7 @@ from mixseq.errors import MixseqWarning
 
 @contextmanager
 def warnings_heard(hear: Callable[[str], None], instead: bool = False) -> Iterator[None]:
-    """Call a function with the text of every `MixseqWarning`.
-
-    Parameters
-    ----------
-    hear : callable
-        Gets the text.
-    instead : bool
-        Whether that is all that happens to our warnings; else they are shown as usual, too. Others always are.
-    """
+    """Call a function with the text of every `MixseqWarning`."""
     usual: Callable[..., None] = warnings.showwarning
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:

@@ -56,15 +56,7 @@ class ArrayHeader(NamedTuple):
 
 
 class Archive:
-    """An open npz file.
-
-    Parameters
-    ----------
-    path : Path
-        The file, for messages.
-    file : zipfile.ZipFile
-        The same, open.
-    """
+    """An open npz file."""
 
     def __init__(self, path: Path, file: zipfile.ZipFile) -> None:
         self._path = path
@@ -84,13 +76,7 @@ class Archive:
 
     @contextmanager
     def open(self, name: str) -> Iterator[tuple[IO[bytes], ArrayHeader]]:
-        """Yield a stream of an array's numbers, and the header that stands before them.
-
-        Raises
-        ------
-        FormatError
-            If it is of another size than the archive tells, or compressed as NumPy compresses nothing.
-        """
+        """Yield a stream of an array's numbers, and the header that stands before them."""
         member = self._file.getinfo(f"{name}.npy")
         if member.compress_type not in _METHODS:
             raise FormatError(
@@ -126,13 +112,7 @@ def finish(stream: IO[bytes]) -> None:
 
 @contextmanager
 def opened_archive(path: Path) -> Iterator[Archive]:
-    """Open an npz file.
-
-    Raises
-    ------
-    FormatError
-        If it is missing or damaged; also for what is raised while it is open.
-    """
+    """Open an npz file."""
     with reading_archive(path), zipfile.ZipFile(path) as file:
         yield Archive(path, file)
 

@@ -25,23 +25,7 @@ from mixseq_io.temporary import temporary_name
 
 @contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield a temporary path to write to; it becomes `path` if the block ends without an exception.
-
-    Parameters
-    ----------
-    path : path-like
-        The file to make or replace. A symbolic link is followed, not replaced.
-
-    Yields
-    ------
-    Path
-        A new name beside the target with the same suffix, by which some libraries choose the format.
-
-    Raises
-    ------
-    OutputError
-        If the file system refuses; the message names the target, the reason and the cure.
-    """
+    """Yield a temporary path to write to; it becomes `path` if the block ends without an exception."""
     target = Path(os.path.realpath(path))
     with _explaining(target):
         _check_target(target)
@@ -63,16 +47,6 @@ def replacing_many(pattern: str | os.PathLike[str]) -> Iterator[Path]:
 
     Each file moves atomically, one after the other; nothing moves before all are written and flushed, and only what
     ends the process at once, as SIGKILL does, can leave some of them behind.
-
-    Parameters
-    ----------
-    pattern : path-like
-        What the files are called, for messages; its folder is where they go.
-
-    Raises
-    ------
-    OutputError
-        As `replacing`.
     """
     target = Path(os.path.realpath(pattern))
     folder = target.parent
@@ -98,18 +72,6 @@ def replacing_folder(path: str | os.PathLike[str], own: Container[str]) -> Itera
 
     A folder that exists stays the same one, for whoever is in it, with all that others put there. Its files change
     places one after the other, as in `replacing_many`; if one cannot, all go back.
-
-    Parameters
-    ----------
-    path : path-like
-        The folder to make or to fill. A symbolic link is followed, not replaced.
-    own : container of str
-        Names of the writer's files: those that are not written again go.
-
-    Raises
-    ------
-    OutputError
-        As `replacing`.
     """
     target = Path(os.path.realpath(path))
     with _explaining(target):
@@ -199,18 +161,6 @@ def raise_system_error(message: str, folder: Path) -> None:
     """Raise the error of the system behind a library's failure to write, if there seems to be one.
 
     In the block of `replacing` it is explained like all errors of the system.
-
-    Parameters
-    ----------
-    message : str
-        What the library says; it may quote the system.
-    folder : Path
-        Where it wrote; if its disk is full, that is the error.
-
-    Raises
-    ------
-    OSError
-        If the system is quoted, or the disk is full.
     """
     codes = [code for code in _CURES if os.strerror(code) in message]
     if not codes and shutil.disk_usage(folder).free < _ALMOST_FULL:

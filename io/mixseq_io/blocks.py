@@ -21,22 +21,7 @@ Numbered = tuple[int, FloatArray, FloatArray | None]
 def checked(
     header: SequenceHeader, blocks: Iterable[FloatArray], velocities: Iterable[FloatArray] | None = None
 ) -> tuple[np.dtype[np.floating], Iterator[Numbered]]:
-    """Look at the first block, and check every block as it passes.
-
-    Returns
-    -------
-    dtype : numpy.dtype
-        float32 or float64, that of the first block; formats decide how to store points and velocities by it.
-    numbered : iterator of Numbered
-        The blocks. Every block of velocities is fetched after its block of points and before the next one, and
-        rounded to the dtype of the points.
-
-    Raises
-    ------
-    InvalidSequenceError
-        While iterating: if a block does not fit the header, or changes dtype, if there are more or fewer
-        frames than the header has times, or if velocities do not fit the points.
-    """
+    """Look at the first block, and check every block as it passes."""
     rest = iter(blocks)
     first = next(rest, None)
     if first is None:
@@ -93,13 +78,7 @@ def _like(header: SequenceHeader, points: FloatArray, block: FloatArray | None, 
 
 
 def check_velocities(header: SequenceHeader, velocities: FloatArray, first_frame: int) -> None:
-    """Check that all velocities ``(B, V, 3)`` of a block are finite.
-
-    Raises
-    ------
-    InvalidSequenceError
-        If one is not; the message names the frame and vertex.
-    """
+    """Check that all velocities ``(B, V, 3)`` of a block are finite."""
     if not np.isfinite(velocities).all():
         frame, vertex = (int(i) for i in np.argwhere(~np.isfinite(velocities))[0, :2])
         raise InvalidSequenceError(
@@ -133,14 +112,7 @@ def as_float32(
     of: str = "vertex",
     header: SequenceHeader | None = None,
 ) -> FloatArray:
-    """Round points, or velocities, to float32, the precision of the format called `what`.
-
-    Raises
-    ------
-    InvalidSequenceError
-        If a number is too large for float32; the message names the frame, by the number that the header knows, and the
-        vertex (`of` with its index).
-    """
+    """Round points, or velocities, to float32, the precision of the format called `what`."""
     with np.errstate(over="ignore", under="ignore"):
         rounded = values.astype(np.float32)
     finite = np.isfinite(rounded)

@@ -18,17 +18,7 @@ _LONGEST_LIST = 20
 
 @dataclass(frozen=True, eq=False)
 class SceneObject:
-    """An object of a scene, with or without a mesh.
-
-    Parameters
-    ----------
-    path : str
-        Its path, which no other object has.
-    names : tuple of str
-        What it is called, best first; empty ones do not count.
-    above : SceneObject or None
-        The object that it is in.
-    """
+    """An object of a scene, with or without a mesh."""
 
     path: str
     names: tuple[str, ...]
@@ -54,24 +44,6 @@ def chosen(
     file: Path, meshes: Sequence[SceneObject], prim: str, among: Sequence[SceneObject] | None = None
 ) -> list[int]:
     """Return the numbers of the meshes at or below an object.
-
-    Parameters
-    ----------
-    file : Path
-        The file, for messages.
-    meshes : sequence of SceneObject
-        All meshes.
-    prim : str
-        Path of the object, or its name if no other place has it; "/" is everything.
-    among : sequence of SceneObject, optional
-        Other objects, whose numbers are wanted instead of those of the meshes.
-
-    Raises
-    ------
-    FormatError
-        If there is no mesh; the message lists what there is.
-    AmbiguousError
-        If objects in several places have that name.
 
     Examples
     --------
@@ -110,20 +82,7 @@ def _called(mesh: SceneObject, name: str) -> list[SceneObject]:
 
 
 def moving(file: Path, meshes: Sequence[SceneObject], moves: Sequence[bool]) -> list[int]:
-    """Return the numbers of the meshes that move; all if none does.
-
-    Parameters
-    ----------
-    file, meshes
-        See `chosen`.
-    moves : sequence of bool
-        Whether each of the meshes moves.
-
-    Warns
-    -----
-    MixseqWarning
-        Of those that are left out.
-    """
+    """Return the numbers of the meshes that move; all if none does."""
     still = [mesh.path for mesh, it_moves in zip(meshes, moves, strict=True) if not it_moves]
     if not any(moves):
         return list(range(len(meshes)))

@@ -14,13 +14,7 @@ from mixseq_io.hdf5.h5_files import MODEL_FORMAT
 
 
 def is_compressed(path: Path) -> bool:
-    """Whether a file has a compressed model.
-
-    Raises
-    ------
-    FormatError
-        If it is missing, or cannot be read as what its name says.
-    """
+    """Whether a file has a compressed model."""
     if sequence_extension.is_glb(path):
         return sequence_extension.has_sequence(path)
     file = read_attributes(path)
@@ -28,45 +22,19 @@ def is_compressed(path: Path) -> bool:
 
 
 def read_container(path: Path) -> Container:
-    """Read text and streams of a compressed model.
-
-    Raises
-    ------
-    FormatError
-        If it is another file, or damaged in its own structure.
-    """
+    """Read text and streams of a compressed model."""
     if sequence_extension.is_glb(path):
         return sequence_extension.read_container(path)
     return coded_files.container_of(path, read_contents(path, MODEL_FORMAT))
 
 
 def read_compressed(path: Path) -> CompressedSequence:
-    """Read a compressed sequence, and check every byte of it.
-
-    Raises
-    ------
-    FormatError
-        If the file is no compressed model, or damaged; the message names the stream and its frames.
-    """
+    """Read a compressed sequence, and check every byte of it."""
     return sequence_of(path, read_container(path))
 
 
 def compressed_sizes(path: Path) -> dict[str, int]:
-    """Count the bytes of a compressed model.
-
-    Returns
-    -------
-    dict
-        ``total``: the file; ``connectivity``: the faces; ``still``: of a .glb the first frame and textures;
-        ``container``: what HDF5 or glTF takes itself, and the text; ``signals``: everything else; and of these
-        ``uvs``: texture coordinates that are coded, ``surface``: face sets and the like, and texture coordinates as
-        they were, ``index``: lengths and checksums.
-
-    Raises
-    ------
-    FormatError
-        As `read_compressed`, but streams are not looked at.
-    """
+    """Count the bytes of a compressed model."""
     container = read_container(path)
     index = read_index(path, container)
     still = sequence_extension.other_data(path) if sequence_extension.is_glb(path) else 0

@@ -30,24 +30,7 @@ from mixseq_io.worker_pool import OpenFile, dismiss, hire
 
 
 def open_isolated(reader: str, path: Path, options: dict[str, Any]) -> SequenceReader:
-    """Open a file in a worker, or here where none can be started.
-
-    Parameters
-    ----------
-    reader : str
-        ``"module:function"`` that opens it.
-    path : Path
-        The file.
-    options : dict
-        The function's options.
-
-    Raises
-    ------
-    MixseqError
-        As the function.
-    FormatError
-        If the worker dies or exceeds its limits.
-    """
+    """Open a file in a worker, or here where none can be started."""
     if not can_isolate():
         reader_here: SequenceReader = loaded(reader)(path, **options)
         return reader_here
@@ -61,19 +44,7 @@ def open_isolated(reader: str, path: Path, options: dict[str, Any]) -> SequenceR
 def call_isolated(
     function: str, path: Path, *arguments: Any, meanwhile: Callable[[], object] | None = None
 ) -> Any:
-    """Call a function of a file in a worker and return its value; parameters and errors are those of `open_isolated`.
-
-    Parameters
-    ----------
-    function : str
-        ``"module:function"``; it takes the path and the arguments.
-    path : Path
-        The file.
-    *arguments
-        What else it takes.
-    meanwhile : callable, optional
-        What this process does until the answer is there: imports, for example.
-    """
+    """Call a function of a file in a worker and return its value; arguments and errors as of `open_isolated`."""
     if not can_isolate():
         return loaded(function)(path, *arguments)
     worker = hire()

@@ -40,12 +40,7 @@ def joined(channels: Iterable[Float], tolerance: float = SAME_TIME) -> Float:
 def united(times: Float, more: Float, tolerance: float | Float) -> Float:
     """Return both, increasing, without those of `more` that are as near as `tolerance` to one of `times`.
 
-    Parameters
-    ----------
-    times, more : (n,) and (m,) float
-        Times that increase.
-    tolerance : float or (m,) float
-        How near is the same.
+    Shapes: times, more ``(n,)``.
 
     Examples
     --------

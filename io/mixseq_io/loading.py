@@ -28,13 +28,7 @@ _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
 def is_model(path: Path) -> bool:
-    """Whether a file is a model, and not a sequence.
-
-    Raises
-    ------
-    FormatError
-        If its name says that it may be one, and it cannot be read.
-    """
+    """Whether a file is a model, and not a sequence."""
     suffix = path.suffix.lower()
     if suffix not in (GLB, *HDF5) or not path.is_file():
         return False

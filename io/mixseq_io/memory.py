@@ -23,13 +23,7 @@ _given: ContextVar[int | None] = ContextVar("max_memory", default=None)
 
 
 def max_memory() -> int:
-    """Return the limit, in bytes.
-
-    Raises
-    ------
-    SettingsError
-        If the environment variable is not a positive number.
-    """
+    """Return the limit, in bytes."""
     given = _given.get()
     if given is not None:
         return given
@@ -44,13 +38,7 @@ def max_memory() -> int:
 
 @contextmanager
 def memory_limit(size: float | None) -> Iterator[None]:
-    """Read files within another limit, in bytes, in this thread; None leaves it as it is.
-
-    Raises
-    ------
-    SettingsError
-        If it is not a positive number.
-    """
+    """Read files within another limit, in bytes, in this thread; None leaves it as it is."""
     if size is None:
         yield
         return
@@ -62,22 +50,7 @@ def memory_limit(size: float | None) -> Iterator[None]:
 
 
 def check_memory(file: object, needed: float, what: str = "what is in it") -> None:
-    """Refuse to read what would take more memory than the limit.
-
-    Parameters
-    ----------
-    file : object
-        The file, for the message.
-    needed : float
-        Bytes that it would take.
-    what : str
-        What takes them.
-
-    Raises
-    ------
-    FormatError
-        The message names the file, what it needs, the limit and how to raise it.
-    """
+    """Refuse to read what would take more memory than the limit."""
     limit = max_memory()
     if needed > limit:
         raise FormatError(

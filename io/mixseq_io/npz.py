@@ -49,15 +49,7 @@ _COPIED_AT_ONCE = 1 << 20
 
 
 def open_npz(path: Path, fps: float | None = None) -> SequenceReader:
-    """Open an npz file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    fps : float, optional
-        Frames per second if the file tells neither fps nor times.
-    """
+    """Open an npz file."""
     with ExitStack() as resources, reading_archive(path):
         archive = Archive(path, resources.enter_context(zipfile.ZipFile(path)))
         members = archive.names
@@ -176,15 +168,7 @@ def write_npz(
     velocities: Iterable[FloatArray] | None = None,
     compress: bool = False,
 ) -> None:
-    """Write an npz file, one block at a time.
-
-    Parameters
-    ----------
-    path, header, blocks, velocities
-        See `mixseq_io.write_blocks`.
-    compress : bool
-        Deflate the arrays.
-    """
+    """Write an npz file, one block at a time."""
     arrays: dict[str, Any] = {
         "times": header.times,
         "fps": np.float64(header.fps),

@@ -33,31 +33,7 @@ def opened_original(
     kind: str,
     opened: Callable[[Path], Opened],
 ) -> Opened | None:
-    """Open the file that is copied, if there is one.
-
-    Parameters
-    ----------
-    path : Path
-        What is written.
-    header : SequenceHeader
-        The sequence; it tells which file of what format it came from.
-    onto : path-like, optional
-        Another file.
-    kind : str
-        The format, as `Origin.format`.
-    opened : callable
-        Opens the file.
-
-    Raises
-    ------
-    OutputError
-        If the file would be lost, or it is `onto` and the sequence does not fit it.
-
-    Warns
-    -----
-    MixseqWarning
-        If the sequence does not fit the file that it came from, and so is written alone.
-    """
+    """Open the file that is copied, if there is one."""
     origin = header.surface.origin
     if onto is not None:
         file = Path(onto)
@@ -85,26 +61,7 @@ def fit_meshes(
     fit: Callable[[SceneMesh, Mesh], Fit | None],
     difference: Callable[[SceneMesh, Mesh], str],
 ) -> list[Fit]:
-    """Return for every mesh of a sequence the mesh of a file that it is laid over.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    header : SequenceHeader
-        The sequence.
-    meshes : mapping of str to Mesh
-        The meshes of the file by their paths.
-    fit : callable
-        Lays a mesh of the sequence over one of the file; None if it has other faces.
-    difference : callable
-        Returns the first difference of two meshes that do not fit, "" if there are no words for it.
-
-    Raises
-    ------
-    FormatError
-        If none, or several, have the faces of a mesh of the sequence.
-    """
+    """Return for every mesh of a sequence the mesh of a file that it is laid over."""
     left, fits = dict(meshes), []
     for scene_mesh in split(header):
         wanted = scene_mesh.path or scene_mesh.name
@@ -142,16 +99,7 @@ def warn_of_other_times(
 ) -> None:
     """Tell what else moves if the sequence shows other times than its own, or goes on for more than a frame.
 
-    Parameters
-    ----------
-    path : Path
-        What is written.
-    header : SequenceHeader
-        The sequence.
-    moving : mapping of str to (float, float)
-        What else moves in the original, from when to when, in seconds.
-    sources : (T,) float, optional
-        Times of the original that the frames show, by default their own.
+    Shapes: sources ``(T,)``.
     """
     first, last = (float(time) for time in header.times[[0, -1]])
     frame, retimed = 1 / header.fps, is_retimed(header, sources)

@@ -24,17 +24,6 @@ class SequenceReader(ABC):
 
     A format's reader opens its file, finds the header, and implements `_read_blocks`, and `_read_velocities` if the
     format can hold them.
-
-    Parameters
-    ----------
-    path : Path
-        The file, for messages.
-    header : SequenceHeader
-        Everything but the points.
-    resources : ExitStack, optional
-        What `close` closes.
-    has_velocities : bool
-        Whether the file has velocities.
     """
 
     def __init__(
@@ -53,28 +42,7 @@ class SequenceReader(ABC):
         self._process = os.getpid()
 
     def blocks(self, size: int = 16) -> Iterator[FloatArray]:
-        """Iterate over the points, from the first frame each time it is called.
-
-        Parameters
-        ----------
-        size : int
-            Largest number of frames B per block; there are fewer where so many would take more than `max_memory`.
-
-        Returns
-        -------
-        iterator of (B, V, 3) float32 or float64
-            The frames in order, in the file's units.
-
-        Raises
-        ------
-        SettingsError
-            If `size` is not positive.
-        FormatError
-            If the file is damaged, a frame takes more than `max_memory`, or the reader is closed, or was opened before
-            this process was forked.
-        InvalidSequenceError
-            If a frame has another number of vertices, or coordinates that are not finite.
-        """
+        """Iterate over the points, from the first frame each time it is called."""
 
         def check(block: FloatArray, frame: int) -> None:
             check_block(self.header, block, frame)
@@ -82,18 +50,7 @@ class SequenceReader(ABC):
         return self._checked(self._read_blocks(self._fitting(size)), check, "points")
 
     def velocity_blocks(self, size: int = 16) -> Iterator[FloatArray] | None:
-        """Iterate over the velocities, in the file's units per second, in step with `blocks` of the same size.
-
-        Returns
-        -------
-        iterator of (B, V, 3) float32 or float64, or None
-            None if the file has no velocities.
-
-        Raises
-        ------
-        SettingsError, FormatError, InvalidSequenceError
-            As `blocks`.
-        """
+        """Iterate over the velocities, in the file's units per second, in step with `blocks` of the same size."""
         fitting = self._fitting(size)
         if not self.has_velocities:
             return None
@@ -104,13 +61,7 @@ class SequenceReader(ABC):
         return self._checked(self._read_velocities(fitting), check, "velocities")
 
     def check_whole(self) -> None:
-        """Refuse a sequence of which all frames together take more than `max_memory`.
-
-        Raises
-        ------
-        FormatError
-            The message tells what it would take.
-        """
+        """Refuse a sequence of which all frames together take more than `max_memory`."""
         numbers = 3 * self.header.vertex_count * self.header.frame_count * (1 + self.has_velocities)
         with memory_limit(self._limit):
             check_memory(self.path, 4 * numbers, f"all its {self.header.frame_count} frames")
@@ -188,22 +139,7 @@ def naming(path: Path | str) -> Iterator[None]:
 
 @contextmanager
 def reading(path: Path | str, what: str, *errors: type[Exception]) -> Iterator[None]:
-    """Translate what a library raises about a bad file into a `FormatError`.
-
-    Parameters
-    ----------
-    path : Path or str
-        The file.
-    what : str
-        What it should have been, for the message: "an npz file".
-    *errors : exception types
-        What the library raises; `OSError` and `MemoryError` are always translated.
-
-    Raises
-    ------
-    FormatError
-        Also if it is a pipe, a socket or a device.
-    """
+    """Translate what a library raises about a bad file into a `FormatError`."""
     check_regular(path, what)
     damage: tuple[type[Exception], ...] = (OSError, *errors)
     try:
@@ -229,13 +165,7 @@ _OF_TEXT = 6
 
 
 def read_whole(path: Path, text: bool = False) -> bytes:
-    """Return all bytes of a file, if they fit the limit of memory; of `text`, also what is made of it.
-
-    Raises
-    ------
-    FormatError
-        If they do not.
-    """
+    """Return all bytes of a file, if they fit the limit of memory; of `text`, also what is made of it."""
     size = path.stat().st_size
     check_memory(
         path, size * _OF_TEXT if text else size, "the file and what is made of it" if text else "the file"
@@ -253,13 +183,7 @@ def refuse_newer(path: Path, version: int, known: int) -> None:
 
 
 def check_regular(path: Path | str, what: str) -> None:
-    """Refuse a pipe, a socket or a device: reading it may never end.
-
-    Raises
-    ------
-    FormatError
-        If the path is there, and is one of these.
-    """
+    """Refuse a pipe, a socket or a device: reading it may never end."""
     try:
         mode = Path(path).stat().st_mode
     except (OSError, ValueError):  # not there, or no name that a file can have: its reader will tell

@@ -74,13 +74,6 @@ def numbered_names(word: str, count: int) -> list[str]:
 def steadied(values: Float, unit: float) -> Float:
     """Return values ``(T, n, k)`` of which those of a bone that only move by rounding are those of the first frame.
 
-    Parameters
-    ----------
-    values : (T, n, k) float64
-        Rotations or translations.
-    unit : float
-        What they are compared with: one, or the size of the mesh.
-
     Examples
     --------
     >>> moved = np.array([[[1.0], [2.0]], [[1.0 + 1e-12], [3.0]]])

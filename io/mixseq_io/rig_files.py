@@ -78,13 +78,7 @@ def _write_gltf_rig(file: Path, rig: Skin | Morph) -> None:
 
 
 def check_rig_target(path: Path) -> None:
-    """Refuse what is no place for a skin or a morph.
-
-    Raises
-    ------
-    OutputError
-        If the name does not end in that of a glTF or USD file.
-    """
+    """Refuse what is no place for a skin or a morph."""
     if path.suffix.lower() not in RIG_EXTENSIONS:
         raise OutputError(
             f"{path}: skins and morphs are written as glTF or USD; end the name in {', '.join(RIG_EXTENSIONS[:-1])} "

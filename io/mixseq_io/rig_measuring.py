@@ -38,20 +38,7 @@ class Measured:
 
 
 def measure(path: Path, sequence: MeshSequence) -> Measured:
-    """Compare a file that was written of a sequence with it, at the times of its frames.
-
-    Parameters
-    ----------
-    path : Path
-        The file, a scene of its own as `mixseq_io.write_rig` writes it.
-    sequence : MeshSequence
-        What it shall show.
-
-    Raises
-    ------
-    FormatError
-        If it cannot be read.
-    """
+    """Compare a file that was written of a sequence with it, at the times of its frames."""
     gltf = path.suffix.lower() in GLTF
     kept = _with_polygons(sequence.header) if gltf else np.arange(sequence.vertex_count)
     turn = np.reshape(upright(sequence.header).get("matrix", np.eye(4)) if gltf else np.eye(4), (4, 4))[

@@ -25,15 +25,7 @@ _HALF_DIGIT = 2.0**-24, 2.0**-150  # what rounding changes at most: relative to 
 
 
 class Rounding:
-    """Watches points on their way to a file of single precision.
-
-    Attributes
-    ----------
-    error : float
-        Largest distance that a vertex has moved so far, in diagonals of the first frame.
-    frame : int
-        Where that was.
-    """
+    """Watches points on their way to a file of single precision."""
 
     def __init__(self) -> None:
         self.error, self.frame = 0.0, 0

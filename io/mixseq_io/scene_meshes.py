@@ -57,11 +57,6 @@ class SceneMesh:
         """Return the mesh with vertices in the order of a file, None if the file has another mesh.
 
         Only compressed models give vertices other numbers.
-
-        Parameters
-        ----------
-        original : Polygons
-            The polygons of the file as they are read, in whatever order.
         """
         found = numbering_of(self.polygons, original, [self.vertex_count])
         if found is None or found.order != "free":
@@ -86,15 +81,7 @@ class SceneMesh:
 
 
 def join(meshes: Sequence[SceneMesh], origin: Origin | None) -> tuple[Polygons, Surface]:
-    """Join meshes, whose vertices follow each other, into one.
-
-    Parameters
-    ----------
-    meshes : sequence of SceneMesh
-        The meshes, at least one.
-    origin : Origin or None
-        What the surface shall tell about the file.
-    """
+    """Join meshes, whose vertices follow each other, into one."""
     first_vertex = np.cumsum([0, *(mesh.vertex_count for mesh in meshes)])
     polygons = Polygons(
         np.concatenate([mesh.polygons.counts for mesh in meshes]),

@@ -107,22 +107,6 @@ def _check_skeleton_file(file: Path) -> None:
 def choose_skeleton(file: Path, names: Sequence[tuple[str, ...]], name: str | None) -> int:
     """Return the number of the skeleton that is meant.
 
-    Parameters
-    ----------
-    file : Path
-        The file, for messages.
-    names : sequence of tuple of str
-        What each skeleton is called, the name to show first.
-    name : str or None
-        What is asked for.
-
-    Raises
-    ------
-    FormatError
-        If there is none.
-    AmbiguousError
-        If there are several.
-
     Examples
     --------
     >>> choose_skeleton(Path("a.glb"), [("fox",), ("skin 1", "cat")], "cat")
@@ -145,22 +129,7 @@ def choose_skeleton(file: Path, names: Sequence[tuple[str, ...]], name: str | No
 
 
 def skeleton_of(names: Sequence[str], parents: Sequence[int], bind: Float) -> Skeleton:
-    """Return a skeleton of joints in any order.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Names of the B joints; they may be empty, or the same.
-    parents : sequence of int
-        Number of the parent, -1 for none.
-    bind : (B, 4, 4) float64
-        From each joint to the world, for columns: ``p' = M p``. Axes are the rotation nearest to it.
-
-    Raises
-    ------
-    InvalidSequenceError
-        If a matrix is not finite.
-    """
+    """Return a skeleton of joints in any order: bind ``(B, 4, 4)``."""
     from scipy.spatial.transform import Rotation
 
     from mixseq.errors import InvalidSequenceError

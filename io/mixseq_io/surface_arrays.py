@@ -92,20 +92,7 @@ def surface_arrays(surface: Surface) -> Arrays:
 
 
 def surface_of_arrays(arrays: Mapping[str, NDArray[Any]], folder: Path | None = None) -> Surface:
-    """Make a surface of what `surface_arrays` returned.
-
-    Parameters
-    ----------
-    arrays : mapping
-        The arrays.
-    folder : Path, optional
-        Where the origin is looked for if it has moved: beside the file of the arrays.
-
-    Raises
-    ------
-    InvalidSequenceError
-        If an array of a group is missing, or does not fit the others.
-    """
+    """Make a surface of what `surface_arrays` returned."""
     for group in _GROUPS:
         missing = [name for name in group if name not in arrays]
         if missing and len(missing) < len(group):

@@ -29,18 +29,7 @@ _NAME = re.compile(r"\.mixseq\.([\w-]+)\.[^.]{8}(?=\.|$)")
 
 @contextmanager
 def temporary_name(folder: Path) -> Iterator[Path]:
-    """Yield the beginning of names that nobody else has in a folder; what has such a name goes at the end.
-
-    Parameters
-    ----------
-    folder : Path
-        The folder, in which what killed writers left is deleted.
-
-    Raises
-    ------
-    OSError
-        If nothing can be written there.
-    """
+    """Yield the beginning of names that nobody else has in a folder; what has such a name goes at the end."""
     claimed: list[tuple[Path, int]] = []
     try:
         with held():  # a signal between a name and its end would leave it to the next writer

@@ -31,22 +31,7 @@ _MOST_IDLE = 2
 
 
 class OpenFile:
-    """A file that is open in a worker.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    reader : str
-        ``"module:function"`` that opens it.
-    options : dict
-        The function's options.
-
-    Attributes
-    ----------
-    opened
-        What the worker answered when it opened the file.
-    """
+    """A file that is open in a worker."""
 
     def __init__(self, path: Path, reader: str, options: dict[str, Any]) -> None:
         self.path = path

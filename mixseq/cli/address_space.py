@@ -21,13 +21,7 @@ _SIGNS = ("can't start new thread", "failed to map segment", "Cannot allocate me
 
 
 def make_do() -> None:
-    """Ask libraries that are not loaded yet for one thread, if the address space is limited.
-
-    Raises
-    ------
-    SettingsError
-        If it is limited to less than they need.
-    """
+    """Ask libraries that are not loaded yet for one thread, if the address space is limited."""
     limit = _limit()
     if limit is None:
         return

@@ -223,13 +223,7 @@ class Chosen:
     end: float | None = None
 
     def of(self, model: Model) -> SequenceHeader:
-        """Return the header of what is decoded.
-
-        Raises
-        ------
-        SettingsError
-            If the model has no such times or frames, or two options contradict each other.
-        """
+        """Return the header of what is decoded."""
         if self.frames is not None:
             for name in ("times", "start", "end"):
                 if getattr(self, name) is not None:

@@ -31,40 +31,20 @@ _USELESS = {"velocities": "velocities", "onto": "other files to build on", "clip
 
 @dataclass(frozen=True)
 class RigSettings:
-    """What is asked of a skin or a morph; None is the default of the fit.
+    """What is asked of a skin or a morph; None is the default of the fit."""
 
-    Attributes
-    ----------
-    kind : {"skin", "morph"} or None
-        What to write; None for a sequence.
-    bones : int or None
-        Number of bones.
-    skeleton : Path or None
-        A file with the bones, and mostly with the mesh on them.
-    correctives, max_error : float or None
-        Largest error of a vertex in diagonals: of a skin by its correctives; of its bones, or of a morph.
-    kg : float or None
-        KG error of a skin's bones, in percent.
-    max_targets : int or None
-        Number of morph targets at most.
-    """
-
-    kind: str | None
-    bones: int | None
-    skeleton: Path | None
+    kind: str | None  # what to write; None for a sequence
+    bones: int | None  # number of bones
+    skeleton: Path | None  # a file with the bones, and mostly with the mesh on them
+    # Largest error of a vertex in diagonals: of a skin by its correctives; of its bones, or of a morph.
     correctives: float | None
+    # Largest error of a vertex in diagonals: of a skin by its correctives; of its bones, or of a morph.
     max_error: float | None
-    kg: float | None
-    max_targets: int | None
+    kg: float | None  # kG error of a skin's bones, in percent
+    max_targets: int | None  # number of morph targets at most
 
     def check(self, velocities: bool, writing: Mapping[str, Any], texture: str | None = None) -> None:
-        """Refuse options that exclude each other.
-
-        Raises
-        ------
-        SettingsError
-            If there are some; the message names them.
-        """
+        """Refuse options that exclude each other."""
         if texture is not None:
             raise SettingsError(
                 "texture is for vertex animation textures; leave it out, or end the target in .vat"
@@ -114,13 +94,7 @@ def _option(name: str) -> str:
 
 
 def _bind_pose(path: Path, sequence: MeshSequence) -> MeshSequence | None:
-    """Return the mesh on the skeleton of a file, None if there is none, or another one than that of a sequence.
-
-    Warns
-    -----
-    MixseqWarning
-        If it is another one.
-    """
+    """Return the mesh on the skeleton of a file, None if there is none, or another one than that of a sequence."""
     try:
         found = mixseq.read_bind_pose(path)
     except NoMeshError:  # a skeleton alone

@@ -12,13 +12,7 @@ if TYPE_CHECKING:
 
 
 def check_textures(others: Mapping[str, Any]) -> None:
-    """Refuse options that textures have no place for, by name; those that are None or False are not given.
-
-    Raises
-    ------
-    SettingsError
-        If there are some; the message names them.
-    """
+    """Refuse options that textures have no place for, by name; those that are None or False are not given."""
     for name, value in others.items():
         if value is not None and value is not False:
             option = f"--{name.replace('_', '-')}"

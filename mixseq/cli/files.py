@@ -193,13 +193,7 @@ def options_of(path: Path, reading: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def check_options(files: Sequence[Path], reading: Mapping[str, Any]) -> None:
-    """Refuse options that none of the files is read with.
-
-    Raises
-    ------
-    SettingsError
-        If there is one.
-    """
+    """Refuse options that none of the files is read with."""
     for name in reading.keys() - set().union(*(options_of(file, reading) for file in files)):
         raise SettingsError(f"none of the files is read with an option {name!r}")
 
@@ -214,11 +208,6 @@ def scene_items(
     """Open models and sequences that are shown together, and the original that errors are measured against.
 
     Frames of sequences are not read yet; the stack closes them.
-
-    Raises
-    ------
-    SettingsError
-        If none of the files is read with one of the options.
     """
     from mixseq.scene import SceneItem
 

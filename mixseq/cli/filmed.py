@@ -39,13 +39,7 @@ class FilmOptions:
     names: tuple[str, ...] | None
 
     def refuse(self) -> None:
-        """Refuse all of them but the camera where no film is made.
-
-        Raises
-        ------
-        SettingsError
-            If there is one.
-        """
+        """Refuse all of them but the camera where no film is made."""
         for name, value in vars(self).items():
             if value is not None and name != "camera":
                 raise SettingsError(f"--{name} is about films; give --video as well, or leave it out")

@@ -23,24 +23,12 @@ _RANGE = re.compile(r"\s*(-?\d+)(?:-(-?\d+))?\s*")
 
 @dataclass(frozen=True)
 class FrameChoice:
-    """Frames by their numbers.
+    """Frames by their numbers."""
 
-    Attributes
-    ----------
-    ranges : tuple of (int, int)
-        First and last number of every range; equal for a single frame.
-    """
-
-    ranges: tuple[tuple[int, int], ...]
+    ranges: tuple[tuple[int, int], ...]  # first and last number of every range; equal for a single frame
 
     def indices(self, header: SequenceHeader) -> list[int]:
-        """Return which frames of a sequence are chosen, in order.
-
-        Raises
-        ------
-        SettingsError
-            If a range goes beyond the sequence, or a single frame is not there.
-        """
+        """Return which frames of a sequence are chosen, in order."""
         import numpy as np
 
         numbers = header.times * header.fps
@@ -54,13 +42,7 @@ class FrameChoice:
         return [int(index) for index in np.flatnonzero(chosen)]
 
     def span(self, header: SequenceHeader) -> tuple[float, float]:
-        """Return from when to when the frames are, in seconds.
-
-        Raises
-        ------
-        SettingsError
-            If they are several ranges, or go beyond the sequence.
-        """
+        """Return from when to when the frames are, in seconds."""
         if len(self.ranges) > 1:
             raise SettingsError("--frames is one range here, such as 1005-1010")
         ((first, last),) = self.ranges

@@ -34,19 +34,7 @@ from mixseq.warned import warnings_heard
 
 
 class LazyGroup(click.Group):
-    """Commands in modules of a package, each of which calls its own ``command``.
-
-    Parameters
-    ----------
-    package : str
-        The package.
-    sections : dict of tuple of str
-        Names of the commands and of their modules (with _ for -), under the titles that help gives them.
-    shared : sequence of click.Option
-        Options that all commands have.
-    **settings
-        What every `click.Group` takes.
-    """
+    """Commands in modules of a package, each of which calls its own ``command``."""
 
     def __init__(
         self,

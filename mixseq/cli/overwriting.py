@@ -27,30 +27,14 @@ _FOLDERS = ("folders", "pack_from")
 
 @dataclass(frozen=True)
 class Claim:
-    """What claims files for writing.
+    """What claims files for writing."""
 
-    Attributes
-    ----------
-    overwrite : bool or None
-        What the user said; None for nothing.
-    given : tuple of Path
-        All files that the command was given, to read or to write.
-    clips : bool
-        Whether USD is written with value clips.
-    """
-
-    overwrite: bool | None
-    given: tuple[Path, ...] = ()
-    clips: bool = False
+    overwrite: bool | None  # what the user said; None for nothing
+    given: tuple[Path, ...] = ()  # all files that the command was given, to read or to write
+    clips: bool = False  # whether USD is written with value clips
 
     def __call__(self, *targets: Path | None, read: Iterable[Path | None] = ()) -> None:
-        """Claim targets, `None` is none of them; `read` are more files that they must not be.
-
-        Raises
-        ------
-        OutputError
-            If one could not be written, is among the files that are read, or exists and is to stay.
-        """
+        """Claim targets, `None` is none of them; `read` are more files that they must not be."""
         written = [target for target in targets if target is not None]
         sources = [*self.given, *(path for path in read if path is not None)]
         for number, target in enumerate(written):
@@ -65,13 +49,7 @@ class Claim:
         self.permit([file for target in written for file in files_in_the_way(target, self.clips)])
 
     def permit(self, files: Sequence[Path], unasked: bool = True) -> None:
-        """See that files may be replaced; `unasked` says what holds if nothing was said and nobody can be asked.
-
-        Raises
-        ------
-        OutputError
-            If they may not.
-        """
+        """See that files may be replaced; `unasked` says what holds if nothing was said and nobody can be asked."""
         if not files or self.overwrite:
             return
         asked = self.overwrite is None and on_terminal()

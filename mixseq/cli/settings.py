@@ -29,13 +29,7 @@ class Setting(click.Option):
         return f"{self.key}={'yes' if self.is_flag else self.make_metavar(ctx)}"
 
     def spelled(self, value: str) -> list[str]:
-        """Return the arguments that give it a value.
-
-        Raises
-        ------
-        click.BadParameter
-            If it is on or off, and the value is neither.
-        """
+        """Return the arguments that give it a value."""
         if not self.is_flag:
             return [self.opts[-1], value]
         if value.lower() in ON:

@@ -28,17 +28,7 @@ def set_markers(
     settings: ViewSettings,
     wait: Callable[[str], None],
 ) -> None:
-    """Run a viewer in which markers are set, as long as it is waited for; what is not saved then is kept beside.
-
-    Raises
-    ------
-    SettingsError
-        If there are not two files, or the markers are not of their meshes.
-    FormatError
-        If there is such a file, and it holds no markers.
-    OutputError
-        If there is no folder for it.
-    """
+    """Run a viewer in which markers are set, as long as it is waited for; what is not saved then is kept beside."""
     from mixseq.viewing.live import marking_viewer
     from mixseq_io.correspondence.markers import write_markers
 

@@ -26,21 +26,11 @@ from mixseq.surface import FaceSet, Surface, by_first_use
 
 @dataclass(frozen=True, eq=False)
 class Renumbering:
-    """Which vertices, polygons and corners of a mesh are first, second, ... in another numbering of it.
+    """Which vertices, polygons and corners of a mesh are first, second, ... in another numbering of it."""
 
-    Attributes
-    ----------
-    vertices : (V,) int64
-        The old number of every vertex.
-    polygons : (P,) int64
-        The old number of every polygon.
-    corners : (sum of counts,) int64
-        The old place of every corner.
-    """
-
-    vertices: Index
-    polygons: Index
-    corners: Index
+    vertices: Index  # (V,) the old number of every vertex
+    polygons: Index  # (P,) the old number of every polygon
+    corners: Index  # (sum of counts,) the old place of every corner
 
     @property
     def order(self) -> OrderName:
@@ -100,18 +90,7 @@ def as_it_is(polygons: Polygons, vertex_count: int) -> Renumbering:
 
 
 def by_walk(polygons: Polygons, sizes: Sequence[int], *, vertices: bool) -> Renumbering:
-    """Return the numbering in which connectivity takes few bits.
-
-    Parameters
-    ----------
-    polygons : Polygons
-        The mesh.
-    sizes : sequence of int
-        Numbers of vertices of the objects that it consists of, which stay runs of vertices and polygons, in their
-        order.
-    vertices : bool
-        Whether vertices are numbered as the walk meets them, those of no polygon last; else they keep their numbers.
-    """
+    """Return the numbering in which connectivity takes few bits."""
     from mixseq.coding.bitstream.polygon_walk import walk_polygons
 
     order, entered = walk_polygons(polygons, sum(sizes))
@@ -129,17 +108,7 @@ def by_walk(polygons: Polygons, sizes: Sequence[int], *, vertices: bool) -> Renu
 
 
 def numbering_of(other: Polygons, polygons: Polygons, sizes: Sequence[int]) -> Renumbering | None:
-    """Return how the vertices of a mesh are numbered in a file of it, None if the file has another mesh.
-
-    Parameters
-    ----------
-    other : Polygons
-        The polygons in the file.
-    polygons : Polygons
-        The polygons of the mesh.
-    sizes : sequence of int
-        As of `by_walk`.
-    """
+    """Return how the vertices of a mesh are numbered in a file of it, None if the file has another mesh."""
     if not np.array_equal(np.sort(polygons.counts), np.sort(other.counts)):
         return None
     if matched(polygons, other) is not None:

@@ -21,19 +21,11 @@ from mixseq.signals.model import Model
 
 
 class Readers(NamedTuple):
-    """How to read files; the core knows no formats.
+    """How to read files; the core knows no formats."""
 
-    Attributes
-    ----------
-    model, mesh : callable
-        Read a file.
-    folders : tuple of Path
-        Where files may be besides the script's folder and those below.
-    """
-
-    model: Callable[[Path], Model]
-    mesh: Callable[[Path], MeshSequence]
-    folders: tuple[Path, ...] = ()
+    model: Callable[[Path], Model]  # read a file
+    mesh: Callable[[Path], MeshSequence]  # read a file
+    folders: tuple[Path, ...] = ()  # where files may be besides the script's folder and those below
 
 
 Read = Callable[[Any, Path, Readers], Any]
@@ -45,27 +37,15 @@ class WrongTypeError(Exception):
 
 
 class Key(NamedTuple):
-    """What a key of a table means.
+    """What a key of a table means."""
 
-    Attributes
-    ----------
-    parameter : str
-        Parameter of the operation that its value is for.
-    required : bool
-        Whether there is no default.
-    holds : str
-        What the value is, for messages.
-    read : callable
-        Makes the argument from the value, the folder that paths start from, and readers of files; raises
-        `WrongTypeError` if the value is something else.
-    in_seconds : callable, optional
-        For times: makes seconds of what was read, with the frames per second of the model and the script's unit.
-    """
-
-    parameter: str
-    required: bool
-    holds: str
+    parameter: str  # parameter of the operation that its value is for
+    required: bool  # whether there is no default
+    holds: str  # what the value is, for messages
+    # Makes the argument from the value, the folder that paths start from, and readers of files; raises WrongTypeError
+    # if the value is something else.
     read: Read
+    # For times: makes seconds of what was read, with the frames per second of the model and the script's unit.
     in_seconds: InSeconds | None = None
 
 
@@ -158,13 +138,7 @@ def _pairs(value: Any, folder: Path, readers: Readers) -> Float:
 
 
 def read_pairs(path: Path) -> Float:
-    """Read pairs of numbers ``(N, 2)`` from a CSV file without a header.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, or is something else.
-    """
+    """Read pairs of numbers ``(N, 2)`` from a CSV file without a header."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:

@@ -46,11 +46,6 @@ def together(first: Model, second: Model) -> tuple[Model, Model]:
     The space is that of the first one. If that is a basis space, which has few shapes, it is one that has those of
     both, or that of the second one, if it is of another kind. Where key shapes differ, both get those of both. Pose
     space then has the weights of the key shapes as its coordinates.
-
-    Raises
-    ------
-    InvalidSequenceError
-        If they are models of different meshes.
     """
     _check_meshes(first, second)
     space, *carries = first.space.joined(second.space)

@@ -69,18 +69,10 @@ def smooth(model: Model, seconds: Seconds) -> Model:
 
 @dataclass(frozen=True, eq=False)
 class SteadyTurn:
-    """How the r rotations of placements turn on the whole.
+    """How the r rotations of placements turn on the whole."""
 
-    Attributes
-    ----------
-    space : ShapeSpace
-        The space of the placements.
-    rates : (r, 3) float64
-        Mean angular velocities, in radians per second.
-    """
-
-    space: ShapeSpace
-    rates: Float
+    space: ShapeSpace  # the space of the placements
+    rates: Float  # (r, 3) mean angular velocities, in radians per second
 
     @classmethod
     def of(cls, space: ShapeSpace, placement: Curve) -> SteadyTurn:

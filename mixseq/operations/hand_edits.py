@@ -23,33 +23,7 @@ MOVED, MOST = 1e-3, 0.9
 def edited_difference(model: Model, time: float, points: ArrayLike | MeshSequence) -> tuple[Model, Float]:
     """Return what the edit of a frame adds to key shapes, and the same motion in a space that has the edit.
 
-    Parameters
-    ----------
-    model : Model
-        The motion. A compressed one has only the shapes of its basis; its space gets more.
-    time : float
-        Time of the frame in seconds.
-    points : (V, 3) array_like or MeshSequence of one frame
-        ``model(time)`` with vertices moved. Faces of a mesh tell whether its vertices are in the model's order.
-
-    Returns
-    -------
-    model : Model
-        The motion, with as many numbers S in a key shape as it takes.
-    difference : (S,) float64
-        To be added to key shapes; zeros if nothing was moved.
-
-    Raises
-    ------
-    InvalidSequenceError
-        If the points are not those of the mesh, or not finite.
-    SettingsError
-        If there are several frames.
-
-    Warns
-    -----
-    MixseqWarning
-        If nearly all vertices moved.
+    Shapes: points ``(V, 3)``; result ``(S,)``.
     """
     edited, before = checked_points(points, model.header), model(time)
     space, carry = model.space.with_shape(edited - before)

@@ -237,13 +237,7 @@ def interpolate(
 
 
 def checked_weights(weights: ArrayLike, count: int) -> Float:
-    """Return weights of so many poses as numbers ``(n,)``.
-
-    Raises
-    ------
-    SettingsError
-        If there is not one for every pose, one is not finite, or they do not add up to one.
-    """
+    """Return weights of so many poses as numbers ``(n,)``."""
     try:
         numbers = np.asarray(weights, dtype=np.float64)
     except (TypeError, ValueError) as error:

@@ -50,17 +50,10 @@ class CurveSection(NamedTuple):
 
 
 class Seam(NamedTuple):
-    """How the jump between two sections is taken up.
+    """How the jump between two sections is taken up."""
 
-    Attributes
-    ----------
-    fade : float
-        Seconds before and after the seam over which it is, not longer than the sections there.
-    share : float
-        Fraction of the jump that is taken up before the seam: 1 leaves what follows as it is.
-    """
-
-    fade: float
+    fade: float  # seconds before and after the seam over which it is, not longer than the sections there
+    # Fraction of the jump that is taken up before the seam: 1 leaves what follows as it is.
     share: float = 0.5
 
 
@@ -73,20 +66,7 @@ class ModelSection(NamedTuple):
 
 
 def join(sections: Sequence[CurveSection], seams: Sequence[Seam]) -> Curve:
-    """Make one curve of sections that follow each other.
-
-    Parameters
-    ----------
-    sections : sequence of n CurveSection
-        Each starts where the one before ends, up to rounding, and lasts.
-    seams : sequence of n - 1 Seam
-        How the jumps between them are taken up.
-
-    Returns
-    -------
-    Curve
-        From the first start to the last end, two times continuously differentiable.
-    """
+    """Make one curve of sections that follow each other."""
     edges = np.array([sections[0].start, *(section.end for section in sections)])
     offsets: list[list[_Offset]] = [[] for _ in sections]
     for number, (before, after, seam) in enumerate(zip(sections, sections[1:], seams, strict=False)):
@@ -253,13 +233,7 @@ def frames_of(sections: Sequence[ModelSection]) -> Float:
 
 
 def snapped(model: Model, time: float, name: str = "time") -> float:
-    """Return the time, or the end, frame or knot that it misses by no more than rounding.
-
-    Raises
-    ------
-    SettingsError
-        If the time is outside the model.
-    """
+    """Return the time, or the end, frame or knot that it misses by no more than rounding."""
     slack = SLACK / model.header.fps
     if not model.start - slack <= time <= model.end + slack:
         fps = model.header.fps
@@ -273,13 +247,7 @@ def snapped(model: Model, time: float, name: str = "time") -> float:
 
 
 def section_of(model: Model, start: float, end: float) -> tuple[float, float]:
-    """Return the ends of a section, see `snapped`.
-
-    Raises
-    ------
-    SettingsError
-        If an end is outside the model, or the section does not last.
-    """
+    """Return the ends of a section, see `snapped`."""
     first, last = snapped(model, start, "start"), snapped(model, end, "end")
     if not first < last:
         raise SettingsError(f"there is no time between the start, {start:g} s, and the end, {end:g} s")
@@ -287,13 +255,7 @@ def section_of(model: Model, start: float, end: float) -> tuple[float, float]:
 
 
 def fade_of(fade: float | None, longest: float) -> float:
-    """Return the length of the windows next to a seam: a quarter of the longest that is possible, or as given.
-
-    Raises
-    ------
-    SettingsError
-        If it is too short to tell from a jump, or longer than possible.
-    """
+    """Return the length of the windows next to a seam: a quarter of the longest that is possible, or as given."""
     if fade is None:
         return longest / 4
     shortest = SHORTEST * longest

@@ -188,16 +188,7 @@ def _scaled_joint(model: Model, limb: Limb, gain: float) -> Float:
 
 
 def _with_rest(model: Model, limb: Limb) -> tuple[Model, Callable[[Float], Float]]:
-    """Return the model with coordinates of pose space for a part and its joints alone, and what they are of.
-
-    Returns
-    -------
-    model : Model
-        The same motion: the new coordinates are zero.
-    resting : callable
-        From changes ``(N, k)`` in pose space to those of the new coordinates ``(N, r)`` that change part and joints as
-        much.
-    """
+    """Return the model with coordinates of pose space for a part and its joints alone, and what they are of."""
     share, metric = limb.joint() + limb.own_shape(), model.space.shape_weights
     some = np.flatnonzero(share * metric)
     dim, keys = model.pose.matrix.shape

@@ -45,22 +45,12 @@ STRIPS = 4
 
 @dataclass(frozen=True, eq=False)
 class Limb:
-    """A part of a body and all parts that hang on it.
+    """A part of a body and all parts that hang on it."""
 
-    Attributes
-    ----------
-    space : MixedSpace
-        Tells of parts and where they meet.
-    part, parent : int
-        The part, and the one that it hangs on.
-    parts : (p,) bool
-        The part and what hangs on it.
-    """
-
-    space: MixedSpace
-    part: int
-    parent: int
-    parts: Mask
+    space: MixedSpace  # tells of parts and where they meet
+    part: int  # the part, and the one that it hangs on
+    parent: int  # the part, and the one that it hangs on
+    parts: Mask  # (p,) the part and what hangs on it
 
     @cached_property
     def _pivots(self) -> tuple[Float, Float]:
@@ -160,13 +150,7 @@ def _blended_poses(model: Model, times: Float) -> Float:
 
 
 def limb_of(model: Model, part: int) -> Limb:
-    """Return the limb of a part.
-
-    Raises
-    ------
-    SettingsError
-        If the parts of the model have no poses of their own, the part is none of them, or hangs on no other.
-    """
+    """Return the limb of a part."""
     space, count = as_mixed(model.space), len(model.decomposition.parts)
     if space.placement == "free":
         raise SettingsError(

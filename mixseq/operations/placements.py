@@ -33,16 +33,7 @@ def centre_columns(space: ShapeSpace) -> Index:
 def continued(space: ShapeSpace, curve: Curve, start: float, reference: Float) -> Curve:
     """Return a placement whose quaternions begin with the signs nearest to given ones: the same motion.
 
-    Parameters
-    ----------
-    space : ShapeSpace
-        The space.
-    curve : Curve
-        A placement.
-    start : float
-        When it begins, in seconds.
-    reference : (P,) float64
-        Where the placement is before that.
+    Shapes: reference ``(P,)``.
     """
     here, before = (space.poses(each).rotations[0] for each in (curve([start]), reference[None]))
     signs = np.where(np.einsum("gi,gi->g", here, before) < 0, -1.0, 1.0)
@@ -58,17 +49,7 @@ def mean(one: Float, other: Float, share: Float) -> Float:
 
 
 def mean_placements(space: ShapeSpace, one: Float, other: Float, share: Float) -> Float:
-    """Return means ``(N, P)`` of placements.
-
-    Parameters
-    ----------
-    space : ShapeSpace
-        Their space.
-    one, other : (N, P) float64
-        Placements at increasing times, with signs of quaternions that do not jump.
-    share : (N, 1) float64
-        Shares of the other ones.
-    """
+    """Return means ``(N, P)`` of placements: share ``(N, 1)``."""
     first, second = space.poses(one), space.poses(other)
     length, longer = (np.linalg.norm(poses.rotations, axis=2, keepdims=True) for poses in (first, second))
     a, b = (Poses(normalised(poses.rotations), poses.centres) for poses in (first, second))

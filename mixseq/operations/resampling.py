@@ -33,26 +33,13 @@ SLACK = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Resampling:
-    """What a resampling consists of, before anything is decoded; make it with `plan`.
+    """What a resampling consists of, before anything is decoded; make it with `plan`."""
 
-    Attributes
-    ----------
-    model : Model
-        The source.
-    header : SequenceHeader
-        What the output is, with the times of its frames.
-    retiming : Retiming
-        Which time of the source is shown when; how long the output lasts.
-    sources : (N,) float64
-        Time of the source, in seconds, that every frame shows.
-    slopes : (N,) float64
-        Speed of the source at every frame, in seconds of it per second of the output; negative backwards.
-    """
-
-    model: Model
-    header: SequenceHeader
-    retiming: Retiming
-    sources: Float
+    model: Model  # the source
+    header: SequenceHeader  # what the output is, with the times of its frames
+    retiming: Retiming  # which time of the source is shown when; how long the output lasts
+    sources: Float  # (N,) time of the source, in seconds, that every frame shows
+    # (N,) speed of the source at every frame, in seconds of it per second of the output; negative backwards.
     slopes: Float
 
     def blocks(

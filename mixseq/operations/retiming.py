@@ -236,18 +236,10 @@ def _near_kinks(outputs: Float, sources: Float) -> Float:
 
 @dataclass(frozen=True, eq=False)
 class RetimedLayer(PickledWithoutCaches):
-    """A residual layer along a map of time.
+    """A residual layer along a map of time."""
 
-    Attributes
-    ----------
-    source : ResidualLayer
-        The layer by times of the source.
-    retiming : Retiming
-        The map.
-    """
-
-    source: ResidualLayer
-    retiming: Retiming
+    source: ResidualLayer  # the layer by times of the source
+    retiming: Retiming  # the map
 
     def at(self, times: Float) -> Float:
         """Return displacements ``(N, V, 3)`` at times ``(N,)`` in seconds."""

@@ -22,29 +22,13 @@ Unit = Literal["seconds", "frames"]
 
 
 class RetimingKeys(NamedTuple):
-    """Points of a retiming as a file tells them.
+    """Points of a retiming as a file tells them."""
 
-    Attributes
-    ----------
-    points : (n, 2) float64
-        Output and source times.
-    unit : {"seconds", "frames"}, optional
-        What they are in; None where the file does not tell.
-    """
-
-    points: Float
-    unit: Unit | None
+    points: Float  # (n, 2) output and source times
+    unit: Unit | None  # what they are in; None where the file does not tell
 
     def in_seconds(self, output_fps: float, source_fps: float, unit: Unit = "seconds") -> Float:
-        """Return the points in seconds.
-
-        Parameters
-        ----------
-        output_fps, source_fps : float
-            Frames per second that frame numbers are of.
-        unit : {"seconds", "frames"}
-            What times are in where the file does not tell.
-        """
+        """Return the points in seconds."""
         return self.points / [output_fps, source_fps] if (self.unit or unit) == "frames" else self.points
 
 
@@ -124,13 +108,7 @@ def read_keys(path: str | os.PathLike[str]) -> RetimingKeys:
 
 
 def checked_unit(unit: object, where: str) -> Unit | None:
-    """Return the unit that a file tells, or None.
-
-    Raises
-    ------
-    SettingsError
-        If it is none.
-    """
+    """Return the unit that a file tells, or None."""
     if unit not in (None, "seconds", "frames"):
         raise SettingsError(f"{where}: the unit is {unit!r}; 'seconds' or 'frames' is expected")
     return unit

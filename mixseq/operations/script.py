@@ -62,27 +62,14 @@ RETIMING = frozenset({"repeat", "loop", "shift", "speed", "reverse", "retime", "
 
 @dataclass(frozen=True)
 class Edit:
-    """An operation and its arguments; call it with a model.
+    """An operation and its arguments; call it with a model."""
 
-    Attributes
-    ----------
-    number : int
-        Which table of the script it is, from 1 on.
-    operation : str
-        Its name.
-    arguments : mapping
-        Arguments by the names of the parameters, files read.
-    times : mapping
-        Those of them that are times: what makes seconds of them.
-    unit : {"seconds", "frames"}
-        What times are in.
-    """
-
-    number: int
-    operation: str
-    arguments: Mapping[str, Any]
+    number: int  # which table of the script it is, from 1 on
+    operation: str  # its name
+    arguments: Mapping[str, Any]  # arguments by the names of the parameters, files read
+    # Those of them that are times: what makes seconds of them.
     times: Mapping[str, InSeconds] = field(default_factory=dict)
-    unit: Unit = "seconds"
+    unit: Unit = "seconds"  # what times are in
 
     def __call__(self, model: Model) -> Model:
         """Return the edited model; errors tell which edit it was."""
@@ -97,24 +84,7 @@ class Edit:
 
 
 def read_script(path: Path, readers: Readers) -> list[Edit]:
-    """Read an edit script and the files that it names.
-
-    Parameters
-    ----------
-    path : Path
-        A TOML file.
-    readers : Readers
-        What reads models and meshes; paths in the script are relative to it. They may lead to its folder and those
-        below, and to the folders that the readers name.
-
-    Raises
-    ------
-    FormatError
-        If the script, or a file that it names, cannot be read, or the file is in another folder.
-    SettingsError
-        If an operation or a key is not known, is missing, or has a value of the wrong type. The message names the
-        number of the table, from 1 on, and the key.
-    """
+    """Read an edit script and the files that it names."""
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:

@@ -105,13 +105,7 @@ def sketch(model: Model, curve: ArrayLike, duration: Seconds, plane: Plane | Non
 
 
 def cardinal_weights(places: Float) -> Callable[[Float], Float]:
-    """Return the weights of scattered places: a function from points ``(N, 2)`` to ``(N, M)``.
-
-    Parameters
-    ----------
-    places : (M, 2) float64
-        Where data are, no two of them at the same place. At place j the weight j is one, all others are zero.
-    """
+    """Return the weights of scattered places: a function from points ``(N, 2)`` to ``(N, M)``; places ``(M, 2)``."""
     count = len(places)
     if count == 1:
         return lambda points: np.ones((len(points), 1))

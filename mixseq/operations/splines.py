@@ -34,12 +34,7 @@ def between(times: Float, start: float, end: float) -> Float:
 def sites_of(edges: Float, inner: Float) -> Float:
     """Return times that a spline with given breakpoints must be known at: these, and one in its first and last piece.
 
-    Parameters
-    ----------
-    edges : (n,) float64
-        Breakpoints that stay, increasing: the first and the last are the ends of the spline.
-    inner : (m,) float64
-        Others, in any order, between the ends; those that equal another one up to rounding are left out.
+    Shapes: edges ``(n,)``; inner ``(m,)``.
     """
     inner = np.unique(inner)
     close = EQUAL * (edges[-1] - edges[0]) / (len(edges) + len(inner))
@@ -76,20 +71,7 @@ def moved(curve: Curve, scale: float, offset: float) -> Curve:
 
 
 def sampled(function: Callable[[Float], Float], sites: Float, tolerance: float, measure: Measure) -> Curve:
-    """Return the spline through a function of time, with as many sites as it takes.
-
-    Parameters
-    ----------
-    function : callable
-        From increasing times ``(N,)`` to values ``(N, k)``.
-    sites : (m,) float64
-        Times that are sites in any case. Intervals in whose middle the spline is too far off are halved, but not
-        for ever: functions may have kinks.
-    tolerance : float
-        Largest allowed ``measure(spline - function)`` in the middle of an interval.
-    measure : callable
-        From deviations ``(N, k)`` to how large they are ``(N,)``.
-    """
+    """Return the spline through a function of time, with as many sites as it takes: sites ``(m,)``."""
     for _ in range(ROUNDS):
         both = np.empty(2 * len(sites) - 1)
         both[::2], both[1::2] = sites, (sites[:-1] + sites[1:]) / 2

@@ -13,13 +13,7 @@ _DEEPEST = 20
 
 
 def parse_toml(file: Path, text: str) -> dict[str, Any]:
-    """Parse what was read from a file of TOML.
-
-    Raises
-    ------
-    FormatError
-        If it is none, if tables or lists are nested deeper than 20, or an integer has more than the 64 bits of TOML.
-    """
+    """Parse what was read from a file of TOML."""
     try:
         parsed = tomllib.loads(text)
     except RecursionError:

@@ -134,22 +134,7 @@ def carried(model: Model, offset: Float) -> Model:
 def drift(
     a: Model, b: Model, ends: tuple[float, float], slope: Callable[[Float], Float]
 ) -> Callable[[Float], Float]:
-    r"""Return the integral :math:`\int w' (m_a - m_b)\, dt` from the start of a transition.
-
-    Parameters
-    ----------
-    a, b : Model
-        Motions in one space.
-    ends : (float, float)
-        Start and end of the transition, in seconds.
-    slope : callable
-        From times ``(N,)`` to the derivative of the weight of `b` ``(N, 1)``.
-
-    Returns
-    -------
-    callable
-        From times ``(N,)`` to ``(N, 3)``, in the space's unit.
-    """
+    r"""Return the integral :math:`\int w' (m_a - m_b)\, dt` from the start of a transition."""
     start, end = ends
     one, other = place_of(a), place_of(b)
     inner = between(np.concatenate([breakpoints(one), breakpoints(other)]), start, end)

@@ -73,13 +73,7 @@ def new_page(width: float, height: float, title: str) -> Figure:
 
 
 def picture_format(target: Target, chosen: Format | None = None) -> Format:
-    """Tell the format of a picture: as chosen, or by the extension of its file; PNG for files without a name.
-
-    Raises
-    ------
-    OutputError
-        If it is neither PNG nor SVG.
-    """
+    """Tell the format of a picture: as chosen, or by the extension of its file; PNG for files without a name."""
     if chosen is None and not isinstance(target, str | PathLike):
         return "png"
     extension = chosen or Path(str(target)).suffix.lower().removeprefix(".")

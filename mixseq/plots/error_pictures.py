@@ -44,50 +44,19 @@ _BLOCK = 8  # frames decoded at once
 
 @dataclass(frozen=True, eq=False)
 class VertexErrors:
-    """Distances of vertices from their originals, in diagonals.
+    """Distances of vertices from their originals, in diagonals."""
 
-    Attributes
-    ----------
-    largest : (T,) float64
-        Largest error in every frame.
-    rms : (T,) float64
-        Root mean square over the vertices of every frame.
-    by_vertex : (V,) float64
-        Largest error of every vertex over all frames.
-    worst : int
-        Frame of the largest error.
-    by_frame : dict
-        Errors ``(V,)`` in single frames: those that were asked for, and the worst one.
-    """
-
-    largest: Float
-    rms: Float
-    by_vertex: Float
-    worst: int
-    by_frame: dict[int, Float]
+    largest: Float  # (T,) largest error in every frame
+    rms: Float  # (T,) root mean square over the vertices of every frame
+    by_vertex: Float  # (V,) largest error of every vertex over all frames
+    worst: int  # frame of the largest error
+    by_frame: dict[int, Float]  # errors (V,) in single frames: those that were asked for, and the worst one
 
 
 def vertex_errors(
     model: Model, original: MeshSequence, frames: Sequence[int] = (), progress: Progress = silent
 ) -> VertexErrors:
-    """Measure a model at the times of a sequence, a few frames at a time.
-
-    Parameters
-    ----------
-    model : Model
-        The model.
-    original : MeshSequence
-        What it should be like; its diagonal is the unit.
-    frames : sequence of int
-        Frames of the original whose errors are kept.
-    progress : callable, optional
-        Told about every block.
-
-    Raises
-    ------
-    SettingsError
-        If the meshes differ, or the sequence has times outside the model.
-    """
+    """Measure a model at the times of a sequence, a few frames at a time."""
     if not np.array_equal(model.header.faces, original.faces):
         raise SettingsError(
             f"the model has {len(model.header.faces)} triangles of {model.header.vertex_count} vertices, the sequence "
@@ -118,21 +87,7 @@ def draw_frame_errors(
     tolerance: float | None = None,
     fps: float | None = None,
 ) -> None:
-    """Draw the largest and the root mean square error of every frame over time.
-
-    Parameters
-    ----------
-    ax : matplotlib Axes
-        Where to draw.
-    errors : VertexErrors
-        What `vertex_errors` found.
-    times : (T,) float64
-        Times of the frames in seconds.
-    tolerance : float, optional
-        Error to draw a line at, in diagonals.
-    fps : float, optional
-        Frames per second, by which frames have numbers; without it they are counted from 0.
-    """
+    """Draw the largest and the root mean square error of every frame over time: times ``(T,)``."""
     largest, rms = (np.maximum(values, ROUNDING) for values in (errors.largest, errors.rms))
     ax.plot(times, largest, "o-", color=LINES[0], markersize=3.5, linewidth=1.2, label="largest")
     ax.plot(times, rms, "o-", color=LINES[1], markersize=3.5, linewidth=1.2, label="root mean square")
@@ -168,24 +123,6 @@ def draw_vertex_errors(
     """Draw errors as colours of the mesh from two opposite sides: the largest of all frames, and of single ones.
 
     A face has the largest error of its corners. A ring marks the largest error of each row where it can be seen.
-
-    Parameters
-    ----------
-    panels : rows of two matplotlib Axes
-        Where to draw: a row for all frames, and one for each of `frames`.
-    errors : VertexErrors
-        What `vertex_errors` found.
-    original : MeshSequence
-        The sequence it was measured against.
-    frames : sequence of int, optional
-        Frames with a row, by default the worst one.
-    near : View, optional
-        The first side, see `two_sides`.
-
-    Returns
-    -------
-    matplotlib ScalarMappable
-        For a colour bar, in diagonals.
     """
     scale = matplotlib_module("colors").Normalize(0, max(errors.by_vertex.max(), ROUNDING))
     heat = matplotlib_module("cm").ScalarMappable(scale, "viridis")

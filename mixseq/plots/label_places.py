@@ -24,23 +24,7 @@ def free_places(
 ) -> list[tuple[float, float]]:
     """Find a place for the label of each dot, beside it where it is free, rather outward than inward.
 
-    Parameters
-    ----------
-    dots : (n, 2) float
-        What the labels belong to.
-    texts : sequence of n str
-        Labels, in letters of 8 points.
-    curve : (N, 2) float
-        What they had better not cover.
-    limits : (4,) float
-        Left, right, bottom and top of the picture, which they had better stay in.
-    inch : float
-        About how long an inch is in the unit of the dots.
-
-    Returns
-    -------
-    list of (2,) float
-        From each dot to the middle of its label, in points.
+    Shapes: dots ``(n, 2)``; curve ``(N, 2)``; limits ``(4,)``.
     """
     scale = POINTS / inch
     low, high = np.reshape(limits, (2, 2)).T * scale

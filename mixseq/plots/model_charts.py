@@ -42,22 +42,7 @@ NEGLIGIBLE = 1e-13
 
 
 def draw_embedding(ax: Axes, model: Model, frames: Sequence[int] | None = None) -> None:
-    """Draw the time signal in the plane that shows most of it (paper, Figure 18).
-
-    Parameters
-    ----------
-    ax : matplotlib Axes
-        Where to draw; gets a colour bar.
-    model : Model
-        The curve is `Model.embedding`, dots are its frames.
-    frames : sequence of int, optional
-        Frames to number; by default some.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such frame.
-    """
+    """Draw the time signal in the plane that shows most of it (paper, Figure 18)."""
     count = len(model.times)
     first = round(number_at(model.times[0], model.header.fps))
     marked = round_frames(count, MARKED, first) if frames is None else existing_frames(frames, count)
@@ -146,12 +131,7 @@ def draw_singular_values(ax: Axes, model: Model) -> None:
 def largest_coordinates(model: Model) -> tuple[IntArray, Float]:
     """Choose the coordinates of the time signal that move most over the frames, at most `SHOWN`.
 
-    Returns
-    -------
-    chosen : (n,) int
-        Their numbers, increasing.
-    units : (n,) float64
-        How long one step along each is, in diagonals: coordinates times units are drawn.
+    Shapes: result ``(n,)``, ``(n,)``.
     """
     units = np.sqrt(np.diagonal(_step_gram(model)))
     sizes = units * np.linalg.norm(_centred(model), axis=0)
@@ -170,13 +150,7 @@ def singular_values(model: Model) -> Float:
 
 
 def existing_frames(frames: Sequence[int], count: int) -> list[int]:
-    """Return frames in order, once each.
-
-    Raises
-    ------
-    SettingsError
-        If one is not among the `count` frames there are.
-    """
+    """Return frames in order, once each."""
     for frame in frames:
         if not 0 <= frame < count:
             raise SettingsError(f"there is no frame {frame}; frames are 0 to {count - 1}")

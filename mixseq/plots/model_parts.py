@@ -34,21 +34,7 @@ _ROOM = 4.0
 def draw_parts(panels: Sequence[Axes], model: Model, points: FloatArray, near: View | None = None) -> None:
     """Draw a pose from two opposite sides, coloured by part, joints in red, with the parts' numbers.
 
-    Parameters
-    ----------
-    panels : two matplotlib Axes
-        Where to draw.
-    model : Model
-        The model, in a space that has parts.
-    points : (V, 3) float
-        The pose.
-    near : View, optional
-        The first side, see `two_sides`.
-
-    Raises
-    ------
-    SettingsError
-        If the model has no parts.
+    Shapes: points ``(V, 3)``.
     """
     parts, header = model.decomposition, model.header
     colours = segmentation_colours(parts.part_of_face, parts.joint_of_face)
@@ -104,16 +90,7 @@ def _number_places(
 ) -> dict[int, tuple[float, float]]:
     """Find where parts have room for their numbers: the middle of the widest spot that is seen of each.
 
-    Parameters
-    ----------
-    screen : (V, 3) float
-        The pose as the camera sees it: right, up, towards the camera.
-    faces : (F, 3) int
-        Triangles.
-    part_of_face : (F,) int
-        Part of each face, -1 for none.
-    limits : (4,) float
-        Screen rectangle of the picture.
+    Shapes: screen ``(V, 3)``; faces ``(F, 3)``; part_of_face ``(F,)``; limits ``(4,)``.
     """
     left, right, bottom, top = limits
     seen = _seen_parts(screen, faces, part_of_face, limits)

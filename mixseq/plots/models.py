@@ -124,13 +124,7 @@ def check_settings(
     tolerance: float | None,
     camera: tuple[float, float] | None = None,
 ) -> None:
-    """Refuse settings of `plot_model` that contradict each other, before the work.
-
-    Raises
-    ------
-    SettingsError
-        If they do.
-    """
+    """Refuse settings of `plot_model` that contradict each other, before the work."""
     if kind is not None and kind not in PICTURES:
         raise SettingsError(f"kind is {kind!r}; one of {', '.join(PICTURES)} is expected")
     if not against and (kind in ("error-frames", "error-vertices") or tolerance is not None):
@@ -249,19 +243,11 @@ def _picture_height(poses: FloatArray, up_axis: str, near: View, width: float) -
 
 @dataclass(frozen=True)
 class Section:
-    """A section of a page.
+    """A section of a page."""
 
-    Attributes
-    ----------
-    width, height : float
-        How large it wants to be, in inches.
-    draw : callable
-        Draws it on a matplotlib Figure or SubFigure.
-    """
-
-    width: float
-    height: float
-    draw: Callable[[FigureBase], None]
+    width: float  # how large it wants to be, in inches
+    height: float  # how large it wants to be, in inches
+    draw: Callable[[FigureBase], None]  # draws it on a matplotlib Figure or SubFigure
 
 
 def stacked(*sections: Section) -> Section:

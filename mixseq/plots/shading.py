@@ -32,17 +32,7 @@ def vertex_normals(normals: Float, faces: IntArray, vertex_count: int) -> Float:
 
 
 def shade(rgb: Float, normals: Float, contrast: float) -> Float:
-    """Light colours ``(F, 3)`` from the upper left, with a soft fill from above.
-
-    Parameters
-    ----------
-    rgb : (F, 3) float
-        Colours in 0..1.
-    normals : (F, 3) float
-        Unit normals on the screen: right, up, towards the camera.
-    contrast : float
-        From 0 (colours as given) to 1.
-    """
+    """Light colours ``(F, 3)`` from the upper left, with a soft fill from above."""
     light = 0.50 + 0.14 * normals[:, 1] + 0.52 * np.maximum(normals @ KEY_LIGHT, 0) + 0.06 * normals[:, 2]
     light = 1 + contrast * (light[:, None] - 1)
     tint = 1 - 0.10 * contrast * np.clip(1 - light, 0, 1) * COOL  # as under an open sky
@@ -66,23 +56,7 @@ SHADOW = (0.25, 0.24, 0.28)
 def ground_shadow(world: Float, faces: IntArray, floor: float, view: View, limits: Limits) -> Float:
     """Paint the ground beneath a mesh: the darker, the closer the mesh is to it.
 
-    Parameters
-    ----------
-    world : (V, 3) float
-        The pose, Y up.
-    faces : (F, 3) int
-        Triangles.
-    floor : float
-        Height of the ground.
-    view : View
-        The camera.
-    limits : (4,) float
-        Screen rectangle that the picture covers.
-
-    Returns
-    -------
-    (rows, columns, 4) float
-        RGBA, the lowest row first.
+    Shapes: world ``(V, 3)``; faces ``(F, 3)``; limits ``(4,)``; result ``(rows, columns, 4)``.
     """
     left, right, bottom, top = limits
     sides = np.array([top - bottom, right - left])

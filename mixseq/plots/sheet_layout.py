@@ -26,18 +26,10 @@ BOTTOM = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """A page with rows of equal panels.
+    """A page with rows of equal panels."""
 
-    Attributes
-    ----------
-    figure : matplotlib Figure
-        The page.
-    panels : list of list of matplotlib Axes
-        The panels, row by row, without frames.
-    """
-
-    figure: Figure
-    panels: list[list[Axes]]
+    figure: Figure  # the page
+    panels: list[list[Axes]]  # the panels, row by row, without frames
 
     @classmethod
     def of(
@@ -104,13 +96,7 @@ class Sheet:
 
 
 def matplotlib_module(name: str) -> Any:
-    """Import a module of matplotlib when it is needed.
-
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed.
-    """
+    """Import a module of matplotlib when it is needed."""
     try:
         return import_module(f"matplotlib.{name}")
     except ImportError as error:

@@ -75,30 +75,14 @@ def contact_sheet(
 
 @dataclass(frozen=True, eq=False)
 class _Row:
-    """A row of a contact sheet.
+    """A row of a contact sheet."""
 
-    Attributes
-    ----------
-    label : str
-        What the row shows.
-    sequence : MeshSequence
-        What is drawn.
-    frames : dict
-        Its frame in every column that has one.
-    colours : sequence of (3,) or (F, 3) float
-        RGB in every column.
-    contrast : float
-        Strength of the shading.
-    show_times : bool
-        Whether times stand above the panels.
-    """
-
-    label: str
-    sequence: MeshSequence
-    frames: dict[int, int]
-    colours: Sequence[ArrayLike]
-    contrast: float = 1.0
-    show_times: bool = False
+    label: str  # what the row shows
+    sequence: MeshSequence  # what is drawn
+    frames: dict[int, int]  # its frame in every column that has one
+    colours: Sequence[ArrayLike]  # rGB in every column
+    contrast: float = 1.0  # strength of the shading
+    show_times: bool = False  # whether times stand above the panels
 
 
 def _error_colours(
@@ -141,13 +125,7 @@ def _draw_rows(rows: list[_Row], title: str) -> Sheet:
 def common_frames(
     original: SequenceHeader, decoded: SequenceHeader, count: int
 ) -> tuple[list[int], list[int]]:
-    """Pick up to ``count`` evenly spread frames of the original, and the decoded ones at the same times.
-
-    Raises
-    ------
-    SettingsError
-        If the sequences have no time in common.
-    """
+    """Pick up to ``count`` evenly spread frames of the original, and the decoded ones at the same times."""
     nearest = np.abs(decoded.times[None] - original.times[:, None]).argmin(axis=1)
     gap = np.abs(decoded.times[nearest] - original.times)
     common = np.flatnonzero(gap < 1e-3 / max(original.fps, decoded.fps))
@@ -161,13 +139,7 @@ def common_frames(
 
 
 def frames_between(original: SequenceHeader, decoded: SequenceHeader, frames: list[int]) -> dict[int, int]:
-    """Find the decoded frames about half-way from original frames to the next ones.
-
-    Returns
-    -------
-    dict
-        Decoded frame by position in `frames`; only where there is one.
-    """
+    """Find the decoded frames about half-way from original frames to the next ones."""
     result = {}
     for position, frame in enumerate(frames):
         start, *later = original.times[frame : frame + 2]

@@ -30,23 +30,7 @@ def transfer_sheet(
     Both are seen from the same side, each as large as its own poses allow, and are at rest in the first column. Parts
     have the same colour on both.
 
-    Parameters
-    ----------
-    target : path or binary file
-        Where the PNG goes.
-    transfer : Transfer
-        The transfer.
-    frames : sequence of int
-        Frames to be drawn.
-    points : (n, V', 3) float
-        The target's points in these frames.
-    title : str, optional
-        Heading, by default the names of both.
-
-    Raises
-    ------
-    SettingsError
-        If there are not as many frames of points, or they are of another mesh.
+    Shapes: points ``(n, V', 3)``.
     """
     headers = here, there = transfer.source.header, transfer.header
     if points.shape != (len(frames), there.vertex_count, 3):

@@ -48,22 +48,7 @@ def draw_segmentation(
 def two_sides(
     poses: FloatArray, up_axis: str = "Y", near: View | None = None
 ) -> list[list[tuple[View, Limits]]]:
-    """Find cameras and screen rectangles to see poses from two opposite sides.
-
-    Parameters
-    ----------
-    poses : (n, V, 3) float
-        The poses.
-    up_axis : {"X", "Y", "Z"}
-        Axis that points up.
-    near : View, optional
-        The first side, by default that of `three_quarter_view`.
-
-    Returns
-    -------
-    list of n lists of two pairs
-        The same two cameras for every pose; all rectangles have one size, each about the middle of what it shows.
-    """
+    """Find cameras and screen rectangles to see poses from two opposite sides: poses ``(n, V, 3)``."""
     near = near or three_quarter_view(poses[0], up_axis)
     views = near, View(near.azimuth + 180, near.elevation)
     boxes = [[shared_limits(pose, up_axis, view) for view in views] for pose in poses]

@@ -44,21 +44,11 @@ ROUNDING = 2.0**-30
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Weights of some frames at N times.
+    """Weights of some frames at N times."""
 
-    Attributes
-    ----------
-    frames : (N, m) int64
-        Frames that have a weight, in the order of time.
-    weights : (N, m) float64
-        Their weights; rows add up to one.
-    count : int
-        Number T of all frames.
-    """
-
-    frames: Index
-    weights: Float
-    count: int
+    frames: Index  # (N, m) frames that have a weight, in the order of time
+    weights: Float  # (N, m) their weights; rows add up to one
+    count: int  # number T of all frames
 
     def of(self, values: Float) -> Float:
         """Return values ``(N, ...)`` of a quantity that is ``(T, ...)`` at the frames."""
@@ -144,15 +134,7 @@ class Operator:
 
 
 def chosen(times: Float, samples: Float) -> Operator:
-    """Choose the operator of a sequence.
-
-    Parameters
-    ----------
-    times : (T,) float64
-        Times of the frames.
-    samples : (T, C) float64
-        What is to be predicted, or enough of it.
-    """
+    """Choose the operator of a sequence: times ``(T,)``; samples ``(T, C)``."""
     if len(times) < 4:
         return Operator(times)
 

@@ -22,18 +22,10 @@ NOTHING = 1e-12
 
 
 class Poses(NamedTuple):
-    """Poses of p parts in T frames.
+    """Poses of p parts in T frames."""
 
-    Attributes
-    ----------
-    rotations : (T, p, 4) float64
-        Quaternions of unit length, with signs that do not jump.
-    centres : (T, p, 3) float64
-        Where the parts' centres are.
-    """
-
-    rotations: Float
-    centres: Float
+    rotations: Float  # (T, p, 4) quaternions of unit length, with signs that do not jump
+    centres: Float  # (T, p, 3) where the parts' centres are
 
 
 def predicted_alone(rows: Rows, poses: Poses) -> Poses:

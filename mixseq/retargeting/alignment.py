@@ -48,20 +48,7 @@ class Alignment:
 
 
 def align(source: Float, target: Float, weights: Float) -> Alignment:
-    """Find the rotation and the scale that take points onto others.
-
-    Parameters
-    ----------
-    source, target : (n, 3) float64
-        The points.
-    weights : (n,) float64
-        What each counts.
-
-    Raises
-    ------
-    InvalidSequenceError
-        If nothing counts, as the target has no area, or all points of a mesh are in one place.
-    """
+    """Find the rotation and the scale that take points onto others: source, target ``(n, 3)``; weights ``(n,)``."""
     if not weights.sum() > 0:
         raise InvalidSequenceError(
             "where the target corresponds to the source it has no area at rest, so that nothing tells how it moves; "

@@ -21,46 +21,23 @@ from mixseq.geometry.rotations import turned
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """A named group of vertices that touch the ground together.
+    """A named group of vertices that touch the ground together."""
 
-    Attributes
-    ----------
-    name : str
-        What messages and reports call it.
-    points : (k, 3) float64
-        The vertices at rest.
-    parts : (k,) int64
-        The part that carries each.
-    local : (T, k, 3) float64, optional
-        The vertices frame by frame, as their parts at rest see them, if the parts do not only move rigidly.
-    """
-
-    name: str
-    points: Float
-    parts: Index
+    name: str  # what messages and reports call it
+    points: Float  # (k, 3) the vertices at rest
+    parts: Index  # (k,) the part that carries each
+    # (T, k, 3) the vertices frame by frame, as their parts at rest see them, if the parts do not only move rigidly.
     local: Float | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class ArticulatedBody:
-    """Rigid parts and the pivots in which they meet.
+    """Rigid parts and the pivots in which they meet."""
 
-    Attributes
-    ----------
-    centres : (p, 3) float64
-        Rest centres of the parts.
-    pairs : (n, 2) int64
-        Pairs of parts that meet.
-    pivots : (n, 3) float64
-        Where they meet, at rest.
-    root : int
-        The part that all others hang on, the body itself.
-    """
-
-    centres: Float
-    pairs: Index
-    pivots: Float
-    root: int
+    centres: Float  # (p, 3) rest centres of the parts
+    pairs: Index  # (n, 2) pairs of parts that meet
+    pivots: Float  # (n, 3) where they meet, at rest
+    root: int  # the part that all others hang on, the body itself
 
     @cached_property
     def parents(self) -> dict[int, tuple[int, int]]:
@@ -76,14 +53,7 @@ class ArticulatedBody:
         return result
 
     def limb(self, contact: Contact) -> tuple[int, ...]:
-        """Return the parts from the one on the root down to the one that all vertices of a contact are on or below.
-
-        Raises
-        ------
-        SettingsError
-            If the contact has no vertices, or they follow no part, or a part that is not joined to the root, or parts
-            of several limbs.
-        """
+        """Return the parts from the one on the root down to the one that all vertices of a contact are on or below."""
         name, parts = contact.name, np.unique(contact.parts).tolist()
         if not parts or contact.points.shape != (len(contact.parts), 3):
             raise SettingsError(
@@ -108,10 +78,7 @@ class ArticulatedBody:
     def gaps(self, rotations: Float, centres: Float) -> Float:
         """Return by how much the first part of every pair is away from the second at their pivot ``(n, 3)``.
 
-        Parameters
-        ----------
-        rotations, centres : (p, 3, 3), (p, 3) float64
-            Poses of the parts.
+        Shapes: rotations, centres ``(p, 3, 3), (p, 3)``.
         """
         first, second = (
             turned(rotations[part], self.pivots - self.centres[part]) + centres[part] for part in self.pairs.T
@@ -151,11 +118,6 @@ def leg_length(body: ArticulatedBody, contact: Contact) -> float:
     """Return how far it is from the root's pivot through the pivots of its limb to the middle of a contact, at rest.
 
     From the root's centre, if the contact is on the root.
-
-    Raises
-    ------
-    SettingsError
-        If the contact is on no limb.
     """
     limb = body.limb(contact)
     joints = [body.pivot(part) for part in limb] or [body.centres[body.root]]
@@ -169,25 +131,7 @@ def leg_ratio(
     source_contacts: Sequence[Contact],
     target_contacts: Sequence[Contact],
 ) -> float:
-    """Return how long the target's legs are, in lengths of the source's: strides are to be scaled by that.
-
-    Parameters
-    ----------
-    source, target : ArticulatedBody
-        The two bodies, each in its own units.
-    source_contacts, target_contacts : sequence of Contact
-        The same contacts on both.
-
-    Returns
-    -------
-    float
-        Sum of the target's `leg_length` by the sum of the source's.
-
-    Raises
-    ------
-    SettingsError
-        If there are no contacts, not as many, or one is on no limb, or the source's legs have no length.
-    """
+    """Return how long the target's legs are, in lengths of the source's: strides are to be scaled by that."""
     if not source_contacts or len(source_contacts) != len(target_contacts):
         raise SettingsError(
             f"there are {len(source_contacts)} contacts of the source and {len(target_contacts)} of the target; "

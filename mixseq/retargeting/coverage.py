@@ -17,46 +17,22 @@ from mixseq.topology import Topology
 
 @dataclass(frozen=True)
 class Follower:
-    """A component of the target, or some vertices of it, that has no counterpart and follows a vertex.
+    """A component of the target, or some vertices of it, that has no counterpart and follows a vertex."""
 
-    Attributes
-    ----------
-    name : str
-        The component.
-    vertices : int
-        How many vertices follow.
-    leader : int
-        The vertex that they follow; the first one, if there are several.
-    leads : str
-        The component of that vertex.
-    """
-
-    name: str
-    vertices: int
-    leader: int
-    leads: str
+    name: str  # the component
+    vertices: int  # how many vertices follow
+    leader: int  # the vertex that they follow; the first one, if there are several
+    leads: str  # the component of that vertex
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """How much of a target has a counterpart.
+    """How much of a target has a counterpart."""
 
-    Attributes
-    ----------
-    vertices : float
-        Share of its vertices that are on the source.
-    area : float
-        Share of its area whose triangles are moved by a triangle of the source.
-    source_area : float
-        Share of the source's area whose triangles move one of the target's.
-    followers : tuple of Follower
-        What follows, component by component.
-    """
-
-    vertices: float
-    area: float
-    source_area: float
-    followers: tuple[Follower, ...]
+    vertices: float  # share of its vertices that are on the source
+    area: float  # share of its area whose triangles are moved by a triangle of the source
+    source_area: float  # share of the source's area whose triangles move one of the target's
+    followers: tuple[Follower, ...]  # what follows, component by component
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""

@@ -61,26 +61,7 @@ def misses(paths: Float, found: Sequence[Sequence[Stance]], negligible: float) -
 def body_shift(
     missed: Float, found: Sequence[Sequence[Stance]], axis: int, fps: float
 ) -> tuple[Float, Float]:
-    """Find how far the body goes along with its feet.
-
-    Parameters
-    ----------
-    missed : (g, T, 3) float64
-        `misses` of the contacts.
-    found : g sequences of Stance
-        When they rest, at least once in all.
-    axis : int
-        The coordinate that points up.
-    fps : float
-        Frames per second.
-
-    Returns
-    -------
-    shift : (T, 3) float64
-        Of the whole body.
-    left : (g, T, 3) float64
-        What is left to the limbs in stances; zero in the air.
-    """
+    """Find how far the body goes along with its feet: missed ``(g, T, 3)``; result ``(T, 3)``, ``(g, T, 3)``."""
     from scipy import sparse
     from scipy.sparse.linalg import splu
 

@@ -29,63 +29,31 @@ NEGLIGIBLE = 1e-9
 
 @dataclass(frozen=True)
 class GroupReport:
-    """How far one contact slides, before and after. Lengths are in diagonals of the target.
+    """How far one contact slides, before and after. Lengths are in diagonals of the target."""
 
-    Attributes
-    ----------
-    name : str
-        The contact.
-    stances : tuple of Stance
-        When it rests.
-    before, after : float
-        Length of the way of its middle in all stances, as transferred and as corrected.
-    residual : float
-        The most that its limb got longer, as turning did not suffice.
-    """
-
-    name: str
-    stances: tuple[Stance, ...]
-    before: float
-    after: float
-    residual: float
+    name: str  # the contact
+    stances: tuple[Stance, ...]  # when it rests
+    before: float  # length of the way of its middle in all stances, as transferred and as corrected
+    after: float  # length of the way of its middle in all stances, as transferred and as corrected
+    residual: float  # the most that its limb got longer, as turning did not suffice
 
 
 @dataclass(frozen=True)
 class ContactReport:
-    """How far all contacts slide, and what keeping them took.
+    """How far all contacts slide, and what keeping them took."""
 
-    Attributes
-    ----------
-    groups : tuple of GroupReport
-        One for each contact.
-    shift : float
-        The most that the whole body was moved, in diagonals of the target.
-    turn : float
-        The most that a part of a limb was turned, in degrees.
-    """
-
-    groups: tuple[GroupReport, ...] = ()
-    shift: float = 0.0
-    turn: float = 0.0
+    groups: tuple[GroupReport, ...] = ()  # one for each contact
+    shift: float = 0.0  # the most that the whole body was moved, in diagonals of the target
+    turn: float = 0.0  # the most that a part of a limb was turned, in degrees
 
 
 @dataclass(frozen=True, eq=False)
 class PlantedMotion:
-    """Motions of parts with feet that do not slide.
+    """Motions of parts with feet that do not slide."""
 
-    Attributes
-    ----------
-    rotations : (T, p, 3, 3) float64
-        Of the parts.
-    centres : (T, p, 3) float64
-        Where their rest centres go.
-    report : ContactReport
-        What was done.
-    """
-
-    rotations: Float
-    centres: Float
-    report: ContactReport
+    rotations: Float  # (T, p, 3, 3) of the parts
+    centres: Float  # (T, p, 3) where their rest centres go
+    report: ContactReport  # what was done
 
 
 def remove_footskate(
@@ -124,17 +92,6 @@ def remove_footskate(
     -------
     PlantedMotion
         Without contacts, and where nothing slides, the very motions that were given.
-
-    Raises
-    ------
-    SettingsError
-        If a contact has no trajectory or not of as many frames, its vertices follow no part, or parts of several limbs;
-        and as `stances` does.
-
-    Warns
-    -----
-    MixseqWarning
-        If a contact never rests in the source.
     """
     lengths = [len(path) for path in trajectories]
     if lengths != len(contacts) * [len(centres)]:

@@ -38,22 +38,12 @@ from mixseq.topology import Topology
 
 @dataclass(frozen=True, eq=False)
 class GradientTransfer(PickledWithoutCaches):
-    """Moves a target by the deformation gradients of its source.
+    """Moves a target by the deformation gradients of its source."""
 
-    Attributes
-    ----------
-    source, target : GradientSpace
-        The meshes at rest; both in units of their own.
-    correspondence : Correspondence
-        Where the target is on the source.
-    alignment : Alignment
-        How the target stands to the source, in the units of the meshes.
-    """
-
-    source: GradientSpace
-    target: GradientSpace
-    correspondence: Correspondence
-    alignment: Alignment
+    source: GradientSpace  # the meshes at rest; both in units of their own
+    target: GradientSpace  # the meshes at rest; both in units of their own
+    correspondence: Correspondence  # where the target is on the source
+    alignment: Alignment  # how the target stands to the source, in the units of the meshes
     parts = None
     """Gradients know no parts."""
 

@@ -56,51 +56,20 @@ STEPS = 20
 
 @dataclass(frozen=True, eq=False)
 class MovedContacts:
-    """Motions of parts whose contacts have moved.
+    """Motions of parts whose contacts have moved."""
 
-    Attributes
-    ----------
-    rotations, centres : (T, p, 3, 3), (T, p, 3) float64
-        Of all parts.
-    turns : (T, k, 3, 3) float64
-        By how much the parts of limbs turned, in the world's axes.
-    left : (T, g, 3) float64
-        Moves that turning did not reach: by that limbs got longer. A contact on the root has no limb; it stays so far
-        from where it should be.
-    """
-
-    rotations: Float
-    centres: Float
-    turns: Float
+    rotations: Float  # (T, p, 3, 3) of all parts
+    centres: Float  # (T, p, 3) of all parts
+    turns: Float  # (T, k, 3, 3) by how much the parts of limbs turned, in the world's axes
+    # (T, g, 3) moves that turning did not reach: by that limbs got longer. A contact on the root has no limb; it stays
+    # so far from where it should be.
     left: Float
 
 
 def move_contacts(
     body: ArticulatedBody, rotations: Float, centres: Float, contacts: Sequence[Contact], moves: Float
 ) -> MovedContacts:
-    """Move contacts by their limbs.
-
-    Parameters
-    ----------
-    body : ArticulatedBody
-        The parts.
-    rotations, centres : (T, p, 3, 3), (T, p, 3) float64
-        Their motions.
-    contacts : sequence of Contact
-        What shall move.
-    moves : (T, g, 3) float64
-        How far. Frames in which all are zero stay exactly as they are.
-
-    Returns
-    -------
-    MovedContacts
-        The corrected motions, and what turning did not do.
-
-    Raises
-    ------
-    SettingsError
-        If a contact is on no limb.
-    """
+    """Move contacts by their limbs: rotations, centres ``(T, p, 3, 3), (T, p, 3)``; moves ``(T, g, 3)``."""
     limbs = [body.limb(contact) for contact in contacts]
     parts = sorted({part for limb in limbs for part in limb})
     columns = [[parts.index(part) for part in limb] for limb in limbs]
@@ -165,21 +134,7 @@ def _forward(
 def turn_limbs(levers: Float, moves: Float, compliance: Float) -> tuple[Float, Float]:
     """Find the turns that move the ends of limbs.
 
-    Parameters
-    ----------
-    levers : (N, g, k, 3) float64
-        In every frame what part k adds to limb g; zero where it is not of the limb.
-    moves : (N, g, 3) float64
-        Moves wanted of the ends.
-    compliance : (k,) float64
-        How easily parts turn; those of 0 do not.
-
-    Returns
-    -------
-    turns : (N, k, 3, 3) float64
-        Rotations of the parts in the world's axes; their levers turn by them.
-    left : (N, g, 3) float64
-        What is left of the moves.
+    Shapes: levers ``(N, g, k, 3)``; moves ``(N, g, 3)``; compliance ``(k,)``; result ``(N, k, 3, 3)``, ``(N, g, 3)``.
     """
     count, ends, parts, _ = levers.shape
     lengths = np.linalg.norm(levers, axis=3).sum(axis=2)

@@ -46,22 +46,12 @@ class JointChanges(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class SameEdges:
-    """Ratios and differences of each edge and hinge, for meshes of the same connectivity.
+    """Ratios and differences of each edge and hinge, for meshes of the same connectivity."""
 
-    Attributes
-    ----------
-    topology : Topology
-        The connectivity.
-    solved : SolvedJoints
-        The joints.
-    source, target : (V, 3) float64
-        The meshes at rest, each in the unit of its space.
-    """
-
-    topology: Topology
-    solved: SolvedJoints
-    source: Float
-    target: Float
+    topology: Topology  # the connectivity
+    solved: SolvedJoints  # the joints
+    source: Float  # (V, 3) the meshes at rest, each in the unit of its space
+    target: Float  # (V, 3) the meshes at rest, each in the unit of its space
 
     @cached_property
     def _edges(self) -> Index:
@@ -90,18 +80,10 @@ class SameEdges:
 
 @dataclass(frozen=True, eq=False)
 class OtherEdges:
-    """Changes by gradients, for meshes of different connectivity.
+    """Changes by gradients, for meshes of different connectivity."""
 
-    Attributes
-    ----------
-    gradients : GradientTransfer
-        The meshes and their correspondence.
-    solved : SolvedJoints
-        The joints of the target.
-    """
-
-    gradients: GradientTransfer
-    solved: SolvedJoints
+    gradients: GradientTransfer  # the meshes and their correspondence
+    solved: SolvedJoints  # the joints of the target
 
     @cached_property
     def _faces(self) -> Index:

@@ -25,52 +25,26 @@ from mixseq.topology import Topology
 
 
 class JointFrame(NamedTuple):
-    """A frame as poses and shapes of the parts, lengths and angles of the joints.
+    """A frame as poses and shapes of the parts, lengths and angles of the joints."""
 
-    Attributes
-    ----------
-    lengths, angles, weights : (E',), (H',), (E',) float64
-        Edge lengths, hinge angles in radians, weights of the lengths.
-    parts : (N, 3) float64
-        Aligned vertices of all parts.
-    rotations, translations : (p, 3, 3), (p, 3) float64
-        Poses of the parts.
-    offsets : (F, 3) float64
-        Offsets of the free vertices from where the parts carry them.
-    offset_weights : (F,) float64
-        How much the offsets count: weights of soft position constraints.
-    """
-
-    lengths: Float
-    angles: Float
-    weights: Float
-    parts: Float
-    rotations: Float
-    translations: Float
-    offsets: Float
-    offset_weights: Float
+    lengths: Float  # (E',) edge lengths, hinge angles in radians, weights of the lengths
+    angles: Float  # (H',) edge lengths, hinge angles in radians, weights of the lengths
+    weights: Float  # (E',) edge lengths, hinge angles in radians, weights of the lengths
+    parts: Float  # (N, 3) aligned vertices of all parts
+    rotations: Float  # (p, 3, 3) poses of the parts
+    translations: Float  # (p, 3) poses of the parts
+    offsets: Float  # (F, 3) offsets of the free vertices from where the parts carry them
+    offset_weights: Float  # (F,) how much the offsets count: weights of soft position constraints
 
 
 @dataclass(frozen=True, eq=False)
 class JointSolver:
-    """Puts parts where their poses say, and solves the joints between them.
+    """Puts parts where their poses say, and solves the joints between them."""
 
-    Attributes
-    ----------
-    topology : Topology
-        Connectivity of the mesh.
-    decomposition : Decomposition
-        Its parts and joints.
-    shapes : (N, 3) float64
-        Mean shapes of the parts.
-    reference : (V, 3) float64
-        A frame of the sequence, from which the parts carry free vertices.
-    """
-
-    topology: Topology
-    decomposition: Decomposition
-    shapes: Float
-    reference: Float
+    topology: Topology  # connectivity of the mesh
+    decomposition: Decomposition  # its parts and joints
+    shapes: Float  # (N, 3) mean shapes of the parts
+    reference: Float  # (V, 3) a frame of the sequence, from which the parts carry free vertices
 
     @cached_property
     def solved(self) -> SolvedJoints:

@@ -43,24 +43,12 @@ between solutions, too little to stretch joints. Ours."""
 
 @dataclass(frozen=True, eq=False)
 class MixedTransfer(PickledWithoutCaches):
-    """Moves a target by the parts and joints of its source.
+    """Moves a target by the parts and joints of its source."""
 
-    Attributes
-    ----------
-    gradients : GradientTransfer
-        The two meshes at rest, and how they correspond.
-    parts : PartCorrespondence
-        Parts and joints of both.
-    settings : ShellSettings
-        Settings of the joint solves.
-    stride : float
-        How many times as far the root goes as the scale of the meshes tells.
-    """
-
-    gradients: GradientTransfer
-    parts: PartCorrespondence
-    settings: ShellSettings
-    stride: float = 1.0
+    gradients: GradientTransfer  # the two meshes at rest, and how they correspond
+    parts: PartCorrespondence  # parts and joints of both
+    settings: ShellSettings  # settings of the joint solves
+    stride: float = 1.0  # how many times as far the root goes as the scale of the meshes tells
 
     @property
     def _correspondence(self) -> Correspondence:
@@ -132,15 +120,7 @@ class MixedTransfer(PickledWithoutCaches):
         return self.gradients.frame(x) / self.gradients.target.scale
 
     def poses(self, x: FloatArray, moved: PartPoses) -> PartPoses:
-        """Place the target's parts as a frame ``(V, 3)`` of the source places its own.
-
-        Parameters
-        ----------
-        x : (V, 3) float
-            The frame, in the source's units.
-        moved : PartPoses
-            The target's parts as gradients move them (`by_gradients`).
-        """
+        """Place the target's parts as a frame ``(V, 3)`` of the source places its own."""
         points = x.astype(np.float64) / self.gradients.source.scale
         _, own = self._source_shapes.register(points)
         rotations, centres = (values[self.parts.sources] for values in own)
@@ -189,26 +169,7 @@ def mixed_transfer(
     joint_width: int,
     settings: ShellSettings,
 ) -> MixedTransfer:
-    """Make a transfer by parts and joints.
-
-    Parameters
-    ----------
-    gradients : GradientTransfer
-        The two meshes at rest, and how they correspond.
-    points : (T, V, 3) array, perhaps on disk
-        The frames of the source, in its units.
-    part_of_face : (F,) int64
-        Its parts.
-    joint_width : int
-        Largest width of joints in strips of triangles.
-    settings : ShellSettings
-        Settings of the joint solves.
-
-    Raises
-    ------
-    SettingsError
-        If the width is below 1.
-    """
+    """Make a transfer by parts and joints: points ``(T, V, 3)``; part_of_face ``(F,)``."""
     source, target = gradients.source, gradients.target
     looked_at = points[frames_to_look_at(len(points))]
     watched = Watched.of(source.topology, part_of_face, source.reference[None])

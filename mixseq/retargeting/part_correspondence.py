@@ -36,21 +36,11 @@ class PartPoses(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RestShapes:
-    """The parts of a mesh at rest, in the unit of its space.
+    """The parts of a mesh at rest, in the unit of its space."""
 
-    Attributes
-    ----------
-    vertices : tuple of (n_p,) int64
-        Their vertices.
-    shapes : (N, 3) float64
-        These at rest, part by part, each part about its centre.
-    centres : (p, 3) float64
-        The centres.
-    """
-
-    vertices: tuple[Index, ...]
-    shapes: Float
-    centres: Float
+    vertices: tuple[Index, ...]  # their vertices
+    shapes: Float  # (N, 3) these at rest, part by part, each part about its centre
+    centres: Float  # (p, 3) the centres
 
     @classmethod
     def of(cls, decomposition: Decomposition, rest: Float) -> RestShapes:
@@ -68,19 +58,11 @@ class RestShapes:
 
 @dataclass(frozen=True, eq=False)
 class PartCorrespondence:
-    """Parts and joints of source and target.
+    """Parts and joints of source and target."""
 
-    Attributes
-    ----------
-    source, target : Decomposition
-        Parts and joints of the two.
-    sources : (p',) int64
-        The part of the source that moves every part of the target.
-    """
-
-    source: Decomposition
-    target: Decomposition
-    sources: Index
+    source: Decomposition  # parts and joints of the two
+    target: Decomposition  # parts and joints of the two
+    sources: Index  # (p',) the part of the source that moves every part of the target
 
     @property
     def part_of_face(self) -> tuple[Index, Index]:
@@ -125,23 +107,7 @@ def carry_parts(
 
 
 def carry_labels(labels: Index, correspondence: Correspondence, faces: IntArray) -> Index:
-    """Carry labels ``(F,)`` of the source's triangles to the target's ``(F',)``.
-
-    Parameters
-    ----------
-    labels : (F,) int64
-        From 0 on.
-    correspondence : Correspondence
-        Where the target is on the source.
-    faces : (F', 3) int
-        Triangles of the target.
-
-    Returns
-    -------
-    (F',) int64
-        Triangles that no triangle moves have the label of the first one that is moved at the vertex that they follow;
-        0 if none is.
-    """
+    """Carry labels ``(F,)`` of the source's triangles to the target's ``(F',)``: faces ``(F', 3)``."""
     known = np.flatnonzero(correspondence.faces >= 0)
     result = np.zeros(len(faces), dtype=np.int64)
     result[known] = labels[correspondence.faces[known]]
@@ -159,14 +125,7 @@ def without_small_regions(topology: Topology, labels: Index, areas: Float) -> In
 
     The smallest comes first. Regions without a neighbour stay.
 
-    Parameters
-    ----------
-    topology : Topology
-        Connectivity.
-    labels : (F,) int64
-        Part of every face.
-    areas : (F,) float64
-        Areas of the faces, in any unit.
+    Shapes: labels ``(F,)``; areas ``(F,)``.
     """
     labels = labels.copy()
     while True:

@@ -50,21 +50,11 @@ poses and for accelerations of three pairs of animals."""
 
 @dataclass(frozen=True, eq=False)
 class Pivots:
-    """Where the parts of a mesh meet: at the boundaries between them first, then where its pieces are attached.
+    """Where the parts of a mesh meet: at the boundaries between them first, then where its pieces are attached."""
 
-    Attributes
-    ----------
-    pairs : (n, 2) int64
-        The parts that meet. They connect all parts.
-    boundaries : Boundaries
-        Edges between parts.
-    attachments : Attachments
-        What holds pieces that no edge connects.
-    """
-
-    pairs: Index
-    boundaries: Boundaries
-    attachments: Attachments
+    pairs: Index  # (n, 2) the parts that meet. They connect all parts
+    boundaries: Boundaries  # edges between parts
+    attachments: Attachments  # what holds pieces that no edge connects
 
     @classmethod
     def of(cls, gradients: GradientTransfer, decomposition: Decomposition) -> Pivots:
@@ -91,18 +81,12 @@ class Pivots:
 
 @dataclass(frozen=True, eq=False)
 class PivotSolver:
-    """Puts the parts of an articulated body together at their pivots.
+    """Puts the parts of an articulated body together at their pivots."""
 
-    Attributes
-    ----------
-    body : ArticulatedBody
-        The parts at rest, all of them joined to the root, whose place is given.
-    lengths, radii : (n,) float64
-        How long the boundary at every pivot is, and its root mean square distance from the pivot.
-    """
-
-    body: ArticulatedBody
+    body: ArticulatedBody  # the parts at rest, all of them joined to the root, whose place is given
+    # (n,) how long the boundary at every pivot is, and its root mean square distance from the pivot.
     lengths: Float
+    # (n,) how long the boundary at every pivot is, and its root mean square distance from the pivot.
     radii: Float
 
     @cached_property
@@ -136,17 +120,7 @@ class PivotSolver:
         return np.asarray(smooth + share[:, None] * away)
 
     def place(self, rotations: Float, gaps: Float, root: Float) -> Float:
-        """Return the centres ``(p, 3)`` of all parts.
-
-        Parameters
-        ----------
-        rotations : (p, 3, 3) float64
-            Rotations of the parts from rest.
-        gaps : (n, 3) float64
-            By how much the first part is away from the second at every pivot.
-        root : (3,) float64
-            Centre of the root.
-        """
+        """Return the centres ``(p, 3)`` of all parts: rotations ``(p, 3, 3)``; gaps ``(n, 3)``; root ``(3,)``."""
         result = np.empty_like(self.body.centres)
         result[self.body.root] = root
         if not self._others.size:

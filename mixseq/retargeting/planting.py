@@ -24,21 +24,11 @@ from mixseq.sequence import SequenceHeader
 
 @dataclass(frozen=True, eq=False)
 class PlantedTransfer:
-    """A transfer whose contacts do not slide.
+    """A transfer whose contacts do not slide."""
 
-    Attributes
-    ----------
-    method : MixedTransfer
-        The transfer, with the stride of the target's legs.
-    poses : PartPoses
-        Of the target's parts in all frames, rotations ``(T, p', 3, 3)`` and centres ``(T, p', 3)``.
-    report : ContactReport
-        What was done.
-    """
-
-    method: MixedTransfer
-    poses: PartPoses
-    report: ContactReport
+    method: MixedTransfer  # the transfer, with the stride of the target's legs
+    poses: PartPoses  # of the target's parts in all frames, rotations (T, p', 3, 3) and centres (T, p', 3)
+    report: ContactReport  # what was done
 
 
 def plant_contacts(
@@ -67,11 +57,6 @@ def plant_contacts(
         Who works on blocks of frames.
     progress : callable, optional
         Told about every block.
-
-    Raises
-    ------
-    SettingsError
-        If a contact has no vertices, or they are none of the target, or on no limb.
     """
     target, source, correspondence = (
         method.gradients.target,

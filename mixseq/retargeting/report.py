@@ -38,21 +38,11 @@ FRAMES = 8
 
 @dataclass(frozen=True)
 class Counts:
-    """How often something is found: at rest, and in some frames.
+    """How often something is found: at rest, and in some frames."""
 
-    Attributes
-    ----------
-    rest : int
-        At rest.
-    frames : tuple of int
-        The frames ...
-    values : tuple of int
-        ... and the numbers in them.
-    """
-
-    rest: int
-    frames: tuple[int, ...]
-    values: tuple[int, ...]
+    rest: int  # at rest
+    frames: tuple[int, ...]  # the frames
+    values: tuple[int, ...]  # ... and the numbers in them
 
     @property
     def mean(self) -> float:
@@ -77,30 +67,20 @@ class Counts:
 
 @dataclass(frozen=True)
 class TransferReport:
-    """Measures of a transfer; their formulas are at the head of this module.
+    """Measures of a transfer; their formulas are at the head of this module."""
 
-    Attributes
-    ----------
-    coverage : Coverage
-        What has a counterpart, and what follows.
-    strain, source_strain, excess : Statistics
-        Of the target's edges, of the source's, and of the target's beside the source's.
-    smoothness : Smoothness or None
-        If there are at least three frames.
-    intersections, source_intersections : Counts
-        Pairs of triangles that go through each other, of the target and of the source.
-    turned_over, flat : Counts
-        Triangles of the target that are turned over, and that are flat though they were not at rest; in all frames.
-    """
-
-    coverage: Coverage
-    strain: Statistics
+    coverage: Coverage  # what has a counterpart, and what follows
+    strain: Statistics  # of the target's edges, of the source's, and of the target's beside the source's
+    # Of the target's edges, of the source's, and of the target's beside the source's.
     source_strain: Statistics
-    excess: Statistics
-    smoothness: Smoothness | None
-    intersections: Counts
+    excess: Statistics  # of the target's edges, of the source's, and of the target's beside the source's
+    smoothness: Smoothness | None  # if there are at least three frames
+    intersections: Counts  # pairs of triangles that go through each other, of the target and of the source
+    # Pairs of triangles that go through each other, of the target and of the source.
     source_intersections: Counts
+    # Triangles of the target that are turned over, and that are flat though they were not at rest; in all frames.
     turned_over: Counts
+    # Triangles of the target that are turned over, and that are flat though they were not at rest; in all frames.
     flat: Counts
 
     def as_dict(self) -> dict[str, Any]:
@@ -127,27 +107,6 @@ def measure(
 ) -> TransferReport:
     """Measure a transfer.
 
-    Parameters
-    ----------
-    transfer : Transfer
-        What `mixseq.retargeting.transfer.plan` makes.
-    blocks : iterable of (B, V', 3) float, optional
-        The target's points, all frames in order, to measure another result by the same rules; by default those of the
-        transfer itself, which are made for it.
-    progress : callable, optional
-        Told how many frames are done.
-    workers : Executor, optional
-        Who makes the frames, see `mixseq.mapping`.
-
-    Returns
-    -------
-    TransferReport
-
-    Raises
-    ------
-    InvalidSequenceError
-        If the blocks are of another mesh, or there are more or fewer frames than the source has.
-
     Examples
     --------
     >>> import mixseq
@@ -166,13 +125,7 @@ def measure(
 
 
 class Meter:
-    """Measures a transfer while its frames pass by.
-
-    Parameters
-    ----------
-    transfer : Transfer
-        What is measured.
-    """
+    """Measures a transfer while its frames pass by."""
 
     def __init__(self, transfer: Transfer) -> None:
         self._transfer = transfer
@@ -198,13 +151,7 @@ class Meter:
             yield block
 
     def add(self, block: FloatArray) -> None:
-        """Measure the next frames ``(B, V', 3)`` of the target.
-
-        Raises
-        ------
-        InvalidSequenceError
-            If they are of another mesh, or more than there are.
-        """
+        """Measure the next frames ``(B, V', 3)`` of the target."""
         check_block(self._transfer.header, block, self._done)
         if self._done + len(block) > self._count:
             raise InvalidSequenceError(
@@ -230,13 +177,7 @@ class Meter:
         self._done += len(block)
 
     def report(self) -> TransferReport:
-        """Return what was found, when all frames have passed.
-
-        Raises
-        ------
-        InvalidSequenceError
-            If there are frames to come.
-        """
+        """Return what was found, when all frames have passed."""
         if self._done < self._count:
             raise InvalidSequenceError(
                 f"{self._done} frames were measured, the source has {self._count}; give one frame for each of them"

@@ -20,18 +20,10 @@ from mixseq.topology import Topology
 
 @dataclass(frozen=True, eq=False)
 class SolvedJoints:
-    """The joints of a mesh that have free vertices; what frames know of them is stored joint by joint.
+    """The joints of a mesh that have free vertices; what frames know of them is stored joint by joint."""
 
-    Attributes
-    ----------
-    joints : tuple of Joint
-        The joints.
-    patches : tuple of Patch
-        Each as a patch, in which the vertices of parts are fixed.
-    """
-
-    joints: tuple[Joint, ...]
-    patches: tuple[Patch, ...]
+    joints: tuple[Joint, ...]  # the joints
+    patches: tuple[Patch, ...]  # each as a patch, in which the vertices of parts are fixed
 
     @classmethod
     def of(cls, topology: Topology, decomposition: Decomposition) -> SolvedJoints:
@@ -83,35 +75,15 @@ class SolvedJoints:
 
 @dataclass(frozen=True, eq=False)
 class HarmonicSkin:
-    """How the free vertices of a joint follow its parts.
+    """How the free vertices of a joint follow its parts."""
 
-    Attributes
-    ----------
-    parts : (k,) int64
-        Parts that hold fixed vertices of the joint.
-    weights : (f, k) float64
-        Weights of the free vertices; rows add up to one.
-    rest : (f, 3) float64
-        The free vertices in the reference frame.
-    """
-
-    parts: Index
-    weights: Float
-    rest: Float
+    parts: Index  # (k,) parts that hold fixed vertices of the joint
+    weights: Float  # (f, k) weights of the free vertices; rows add up to one
+    rest: Float  # (f, 3) the free vertices in the reference frame
 
     @classmethod
     def of(cls, patch: Patch, owner: Index, rest: Float) -> HarmonicSkin:
-        """Find the weights of a patch.
-
-        Parameters
-        ----------
-        patch : Patch
-            The joint.
-        owner : (n,) int64
-            Part that holds each vertex, looked at where the vertex is fixed.
-        rest : (n, 3) float64
-            The joint in the reference frame.
-        """
+        """Find the weights of a patch: owner ``(n,)``; rest ``(n, 3)``."""
         parts, number = np.unique(owner[patch.fixed], return_inverse=True)
         boundary = np.eye(len(parts))[number.reshape(-1)]
         coupling = patch.laplacian[patch.free][:, patch.fixed]

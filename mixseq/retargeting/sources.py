@@ -28,36 +28,16 @@ SAME_SIZE = 0.05
 
 @dataclass(frozen=True, eq=False)
 class SourceMotion:
-    """A motion with a shape at rest.
+    """A motion with a shape at rest."""
 
-    Attributes
-    ----------
-    header : SequenceHeader
-        Mesh and times.
-    topology : Topology
-        Connectivity.
-    points : (T, V, 3) array, perhaps on disk
-        The frames.
-    rest : (V, 3) float64
-        The shape at rest, as large as in the frames.
-    parts : int, (F,) int or None
-        Parts that are given, or how many there should be.
-    """
-
-    header: SequenceHeader
-    topology: Topology
-    points: LargeArray
-    rest: Float
-    parts: int | ArrayLike | None
+    header: SequenceHeader  # mesh and times
+    topology: Topology  # connectivity
+    points: LargeArray  # (T, V, 3) the frames
+    rest: Float  # (V, 3) the shape at rest, as large as in the frames
+    parts: int | ArrayLike | None  # parts that are given, or how many there should be
 
     def part_of_face(self) -> Index:
-        """Return the part ``(F,)`` of every triangle: given, or found from the motion.
-
-        Raises
-        ------
-        SettingsError, SegmentationError
-            If the parts do not fit the mesh.
-        """
+        """Return the part ``(F,)`` of every triangle: given, or found from the motion."""
         if not (self.parts is None or isinstance(self.parts, int | np.integer)):
             return segment_by_labels(self.parts, self.topology)
         some = self.points[frames_to_look_at(len(self.points))]
@@ -85,24 +65,7 @@ def source_motion(
     parts: int | ArrayLike | None = None,
     progress: Progress = silent,
 ) -> SourceMotion:
-    """Prepare a motion as the source of transfers.
-
-    Parameters
-    ----------
-    source : MeshSequence, SequenceReader or Model
-        The motion.
-    rest : int or MeshSequence
-        A frame of it, or its mesh at rest in any size.
-    parts : int or (F,) int, optional
-        Parts; those of a model in the mixed space if not given.
-
-    Raises
-    ------
-    InvalidSequenceError
-        If it is no motion, or the rest has another mesh.
-    SettingsError
-        If there is no such frame.
-    """
+    """Prepare a motion as the source of transfers."""
     if isinstance(source, Model):
         if parts is None and source.space.decomposed:
             parts = source.space.decomposed.part_of_face

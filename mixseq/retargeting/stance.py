@@ -26,23 +26,13 @@ FASTEST = 95.0
 
 @dataclass(frozen=True)
 class StanceSettings:
-    """Thresholds, narrow and wide; all are ours.
+    """Thresholds, narrow and wide; all are ours."""
 
-    Attributes
-    ----------
-    speed : (float, float)
-        Of speeds, as fractions of the contact's fast speed.
-    still : (float, float)
-        Of speeds, in sizes of the body per second; these are at rest in any motion.
-    height : (float, float)
-        Of heights, as fractions of the contact's range of heights.
-    ground : (float, float)
-        Of heights, in sizes of the body; these are on the ground in any motion.
-    """
-
-    speed: tuple[float, float] = (0.05, 0.1)
+    speed: tuple[float, float] = (0.05, 0.1)  # of speeds, as fractions of the contact's fast speed
+    # Of speeds, in sizes of the body per second; these are at rest in any motion.
     still: tuple[float, float] = (0.01, 0.02)
-    height: tuple[float, float] = (0.15, 0.3)
+    height: tuple[float, float] = (0.15, 0.3)  # of heights, as fractions of the contact's range of heights
+    # Of heights, in sizes of the body; these are on the ground in any motion.
     ground: tuple[float, float] = (0.005, 0.01)
 
     def __post_init__(self) -> None:
@@ -57,19 +47,11 @@ class StanceSettings:
 
 @dataclass(frozen=True)
 class Stance:
-    """A contact at rest.
+    """A contact at rest."""
 
-    Attributes
-    ----------
-    group : str
-        Name of the contact.
-    start, stop : int
-        Its first frame and the one after its last.
-    """
-
-    group: str
-    start: int
-    stop: int
+    group: str  # name of the contact
+    start: int  # its first frame and the one after its last
+    stop: int  # its first frame and the one after its last
 
     @property
     def frames(self) -> slice:
@@ -106,11 +88,6 @@ def stances(
     -------
     tuple of Stance
         In order, without a frame in common. A single frame, or a contact that never moves, is one stance.
-
-    Raises
-    ------
-    SettingsError
-        If the trajectory is not of that shape or not finite, or an argument is out of range.
     """
     settings = settings or StanceSettings()
     path = np.asarray(trajectory, dtype=np.float64)
@@ -141,13 +118,7 @@ def stances(
 
 
 def axis_of(up: str) -> int:
-    """Return the number of an axis.
-
-    Raises
-    ------
-    SettingsError
-        If it is none of X, Y, Z.
-    """
+    """Return the number of an axis."""
     if up not in ("X", "Y", "Z"):
         raise SettingsError(f"the up axis is {up!r}; X, Y or Z is expected")
     return "XYZ".index(up)

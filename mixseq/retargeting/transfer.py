@@ -46,32 +46,15 @@ class TransferMethod(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Transfer:
-    """A transfer that is ready to make frames; made by `plan`.
+    """A transfer that is ready to make frames; made by `plan`."""
 
-    Attributes
-    ----------
-    header : SequenceHeader
-        What the result is: the target's mesh, at the source's times.
-    source : SourceMotion
-        The source: its frames and its shape at rest.
-    target : (V', 3) float64
-        The target at rest.
-    correspondence : Correspondence
-        Where the target is on the source.
-    method : TransferMethod
-        What moves the target.
-    quality : Quality or None
-        How good the correspondence is, if it was found from markers.
-    planted : PlantedTransfer or None
-        Where the parts go so that contacts do not slide, if there are any.
-    """
-
-    header: SequenceHeader
-    source: SourceMotion
-    target: Float
-    correspondence: Correspondence
-    method: TransferMethod
-    quality: Quality | None = None
+    header: SequenceHeader  # what the result is: the target's mesh, at the source's times
+    source: SourceMotion  # the source: its frames and its shape at rest
+    target: Float  # (V', 3) the target at rest
+    correspondence: Correspondence  # where the target is on the source
+    method: TransferMethod  # what moves the target
+    quality: Quality | None = None  # how good the correspondence is, if it was found from markers
+    # Where the parts go so that contacts do not slide, if there are any.
     planted: PlantedTransfer | None = None
 
     @property
@@ -167,13 +150,7 @@ def correspondence_of(
     mapping: Correspondence | Callable[[Mesh, Mesh], Correspondence] | None,
     progress: Progress = silent,
 ) -> tuple[Correspondence, Quality | None]:
-    """Return the correspondence that is given, or that markers or the same connectivity tell; of markers its quality.
-
-    Raises
-    ------
-    SettingsError
-        If nothing tells, two things do, or what is given is of other meshes.
-    """
+    """Return the correspondence that is given, or follows from markers or connectivity; of markers its quality."""
     if markers is not None and mapping is not None:
         raise SettingsError("markers and a map are two ways to say the same; give one of them")
     sizes = tuple((t.vertex_count, len(t.faces)) for t in (source.header, header))

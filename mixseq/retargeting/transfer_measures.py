@@ -26,19 +26,11 @@ FLAT = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """What the source expects of the triangles of the target.
+    """What the source expects of the triangles of the target."""
 
-    Attributes
-    ----------
-    gradients : GradientTransfer
-        The two meshes at rest, and how they correspond.
-    rest, source_rest : (V', 3), (V, 3) float64
-        The two at rest, in their own units.
-    """
-
-    gradients: GradientTransfer
-    rest: Float
-    source_rest: Float
+    gradients: GradientTransfer  # the two meshes at rest, and how they correspond
+    rest: Float  # (V', 3) the two at rest, in their own units
+    source_rest: Float  # (V, 3) the two at rest, in their own units
 
     @classmethod
     def of(cls, transfer: Transfer) -> Expected:
@@ -165,23 +157,13 @@ class Acceleration:
 
 @dataclass(frozen=True)
 class Smoothness:
-    """Accelerations in diagonals of the target per squared frame: root mean square, and the largest of a vertex.
+    """Accelerations in diagonals of the target per squared frame: root mean square, and the largest of a vertex."""
 
-    Attributes
-    ----------
-    rms, max : float
-        Of the target.
-    source_rms, source_max : float
-        Of the source, as large as the target is.
-    worst_frame : int
-        Frame of the target's largest.
-    """
-
-    rms: float
-    max: float
-    source_rms: float
-    source_max: float
-    worst_frame: int
+    rms: float  # of the target
+    max: float  # of the target
+    source_rms: float  # of the source, as large as the target is
+    source_max: float  # of the source, as large as the target is
+    worst_frame: int  # frame of the target's largest
 
     @classmethod
     def of(

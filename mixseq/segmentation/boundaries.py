@@ -12,21 +12,11 @@ from mixseq.topology import Topology
 
 @dataclass(frozen=True, eq=False)
 class Boundaries:
-    """The boundaries between n pairs of neighbouring parts.
+    """The boundaries between n pairs of neighbouring parts."""
 
-    Attributes
-    ----------
-    parts : (n, 2) int64
-        The parts i < j.
-    edges : (k, 2) int64
-        Vertices of the edges between faces of two parts.
-    pair : (k,) int64
-        The pair of parts that each edge is between.
-    """
-
-    parts: Index
-    edges: Index
-    pair: Index
+    parts: Index  # (n, 2) the parts i < j
+    edges: Index  # (k, 2) vertices of the edges between faces of two parts
+    pair: Index  # (k,) the pair of parts that each edge is between
 
     @classmethod
     def of(cls, topology: Topology, part_of_face: Index) -> Boundaries:
@@ -46,26 +36,14 @@ class Boundaries:
 
 @dataclass(frozen=True, eq=False)
 class Rim:
-    """What is near the boundaries of patches: less and less, as patches are merged.
+    """What is near the boundaries of patches: less and less, as patches are merged."""
 
-    Attributes
-    ----------
-    vertex_count : int
-        Number of vertices of the mesh.
-    ends, sides : (n, 2) int64
-        Vertices of the edges on boundaries, and the two faces there.
-    edges : (m, 2) int64
-        Edges with an end on a boundary.
-    faces, corners : (k,) int64, (k, 3) int
-        Faces with a corner on a boundary or one edge away, and their vertices.
-    """
-
-    vertex_count: int
-    ends: Index
-    sides: Index
-    edges: Index
-    faces: Index
-    corners: IntArray
+    vertex_count: int  # number of vertices of the mesh
+    ends: Index  # (n, 2) vertices of the edges on boundaries, and the two faces there
+    sides: Index  # (n, 2) vertices of the edges on boundaries, and the two faces there
+    edges: Index  # (m, 2) edges with an end on a boundary
+    faces: Index  # (k,) faces with a corner on a boundary or one edge away, and their vertices
+    corners: IntArray  # (k,) faces with a corner on a boundary or one edge away, and their vertices
 
     @classmethod
     def of(cls, topology: Topology, patches: Index) -> Rim:

@@ -19,13 +19,7 @@ _TINY = np.finfo(np.float64).tiny
 
 
 class Clusters:
-    """Elements in at most `capacity` clusters.
-
-    Attributes
-    ----------
-    labels : (E,) int64
-        Cluster of every element. A cluster that loses all its elements stays empty.
-    """
+    """Elements in at most `capacity` clusters."""
 
     def __init__(self, elements: Elements, labels: Index, capacity: int) -> None:
         self.labels = labels

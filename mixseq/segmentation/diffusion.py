@@ -41,15 +41,7 @@ _DENSE = 400
 
 @dataclass(frozen=True, eq=False)
 class Diffusion:
-    """Diffusion on one frame of a mesh.
-
-    Parameters
-    ----------
-    points : (V, 3) float
-        The frame; times are squares of its unit.
-    topology : Topology
-        Connectivity.
-    """
+    """Diffusion on one frame of a mesh."""
 
     points: FloatArray
     topology: Topology
@@ -94,13 +86,6 @@ class Diffusion:
 
         Every connected component is embedded on its own, by its lowest eigenvectors: distances mean something within
         a component only. Components with few vertices have fewer coordinates, filled up with zeros.
-
-        Parameters
-        ----------
-        time : float
-            Time t of diffusion, in squared units of the points: details below about its root vanish.
-        count : int
-            Number of eigenvectors.
         """
         result = np.zeros((self.topology.vertex_count, count))
         for component, values, vectors in self._spectra(count):
@@ -108,15 +93,7 @@ class Diffusion:
         return result
 
     def heat_kernel(self, times: Float, count: int) -> Float:
-        """Return how much heat ``(V, n)`` is still where it was, less what is then everywhere.
-
-        Parameters
-        ----------
-        times : (n,) float64
-            Half the times that have passed, in squared units of the points.
-        count : int
-            Number of eigenvectors of every component.
-        """
+        """Return how much heat ``(V, n)`` is still where it was, less what is then everywhere: times ``(n,)``."""
         result = np.zeros((self.topology.vertex_count, len(times)))
         for component, values, vectors in self._spectra(count):
             result[component] = vectors**2 @ np.exp(-2 * np.outer(values, times))

@@ -19,17 +19,10 @@ Table = NDArray[np.int32]
 
 @dataclass(frozen=True, eq=False)
 class Trajectories:
-    """Where vertices are in some frames.
+    """Where vertices are in some frames."""
 
-    Attributes
-    ----------
-    moved : (3T, V) float32
-        Their coordinates, frame by frame.
-    rows : (V, 4T + 4) float64
-        For every vertex its coordinates x_t, the squares |x_t|^2, and h = (rest position, 1).
-    """
-
-    moved: Single
+    moved: Single  # (3T, V) their coordinates, frame by frame
+    # (V, 4T + 4) for every vertex its coordinates x_t, the squares |x_t|^2, and h = (rest position, 1).
     rows: Float
 
     @classmethod
@@ -55,27 +48,13 @@ class Trajectories:
 
 @dataclass(frozen=True, eq=False)
 class Elements:
-    """Faces, or groups of faces.
+    """Faces, or groups of faces."""
 
-    Attributes
-    ----------
-    trajectories : Trajectories
-        Of their vertices.
-    corners : (E, 4) int32
-        Vertices of every element; V stands for none.
-    corner_factors : (E,) float32
-        One over the number of those.
-    weights : (E,) float64
-        Weight of each of its vertices: a share of its area.
-    pairs : (n, 2) int64
-        Elements that are neighbours.
-    """
-
-    trajectories: Trajectories
-    corners: Table
-    corner_factors: Single
-    weights: Float
-    pairs: Index
+    trajectories: Trajectories  # of their vertices
+    corners: Table  # (E, 4) vertices of every element; V stands for none
+    corner_factors: Single  # (E,) one over the number of those
+    weights: Float  # (E,) weight of each of its vertices: a share of its area
+    pairs: Index  # (n, 2) elements that are neighbours
 
     @classmethod
     def faces(cls, topology: Topology, x: Float) -> Elements:

@@ -28,25 +28,13 @@ from mixseq.topology import Topology
 
 @dataclass(frozen=True, eq=False)
 class Passes:
-    """The minimum spanning tree of the dual graph, from its lowest hinge to its highest.
+    """The minimum spanning tree of the dual graph, from its lowest hinge to its highest."""
 
-    Attributes
-    ----------
-    topology : Topology
-        Connectivity of the mesh.
-    face_areas : (F,) float64
-        Areas of the faces.
-    hinges : (n,) int64
-        Hinges of the tree; n is the number of faces less that of components.
-    areas, depths : (n,) float64
-        Areas and depths of these passes.
-    """
-
-    topology: Topology
-    face_areas: Float
-    hinges: Index
-    areas: Float
-    depths: Float
+    topology: Topology  # connectivity of the mesh
+    face_areas: Float  # (F,) areas of the faces
+    hinges: Index  # (n,) hinges of the tree; n is the number of faces less that of components
+    areas: Float  # (n,) areas and depths of these passes
+    depths: Float  # (n,) areas and depths of these passes
 
     def cut(self, where: Index) -> Index:
         """Cut the tree at some of its n hinges; number the regions ``(F,)`` that are left by decreasing area."""
@@ -74,19 +62,7 @@ class Passes:
 
 
 def flood(topology: Topology, heights: Float, bottoms: Float, areas: Float) -> Passes:
-    """Find the passes of a landscape.
-
-    Parameters
-    ----------
-    topology : Topology
-        Connectivity.
-    heights : (H,) float64
-        Height of every hinge. Of hinges that are equally high the first counts as the lower one.
-    bottoms : (F,) float64
-        Height of every face, at most that of its hinges.
-    areas : (F,) float64
-        Area of every face, positive.
-    """
+    """Find the passes of a landscape: heights ``(H,)``; bottoms ``(F,)``; areas ``(F,)``."""
     from mixseq.segmentation.segmentation_kernels import kruskal
 
     order = np.argsort(heights, kind="stable")
@@ -104,13 +80,7 @@ def by_area(labels: NDArray[np.integer], areas: Float) -> Index:
 
 
 def check_parts(parts: int | None, topology: Topology) -> None:
-    """Refuse a number of parts that no segmentation has.
-
-    Raises
-    ------
-    SettingsError
-        If it is no whole number, below one, or above the number of faces.
-    """
+    """Refuse a number of parts that no segmentation has."""
     if parts is None:
         return
     whole = isinstance(parts, int | np.integer)

@@ -110,34 +110,7 @@ def decompose(
     points: FloatArray | Observed | None = None,
     core: float = CORE,
 ) -> Decomposition:
-    """Grow joints around the boundaries of a segmentation.
-
-    Parameters
-    ----------
-    topology : Topology
-        Connectivity of the mesh.
-    part_of_face : (F,) int
-        Part of every face, 0, 1, ..., as the segmentations return it.
-    joint_width : int
-        Largest width of the joints in strips of triangles on each side of a boundary, at least 1.
-    points : (T, V, 3) float, or Observed, optional
-        The sequence, or what was seen of its frames: joints are as wide as it bends, and faces must have area in
-        every frame. Without it all joints have full width, and faces that collapse in some frame cannot be kept
-        out of them.
-    core : float
-        Share of its vertices that a part keeps, whatever the width of its joints.
-
-    Returns
-    -------
-    Decomposition
-
-    Raises
-    ------
-    SettingsError
-        If the width is below 1.
-    SegmentationError
-        If there is not one part per face.
-    """
+    """Grow joints around the boundaries of a segmentation: part_of_face ``(F,)``; points ``(T, V, 3)``."""
     if joint_width < 1:
         raise SettingsError(f"joint_width is {joint_width}; at least 1 strip is needed")
     if part_of_face.shape != (len(topology.faces),):

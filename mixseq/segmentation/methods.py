@@ -38,13 +38,7 @@ METHODS: dict[SegmentationName, Method] = {
 
 
 def chosen(segmentation: Segmentation) -> tuple[SegmentationName, MethodSettings]:
-    """Return a method and its settings.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such method.
-    """
+    """Return a method and its settings."""
     for name, method in METHODS.items():
         if isinstance(segmentation, method.settings):
             return name, segmentation
@@ -101,24 +95,7 @@ def segment(
 
 
 def segment_by_labels(labels: ArrayLike, topology: Topology) -> NDArray[np.int64]:
-    """Make a segmentation of given face labels.
-
-    Parameters
-    ----------
-    labels : (F,) int array_like
-        Any number for every face; equal numbers are one part, or several where they are not connected.
-    topology : Topology
-        Connectivity of the mesh.
-
-    Returns
-    -------
-    (F,) int64
-        Part of every face, numbered 0, 1, ...; parts are connected across edges.
-
-    Raises
-    ------
-    SegmentationError
-        If there is not one whole number per face.
+    """Make a segmentation of given face labels: labels ``(F,)``; result ``(F,)``.
 
     Examples
     --------

@@ -79,30 +79,7 @@ def segment_by_motion(
     parts: int | None = None,
     settings: MotionSettings | None = None,
 ) -> Index:
-    """Find the near-rigid parts of a moving mesh.
-
-    Parameters
-    ----------
-    points : (T, V, 3) float
-        The sequence; any unit.
-    topology : Topology
-        Its connectivity.
-    parts : int, optional
-        Number of parts. Every connected component has at least one, whatever is asked for. Found automatically
-        if not given.
-    settings : MotionSettings, optional
-        Details.
-
-    Returns
-    -------
-    (F,) int64
-        Part of every face, numbered 0, 1, ... by decreasing area. Parts are connected across edges.
-
-    Raises
-    ------
-    SettingsError
-        If `parts` is below one or above the number of faces.
-    """
+    """Find the near-rigid parts of a moving mesh: points ``(T, V, 3)``; result ``(F,)``."""
     settings = settings or MotionSettings()
     check_parts(parts, topology)
     faces = Elements.faces(topology, _looked_at(points, settings.frames))
@@ -158,24 +135,12 @@ def _settled(clusters: Clusters, rounds: float, times: int) -> Index:
 
 @dataclass(eq=False)
 class _Bodies:
-    """Patches of faces that are merged step by step.
+    """Patches of faces that are merged step by step."""
 
-    Attributes
-    ----------
-    patches : (F,) int64
-        Patch of every face.
-    moments : dict
-        Moments of every patch that is left.
-    sizes : dict
-        Number of its faces.
-    neighbours : dict
-        Patches beside it.
-    """
-
-    patches: Index
-    moments: dict[int, Moments]
-    sizes: dict[int, int]
-    neighbours: dict[int, set[int]]
+    patches: Index  # (F,) patch of every face
+    moments: dict[int, Moments]  # moments of every patch that is left
+    sizes: dict[int, int]  # number of its faces
+    neighbours: dict[int, set[int]]  # patches beside it
 
     @classmethod
     def of(cls, topology: Topology, faces: Elements, patches: Index) -> _Bodies:

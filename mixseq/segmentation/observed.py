@@ -37,21 +37,11 @@ def frames_to_look_at(frame_count: int, at_most: int = 24) -> Index:
 
 @dataclass(frozen=True, eq=False)
 class Watched:
-    """What is looked at in every frame.
+    """What is looked at in every frame."""
 
-    Attributes
-    ----------
-    faces : (F, 3) int
-        Triangles of the mesh.
-    parts : tuple of (V_i,) int64
-        Vertices of every part, ascending.
-    shapes : tuple of (V_i, 3) float64
-        Their shapes, centred, against which turns are measured.
-    """
-
-    faces: NDArray[np.integer]
-    parts: tuple[Index, ...]
-    shapes: tuple[Float, ...]
+    faces: NDArray[np.integer]  # (F, 3) triangles of the mesh
+    parts: tuple[Index, ...]  # vertices of every part, ascending
+    shapes: tuple[Float, ...]  # their shapes, centred, against which turns are measured
 
     @classmethod
     def of(cls, topology: Topology, part_of_face: Index, frames: FloatArray) -> Watched:
@@ -64,18 +54,10 @@ class Watched:
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """What was seen.
+    """What was seen."""
 
-    Attributes
-    ----------
-    rotations : (T, p, 3, 3) float64
-        Rotation of every part in every frame, relative to its shape.
-    flat : (F,) bool
-        Faces that have no area in some frame.
-    """
-
-    rotations: Float
-    flat: Mask
+    rotations: Float  # (T, p, 3, 3) rotation of every part in every frame, relative to its shape
+    flat: Mask  # (F,) faces that have no area in some frame
 
 
 def observe(watched: Watched, points: FloatArray) -> Observed:

@@ -23,30 +23,14 @@ from mixseq.geometry.rigid import nearest_rotations
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Weighted sums over a set of vertices, for T frames.
+    """Weighted sums over a set of vertices, for T frames."""
 
-    Attributes
-    ----------
-    weight : float
-        Sum of w.
-    rest : (3,)
-        Sum of w h.
-    moved : (T, 3)
-        Sum of w x_t.
-    rest_square : float
-        Sum of w |h|^2.
-    moved_square : (T,)
-        Sum of w |x_t|^2.
-    cross : (T, 3, 3)
-        Sum of w x_t h^T.
-    """
-
-    weight: float
-    rest: Float
-    moved: Float
-    rest_square: float
-    moved_square: Float
-    cross: Float
+    weight: float  # sum of w
+    rest: Float  # (3,) sum of w h
+    moved: Float  # (T, 3) sum of w x_t
+    rest_square: float  # sum of w |h|^2
+    moved_square: Float  # (T,) sum of w |x_t|^2
+    cross: Float  # (T, 3, 3) sum of w x_t h^T
 
     def __add__(self, other: Moments) -> Moments:
         return Moments(

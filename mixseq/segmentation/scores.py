@@ -33,24 +33,7 @@ from mixseq.segmentation.rigid_error import moments
 
 
 def adjusted_rand_index(first: ArrayLike, second: ArrayLike, weights: ArrayLike | None = None) -> float:
-    """Compare two labelings of the same faces.
-
-    Parameters
-    ----------
-    first, second : (F,) int array_like
-        Label of every face. Which numbers stand for the parts does not matter.
-    weights : (F,) float array_like, optional
-        Weight of every face, such as its area; 1 if not given.
-
-    Returns
-    -------
-    float
-        1 where both are the same partition, about 0 where they agree as much as by chance; it can be negative.
-
-    Raises
-    ------
-    SegmentationError
-        If the labels are not of the same faces, or weights are not one non-negative number each.
+    """Compare two labelings of the same faces: first, second ``(F,)``; weights ``(F,)``.
 
     Examples
     --------
@@ -89,21 +72,7 @@ def _pairs(group: NDArray[np.intp], weights: NDArray[np.float64]) -> float:
 def near_rigid_errors(points: FloatArray, faces: IntArray, part_of_face: IntArray) -> tuple[Float, float]:
     """Measure how near-rigid parts are.
 
-    Parameters
-    ----------
-    points : (T, V, 3) float
-        The sequence, or some frames of it.
-    faces : (F, 3) int
-        Triangles.
-    part_of_face : (F,) int
-        Part of every triangle, numbered 0, 1, ...
-
-    Returns
-    -------
-    of_parts : (p,) float64
-        Error of every part, in percent of its own deviation; 0 where nothing moves off its centroid.
-    whole : float
-        Error of all parts together, in percent of the deviation of the whole mesh.
+    Shapes: points ``(T, V, 3)``; faces ``(F, 3)``; part_of_face ``(F,)``; result ``(p,)``.
     """
     count = int(part_of_face.max(initial=-1)) + 1
     centroids = points.mean(axis=1, dtype=np.float64)[None]  # (1, T, 3)

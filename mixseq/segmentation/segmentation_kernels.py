@@ -58,14 +58,7 @@ def transfer(
 def squared_distances(moved: Single, rest: Single, motions: Single, result: Single) -> None:
     """Write mean squared distances of trajectories from where motions put the vertices.
 
-    Parameters
-    ----------
-    moved, rest : (3T, V), (3, V) float32
-        Trajectories and vertices at rest, coordinates first, in diagonals.
-    motions : (K, 3T, 4) float32
-        Rotations and translations.
-    result : (V, K) float32
-        Written to.
+    Shapes: moved, rest ``(3T, V), (3, V)``; motions ``(K, 3T, 4)``; result ``(V, K)``.
     """
     chunk = 512  # of vertices, so that what the inner loops touch stays in cache
     sums = np.empty(chunk, dtype=np.float32)
@@ -96,16 +89,7 @@ def averages(values: Single, members: Table, factors: Single, result: Single) ->
 
     Elements with fewer members repeat one whose row is zero.
 
-    Parameters
-    ----------
-    values : (n, K) float32
-        Rows.
-    members : (E, m) int32
-        Their numbers, m >= 4.
-    factors : (E,) float32
-        One over the true numbers of members.
-    result : (E, K) float32
-        Written to.
+    Shapes: values ``(n, K)``; members ``(E, m)``; factors ``(E,)``; result ``(E, K)``.
     """
     for e in range(len(members)):
         a, b = values[members[e, 0]], values[members[e, 1]]
@@ -123,14 +107,7 @@ def averages(values: Single, members: Table, factors: Single, result: Single) ->
 def cheapest(fresh: Single, columns: Index, costs: Single, labels: Index, lowest: Single) -> None:
     """Put fresh costs into columns of the costs; write each row's lowest, and where it is.
 
-    Parameters
-    ----------
-    fresh, columns : (E, n) float32, (n,) int64
-        Squared distances, and their columns.
-    costs : (E, K) float32
-        Changed in place.
-    labels, lowest : (E,) int64, (E,) float32
-        Written to.
+    Shapes: fresh, columns ``(E, n)``; costs ``(E, K)``; labels, lowest ``(E,)``.
     """
     for e in range(len(costs)):
         row = costs[e]
@@ -148,12 +125,7 @@ def cheapest(fresh: Single, columns: Index, costs: Single, labels: Index, lowest
 def list_neighbours(pairs: Index, table: Table) -> None:
     """Write the neighbours of elements behind the elements themselves: first those of pairs that they are first in.
 
-    Parameters
-    ----------
-    pairs : (n, 2) int64
-        Pairs of neighbours.
-    table : (E, m) int32
-        The elements, and places for all of their neighbours.
+    Shapes: pairs ``(n, 2)``; table ``(E, m)``.
     """
     next_place = np.ones(len(table), dtype=np.int32)
     for own in range(2):
@@ -165,15 +137,7 @@ def list_neighbours(pairs: Index, table: Table) -> None:
 
 @compiled
 def measure_areas(points: Float, faces: NDArray[np.integer], areas: Float) -> None:
-    """Write the areas of faces.
-
-    Parameters
-    ----------
-    points, faces : (V, 3) float64, (F, 3) int
-        A mesh.
-    areas : (F,) float64
-        Written to.
-    """
+    """Write the areas of faces: points, faces ``(V, 3)``; areas ``(F,)``."""
     for f in range(len(faces)):
         a, b, c = points[faces[f, 0]], points[faces[f, 1]], points[faces[f, 2]]
         u0, u1, u2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -186,12 +150,7 @@ def measure_areas(points: Float, faces: NDArray[np.integer], areas: Float) -> No
 def cells(starts: Table, neighbours: Table, owner: Table) -> Index:
     """Give every vertex to a cell: a centre and those of its neighbours that no cell had; return the centres.
 
-    Parameters
-    ----------
-    starts, neighbours : (V + 1,), (m,) int32
-        Neighbours of vertices, as rows of a sparse matrix.
-    owner : (V,) int32
-        Cell of every vertex, changed in place where it is negative.
+    Shapes: starts, neighbours ``(V + 1,), (m,)``; owner ``(V,)``.
     """
     centres = np.empty(len(owner), dtype=np.int64)
     count = 0
@@ -208,17 +167,7 @@ def cells(starts: Table, neighbours: Table, owner: Table) -> Index:
 
 @compiled
 def mark_flat(points: Float, faces: NDArray[np.integer], height: float, flat: Mask) -> None:
-    """Mark the faces that are lower than `height` times their longest side.
-
-    Parameters
-    ----------
-    points, faces : (V, 3) float64, (F, 3) int
-        A mesh.
-    height : float
-        Height of a triangle over its longest side, at least.
-    flat : (F,) bool
-        Changed in place.
-    """
+    """Mark the faces that are lower than `height` times their longest side: points, faces ``(V, 3)``; flat ``(F,)``."""
     for f in range(len(faces)):
         a, b, c = points[faces[f, 0]], points[faces[f, 1]], points[faces[f, 2]]
         u0, u1, u2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -234,23 +183,7 @@ def mark_flat(points: Float, faces: NDArray[np.integer], height: float, flat: Ma
 def kruskal(ends: Index, heights: Float, bottoms: Float, areas: Float) -> tuple[Index, Float, Float]:
     """Join nodes by edges in the order in which these are given.
 
-    Parameters
-    ----------
-    ends : (m, 2) int64
-        Nodes of every edge.
-    heights : (m,) float64
-        Height of every edge, ascending.
-    bottoms, areas : (n,) float64
-        Height and area of every node; both are overwritten.
-
-    Returns
-    -------
-    tree : (k,) int64
-        Edges that joined two sets of nodes.
-    area : (k,) float64
-        Area of the smaller one.
-    depth : (k,) float64
-        Height of the edge above the bottom of the shallower one.
+    Shapes: ends ``(m, 2)``; heights ``(m,)``; bottoms, areas ``(n,)``; result ``(k,)``, ``(k,)``, ``(k,)``.
     """
     parent = np.arange(len(areas))
     tree = np.empty(len(areas), dtype=np.int64)

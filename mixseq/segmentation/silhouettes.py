@@ -101,27 +101,7 @@ def segment_by_silhouettes(
 ) -> Index:
     """Find the parts of a moving mesh between the places where its silhouettes deform.
 
-    Parameters
-    ----------
-    points : (T, V, 3) float
-        The sequence; any unit.
-    topology : Topology
-        Its connectivity.
-    parts : int, optional
-        Number of parts. Every hinge-connected component has at least one, whatever is asked for. Found
-        automatically if not given.
-    settings : SilhouetteSettings, optional
-        Details.
-
-    Returns
-    -------
-    (F,) int64
-        Part of every face, numbered 0, 1, ... by decreasing area. Parts are connected across edges.
-
-    Raises
-    ------
-    SettingsError
-        If `parts` is below one or above the number of faces.
+    Shapes: points ``(T, V, 3)``; result ``(F,)``.
     """
     settings = settings or SilhouetteSettings()
     check_parts(parts, topology)
@@ -159,19 +139,7 @@ def silhouette(points: FloatArray, topology: Topology, direction: Float) -> Mask
 def significant_vertices(
     points: FloatArray, topology: Topology, deformation: Float, settings: SilhouetteSettings
 ) -> Mask:
-    """Mark the vertices ``(V,)`` that deform most on most of the silhouettes that they are on.
-
-    Parameters
-    ----------
-    points : (N, V, 3) float
-        The poses.
-    topology : Topology
-        Connectivity.
-    deformation : (V,) float64
-        How much every vertex deforms.
-    settings : SilhouetteSettings
-        How many silhouettes are looked at, and which share of them is marked.
-    """
+    """Mark the vertices ``(V,)`` that deform most on most of the silhouettes that they are on: points ``(N, V, 3)``."""
     directions = viewpoints(settings.viewpoints)
     views = len(points) * len(directions)
     chosen = np.random.default_rng(settings.seed).choice(

@@ -72,30 +72,7 @@ def segment_by_spanning_tree(
     parts: int | None = None,
     settings: SpanningTreeSettings | None = None,
 ) -> Index:
-    """Cut a moving mesh where its dihedral angles vary most.
-
-    Parameters
-    ----------
-    points : (T, V, 3) float
-        The sequence; any unit.
-    topology : Topology
-        Its connectivity.
-    parts : int, optional
-        Number of parts. Every hinge-connected component has at least one, whatever is asked for. Found
-        automatically if not given.
-    settings : SpanningTreeSettings, optional
-        Details.
-
-    Returns
-    -------
-    (F,) int64
-        Part of every face, numbered 0, 1, ... by decreasing area. Parts are connected across edges.
-
-    Raises
-    ------
-    SettingsError
-        If `parts` is below one or above the number of faces.
-    """
+    """Cut a moving mesh where its dihedral angles vary most: points ``(T, V, 3)``; result ``(F,)``."""
     settings = settings or SpanningTreeSettings()
     check_parts(parts, topology)
     x = some_frames(points, settings.frames)

@@ -19,29 +19,16 @@ from mixseq.shells.solvers import Analysis, analyse
 
 @dataclass(frozen=True, eq=False)
 class BlockSparsePattern(PickledWithoutCaches):
-    """The lower triangle of a symmetric matrix of n x n blocks, all blocks of the diagonal there.
+    """The lower triangle of a symmetric matrix of n x n blocks, all blocks of the diagonal there."""
 
-    Attributes
-    ----------
-    starts : (3n + 1,) int64
-        Where the values of every column start.
-    rows : (N,) int64
-        Row of every value, ascending in each column; the first is that of the diagonal.
-    places : (n + m, 3) int64
-        For each of the n blocks of the diagonal and the m blocks below it, and for each of the block's columns,
-        where the value of the block's row 0 is; rows 1 and 2 follow. The diagonal's blocks have only the rows on
-        and below the diagonal.
-    keys : (m,) int64
-        ``n * column + row`` of the blocks below the diagonal, ascending.
-    threads : int, optional
-        Threads that factor one matrix; by default as its size suggests.
-    """
-
-    starts: Index
-    rows: Index
+    starts: Index  # (3n + 1,) where the values of every column start
+    rows: Index  # (N,) row of every value, ascending in each column; the first is that of the diagonal
+    # (n + m, 3) for each of the n blocks of the diagonal and the m blocks below it, and for each of the block's
+    # columns, where the value of the block's row 0 is; rows 1 and 2 follow. The diagonal's blocks have only the rows on
+    # and below the diagonal.
     places: Index
-    keys: Index
-    threads: int | None = None
+    keys: Index  # (m,) n * column + row of the blocks below the diagonal, ascending
+    threads: int | None = None  # threads that factor one matrix; by default as its size suggests
 
     @classmethod
     def of(cls, count: int, pairs: Index, threads: int | None = None) -> BlockSparsePattern:

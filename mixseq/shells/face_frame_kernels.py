@@ -95,10 +95,7 @@ def _quaternion(r: Float, q: Float) -> None:
 def transitions(first: Float, second: Float, bends: Float) -> Float:
     """Return the rotations ``R_z(first) R_x(bend) R_z(-second)`` ``(h, 4)`` across hinges.
 
-    Parameters
-    ----------
-    first, second, bends : (h,) float64
-        Directions of the hinge's edge in both faces, and dihedral angles, in radians.
+    Shapes: first, second, bends ``(h,)``.
     """
     turns = np.empty((len(bends), 4))
     for k in range(len(bends)):
@@ -152,12 +149,7 @@ def chained(
 def misfits(frames: Float, pairs: Index, turns: Float, weights: Float, right: Float) -> None:
     """Write the right-hand side of a step of averaging: weighted axes of misfits, as long as their sines.
 
-    Parameters
-    ----------
-    frames, pairs, turns, weights
-        As in `chained`.
-    right : (n, 3) float64
-        Written to.
+    Shapes: right ``(n, 3)``.
     """
     right[:] = 0.0
     expected, off = np.empty(4), np.empty(4)
@@ -173,15 +165,7 @@ def misfits(frames: Float, pairs: Index, turns: Float, weights: Float, right: Fl
 
 @compiled
 def turned_on(frames: Float, steps: Float) -> None:
-    """Turn frames by rotation vectors.
-
-    Parameters
-    ----------
-    frames : (n, 4) float64
-        Changed in place.
-    steps : (n, 3) float64
-        Rotation vectors in radians, in the world's axes.
-    """
+    """Turn frames by rotation vectors: frames ``(n, 4)``; steps ``(n, 3)``."""
     turn, result = np.empty(4), np.empty(4)
     for v in range(len(frames)):
         angle = math.sqrt(steps[v, 0] ** 2 + steps[v, 1] ** 2 + steps[v, 2] ** 2)
@@ -197,12 +181,7 @@ def turned_on(frames: Float, steps: Float) -> None:
 def turned_sides(frames: Float, flat: Float) -> Float:
     """Return the sides 01, 12, 20 ``(F, 3, 3)`` of flat triangles with frames.
 
-    Parameters
-    ----------
-    frames : (F, 4) float64
-        How they are turned.
-    flat : (F, 3, 2) float64
-        Their corners in the plane, in diagonals.
+    Shapes: frames ``(F, 4)``; flat ``(F, 3, 2)``.
     """
     sides = np.empty((len(flat), 3, 3))
     for f in range(len(flat)):

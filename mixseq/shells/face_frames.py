@@ -71,21 +71,11 @@ def frames_of(x: Float, faces: IntArray) -> Float:
 
 @dataclass(frozen=True, eq=False)
 class Hinges:
-    """Hinges, as seen from the frames of their faces.
+    """Hinges, as seen from the frames of their faces."""
 
-    Attributes
-    ----------
-    faces : (m, 3) int
-        Triangles.
-    hinges : (h, 4) int64
-        Hinges a, b, c, d: edge ab, opposite vertices c and d.
-    hinge_faces : (h, 2) int64
-        Their faces.
-    """
-
-    faces: IntArray
-    hinges: Index
-    hinge_faces: Index
+    faces: IntArray  # (m, 3) triangles
+    hinges: Index  # (h, 4) hinges a, b, c, d: edge ab, opposite vertices c and d
+    hinge_faces: Index  # (h, 2) their faces
 
     @cached_property
     def _ends(self) -> tuple[Index, Index]:
@@ -110,15 +100,7 @@ class Hinges:
         return np.where(self.backward[:, 1], 0.0, np.pi)
 
     def turns(self, flat: Float, angles: Float) -> Float:
-        """Return the rotations T ``(h, 4)`` across all hinges.
-
-        Parameters
-        ----------
-        flat : (m, 3, 2) float64
-            Triangles, laid into the plane.
-        angles : (h,) float64
-            Dihedral angles in radians.
-        """
+        """Return the rotations T ``(h, 4)`` across all hinges: flat ``(m, 3, 2)``; angles ``(h,)``."""
         side = np.roll(flat, -1, axis=1) - flat
         directions = np.arctan2(side[..., 1], side[..., 0])
         seen = directions[self.hinge_faces, self.sides] + np.where(self.backward, np.pi, 0.0)
@@ -135,27 +117,13 @@ class _Layers(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FrameGraph(PickledWithoutCaches):
-    """Frames, and which of them know how they are turned against each other.
+    """Frames, and which of them know how they are turned against each other."""
 
-    Attributes
-    ----------
-    count : int
-        Number n of frames.
-    pairs : (h, 2) int64
-        Pairs of different frames.
-    weights : (h,) float64
-        How much the pairs count; positive.
-    known : (n,) bool
-        Frames that chains start from: one, at least, of all that are connected.
-    known_weight : float
-        How much known frames stay what they are while rotations are averaged.
-    """
-
-    count: int
-    pairs: Index
-    weights: Float
-    known: Mask
-    known_weight: float
+    count: int  # number n of frames
+    pairs: Index  # (h, 2) pairs of different frames
+    weights: Float  # (h,) how much the pairs count; positive
+    known: Mask  # (n,) frames that chains start from: one, at least, of all that are connected
+    known_weight: float  # how much known frames stay what they are while rotations are averaged
 
     @cached_property
     def factor(self) -> Factor:
@@ -167,17 +135,7 @@ class FrameGraph(PickledWithoutCaches):
         return self.factor, self._layers
 
     def averaged(self, frames: Float, turns: Float, rounds: int) -> Float:
-        """Return frames that fit each other better.
-
-        Parameters
-        ----------
-        frames : (n, 4) float64
-            Unit quaternions to start from.
-        turns : (h, 4) float64
-            Rotations from the first frame of a pair to the second, as seen from the first.
-        rounds : int
-            How often what does not fit is divided.
-        """
+        """Return frames that fit each other better: frames ``(n, 4)``; turns ``(h, 4)``."""
         frames, right = frames.copy(), np.empty((self.count, 3))
         for _ in range(rounds):
             kernels.misfits(frames, self.pairs, turns, self.weights, right)

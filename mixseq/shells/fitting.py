@@ -50,18 +50,10 @@ HOPELESS = 1e150
 
 
 class SoftConstraint(NamedTuple):
-    """Soft constraints of positions: where free vertices are expected.
+    """Soft constraints of positions: where free vertices are expected."""
 
-    Attributes
-    ----------
-    positions : (f, 3) float64
-        Where they are expected, in the unit of the points.
-    weights : (f,) float64
-        Weights of the distances from there, per unit; empty for no constraints at all.
-    """
-
-    positions: Float
-    weights: Float
+    positions: Float  # (f, 3) where they are expected, in the unit of the points
+    weights: Float  # (f,) weights of the distances from there, per unit; empty for no constraints at all
 
 
 class DenseTerm(Protocol):
@@ -191,27 +183,7 @@ class ShellProblem:
 def fit_shell(
     problem: ShellProblem, start: Float, settings: ShellSettings | None = None
 ) -> tuple[Float, ShellReport]:
-    """Fit a patch to edge lengths and dihedral angles.
-
-    Parameters
-    ----------
-    problem : ShellProblem
-        Patch and targets. If nothing is fixed the result is up to a rigid motion.
-    start : (n, 3) float64
-        Where to start; fixed vertices stay there.
-    settings : ShellSettings, optional
-        When to stop.
-
-    Returns
-    -------
-    points : (n, 3) float64
-    report : ShellReport
-
-    Raises
-    ------
-    ReconstructionError
-        If the start or the targets are not finite.
-    """
+    """Fit a patch to edge lengths and dihedral angles: start ``(n, 3)``; result ``(n, 3)``."""
     return minimise(_Fit(problem), np.array(start, dtype=np.float64), settings or ShellSettings())
 
 

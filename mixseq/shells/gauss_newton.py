@@ -95,27 +95,7 @@ class LeastSquares(Protocol):
 
 
 def minimise(problem: LeastSquares, start: Float, settings: ShellSettings) -> tuple[Float, ShellReport]:
-    """Find the points with the least energy near a start.
-
-    Parameters
-    ----------
-    problem : LeastSquares
-        What to fit.
-    start : (n, 3) float64
-        Where to start.
-    settings : ShellSettings
-        When to stop.
-
-    Returns
-    -------
-    points : (n, 3) float64
-    report : ShellReport
-
-    Raises
-    ------
-    ReconstructionError
-        If the start or what it is fitted to is not finite.
-    """
+    """Find the points with the least energy near a start: start ``(n, 3)``; result ``(n, 3)``."""
     points = start
     residuals, energy = problem.residual(points)
     if not np.isfinite(energy):

@@ -22,30 +22,15 @@ from mixseq.topology import Topology
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """Lengths and angles around the free vertices of a patch, and the matrix they make.
+    """Lengths and angles around the free vertices of a patch, and the matrix they make."""
 
-    Attributes
-    ----------
-    edges, hinges : (e', 2), (h', 4) int64
-        Those with a free vertex.
-    free : (f,) int64
-        The free vertices.
-    number : (n,) int64
-        Place of every vertex among them, -1 if fixed.
-    pattern : BlockSparsePattern
-        Pattern of the matrix, one triple of unknowns for each free vertex.
-    edge_blocks : (e',) int64
-        Block that couples the two vertices of an edge, -1 if one is fixed.
-    hinge_blocks : (h', 6) int64
-        Blocks that couple the vertices ba, ca, cb, da, db, dc of a hinge, -1 if one is fixed.
-    """
-
-    edges: Index
-    hinges: Index
-    free: Index
-    number: Index
-    pattern: BlockSparsePattern
-    edge_blocks: Index
+    edges: Index  # (e', 2) those with a free vertex
+    hinges: Index  # (h', 4) those with a free vertex
+    free: Index  # (f,) the free vertices
+    number: Index  # (n,) place of every vertex among them, -1 if fixed
+    pattern: BlockSparsePattern  # pattern of the matrix, one triple of unknowns for each free vertex
+    edge_blocks: Index  # (e',) block that couples the two vertices of an edge, -1 if one is fixed
+    # (h', 6) blocks that couple the vertices ba, ca, cb, da, db, dc of a hinge, -1 if one is fixed.
     hinge_blocks: Index
 
     @classmethod
@@ -71,33 +56,15 @@ class NormalEquations:
 
 @dataclass(frozen=True, eq=False)
 class Patch(PickledWithoutCaches):
-    """A hinge-connected patch of triangles in local indices, some of its vertices fixed in space.
+    """A hinge-connected patch of triangles in local indices, some of its vertices fixed in space."""
 
-    Attributes
-    ----------
-    faces : (m, 3) int64
-        Triangles.
-    edges : (e, 2) int64
-        Edges, in the order of the lengths.
-    face_edges : (m, 3) int64
-        Edge of the sides 01, 12, 20 of every face.
-    hinges : (h, 4) int64
-        Hinges a, b, c, d, in the order of the angles.
-    hinge_faces : (h, 2) int64
-        Their two faces.
-    fixed : (n,) bool
-        Vertices whose positions are given.
-    threads : int, optional
-        Threads that factor one matrix; by default as its size suggests.
-    """
-
-    faces: Index
-    edges: Index
-    face_edges: Index
-    hinges: Index
-    hinge_faces: Index
-    fixed: Mask
-    threads: int | None = None
+    faces: Index  # (m, 3) triangles
+    edges: Index  # (e, 2) edges, in the order of the lengths
+    face_edges: Index  # (m, 3) edge of the sides 01, 12, 20 of every face
+    hinges: Index  # (h, 4) hinges a, b, c, d, in the order of the angles
+    hinge_faces: Index  # (h, 2) their two faces
+    fixed: Mask  # (n,) vertices whose positions are given
+    threads: int | None = None  # threads that factor one matrix; by default as its size suggests
 
     @classmethod
     def of_joint(cls, topology: Topology, joint: Joint, fixed: Mask) -> Patch:

@@ -36,21 +36,7 @@ NEAR = 0.5
 def linear_initialisation(patch: Patch, lengths: Float, angles: Float, positions: Float) -> Float:
     """Rebuild a patch from edge lengths and dihedral angles.
 
-    Parameters
-    ----------
-    patch : Patch
-        Connectivity; without fixed vertices the result is up to a rigid motion.
-    lengths : (e,) float64
-        Edge lengths.
-    angles : (h,) float64
-        Dihedral angles in radians.
-    positions : (n, 3) float64
-        Positions of the fixed vertices; the others are not looked at.
-
-    Returns
-    -------
-    (n, 3) float64
-        Positions of all vertices.
+    Shapes: lengths ``(e,)``; angles ``(h,)``; positions ``(n, 3)``; result ``(n, 3)``.
     """
     return integrate(patch, _sides(patch, lengths, angles, positions), positions)
 
@@ -148,13 +134,6 @@ def rebuild(
     -------
     points : (n, 3) float64
     report : ShellReport
-
-    Notes
-    -----
-    The linear start is exact where lengths and angles are those of a mesh. Between meshes it is what makes
-    Gauss-Newton find the right fold where poses are far apart; where they are near, a guess may be closer. The
-    start of lower energy is taken. It is not looked for where the guess has no residual above `NEAR`, or where soft
-    constraints tell which fold is meant.
     """
     lengths = sound_lengths(lengths, weights)
     problem = ShellProblem(patch, lengths, angles, weights, settings.bending, soft)

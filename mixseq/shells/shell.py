@@ -67,23 +67,10 @@ EXACT = 1e-8
 
 @dataclass(frozen=True)
 class Relaxation:
-    """How lengths and angles that no mesh has are made to agree.
+    """How lengths and angles that no mesh has are made to agree."""
 
-    Attributes
-    ----------
-    bending : float
-        Weight of an angle in radians against a relative length.
-    steps : int
-        So many steps are taken.
-
-    Raises
-    ------
-    SettingsError
-        If the weight is not positive, or the steps are not a whole number of 0 or more.
-    """
-
-    bending: float = 0.25
-    steps: int = 10
+    bending: float = 0.25  # weight of an angle in radians against a relative length
+    steps: int = 10  # so many steps are taken
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.bending) and self.bending > 0):
@@ -93,47 +80,24 @@ class Relaxation:
 
 
 class Relaxed(NamedTuple):
-    """A mesh after some steps.
+    """A mesh after some steps."""
 
-    Attributes
-    ----------
-    points : (V, 3) float64
-        Its vertices.
-    energy : float
-        What is left of the energy, in which hinges that were far off at the start count less.
-    """
-
-    points: Float
-    energy: float
+    points: Float  # (V, 3) its vertices
+    energy: float  # what is left of the energy, in which hinges that were far off at the start count less
 
 
 @dataclass(frozen=True, eq=False)
 class Shell(PickledWithoutCaches):
-    """A mesh whose lengths and angles are to be agreed on.
+    """A mesh whose lengths and angles are to be agreed on."""
 
-    Attributes
-    ----------
-    topology : Topology
-        Connectivity.
-    reference : (V, 3) float64
-        Some shape of it, in diagonals.
-    typical : (E,) float64
-        Typical lengths of all edges, in diagonals.
-    ties : (t, 2) int64
-        Further pairs of vertices whose sides are known: what holds together without an edge.
-    position_weights : (V,) float64
-        How much vertices stay where they are expected, against the sides of faces, relative to these: positive for
-        one, at least, of all that are connected.
-    bending : float
-        Weight of an angle in radians against a relative length.
-    """
-
-    topology: Topology
-    reference: Float
-    typical: Float
-    ties: Index
+    topology: Topology  # connectivity
+    reference: Float  # (V, 3) some shape of it, in diagonals
+    typical: Float  # (E,) typical lengths of all edges, in diagonals
+    ties: Index  # (t, 2) further pairs of vertices whose sides are known: what holds together without an edge
+    # (V,) how much vertices stay where they are expected, against the sides of faces, relative to these: positive for
+    # one, at least, of all that are connected.
     position_weights: Float
-    bending: float
+    bending: float  # weight of an angle in radians against a relative length
 
     def constants(self) -> tuple[object, ...]:
         """Implement `PickledWithoutCaches.constants`."""
@@ -211,14 +175,7 @@ class Shell(PickledWithoutCaches):
     def integrated(self, sides: Float, tied: Float, expected: Float) -> Float:
         """Return the vertices ``(V, 3)`` whose sides come closest to given ones.
 
-        Parameters
-        ----------
-        sides : (F, 3, 3) float64
-            Sides 01, 12, 20 of all faces.
-        tied : (t, 3) float64
-            Differences of the tied vertices.
-        expected : (V, 3) float64
-            Where the vertices are expected that are held.
+        Shapes: sides ``(F, 3, 3)``; tied ``(t, 3)``.
         """
         right = (self.tie_weight * self.position_weights)[:, None] * expected
         kernels.gathered(self._faces, self.side_weights, sides, right)
@@ -227,22 +184,7 @@ class Shell(PickledWithoutCaches):
         return self.factor.solve(right)
 
     def relaxed(self, start: Float, lengths: Float, angles: Float, steps: int) -> Relaxed:
-        """Make lengths and angles agree.
-
-        Parameters
-        ----------
-        start : (V, 3) float64
-            Where the steps start.
-        lengths, angles : (E,), (H,) float64
-            What edges and hinges should have.
-        steps : int
-            How many steps are taken.
-
-        Raises
-        ------
-        ReconstructionError
-            If lengths, angles or the start are not finite.
-        """
+        """Make lengths and angles agree: start ``(V, 3)``; lengths, angles ``(E,), (H,)``."""
         turns = _turns(angles)
         near = np.where(self.sound, kernels.nearness(start, self.topology.hinges, turns), 1.0)
         bend = near * self._bend

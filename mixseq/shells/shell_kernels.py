@@ -159,12 +159,7 @@ def misfit(
 def lengths_and_angles(x: Float, edges: Index, hinges: Index) -> tuple[Float, Float]:
     """Return lengths ``(e,)`` in the unit of the points, and angles ``(h,)`` in radians.
 
-    Parameters
-    ----------
-    x : (n, 3) float64
-        Vertices.
-    edges, hinges : (e, 2), (h, 4) int64
-        Those that are asked for.
+    Shapes: x ``(n, 3)``; edges, hinges ``(e, 2), (h, 4)``.
     """
     lengths, angles = np.empty(len(edges)), np.empty(len(hinges))
     for k in range(len(edges)):
@@ -232,13 +227,7 @@ def energy(
 
 @compiled
 def nearness(x: Float, hinges: Index, turns: Float) -> Float:
-    """Return how little hinges are off ``(H,)``, ``cos^2`` of half of it: 1 where they are not, 0 by half a turn.
-
-    Parameters
-    ----------
-    x, hinges, turns
-        As in `energy`.
-    """
+    """Return how little hinges are off ``(H,)``, ``cos^2`` of half of it: 1 where they are not, 0 by half a turn."""
     near, g = np.empty(len(hinges)), np.empty((4, 3))
     for k in range(len(hinges)):
         a, b, c, d = hinges[k, 0], hinges[k, 1], hinges[k, 2], hinges[k, 3]
@@ -250,14 +239,7 @@ def nearness(x: Float, hinges: Index, turns: Float) -> Float:
 def gathered(faces: Index, weights: Float, sides: Float, right: Float) -> None:
     """Add the weighted sides of faces to the right-hand side of a Poisson system.
 
-    Parameters
-    ----------
-    faces : (F, 3) int64
-        Triangles.
-    weights, sides : (F, 3), (F, 3, 3) float64
-        Weights of the sides 01, 12, 20, and these, in diagonals.
-    right : (V, 3) float64
-        Changed in place.
+    Shapes: faces ``(F, 3)``; weights, sides ``(F, 3), (F, 3, 3)``; right ``(V, 3)``.
     """
     for f in range(len(faces)):
         for k in range(3):

@@ -45,37 +45,17 @@ class Analysis(Protocol):
     """An analysed pattern."""
 
     def factor(self, values: Float) -> Factor:
-        """Factor the matrix with these values of the lower triangle, in the order of the pattern.
-
-        Raises
-        ------
-        ReconstructionError
-            If the matrix is singular.
-        """
+        """Factor the matrix with these values of the lower triangle, in the order of the pattern."""
 
 
 def analyse(starts: Index, rows: Index, threads: int | None = None) -> Analysis:
-    """Analyse the pattern of a symmetric positive definite matrix.
-
-    Parameters
-    ----------
-    starts, rows : (n + 1,), (N,) int64
-        Its lower triangle in compressed sparse columns, rows ascending.
-    threads : int, optional
-        Threads that rslab factors one matrix with; by default as its size suggests.
-    """
+    """Analyse the pattern of a symmetric positive definite matrix: starts, rows ``(n + 1,), (N,)``."""
     rslab = _rslab()
     return _SuperLUAnalysis(starts, rows) if rslab is None else _RslabAnalysis(rslab, starts, rows, threads)
 
 
 def factorise(matrix: sparse.sparray) -> Factor:
-    """Factor a symmetric positive definite matrix ``(n, n)``, of which both triangles are stored.
-
-    Raises
-    ------
-    ReconstructionError
-        If the matrix is singular.
-    """
+    """Factor a symmetric positive definite matrix ``(n, n)``, of which both triangles are stored."""
     lower = sparse.csc_array(sparse.tril(sparse.csc_array(matrix)))
     lower.sort_indices()
     return analyse(lower.indptr.astype(np.int64), lower.indices.astype(np.int64)).factor(lower.data)
@@ -84,12 +64,7 @@ def factorise(matrix: sparse.sparray) -> Factor:
 def factored_laplacian(pairs: Index, weights: Float, position_weights: Float) -> Factor:
     r"""Factor the matrix of :math:`\sum_k w_k |x_{j_k} - x_{i_k}|^2 + \sum_v h_v |x_v|^2`.
 
-    Parameters
-    ----------
-    pairs, weights : (k, 2) int64, (k,) float64
-        Pairs i, j, which may be there more than once, and their weights.
-    position_weights : (n,) float64
-        Weights h, positive for one, at least, of all that are connected.
+    Shapes: pairs, weights ``(k, 2)``; position_weights ``(n,)``.
     """
     (i, j), count = pairs.T, len(position_weights)
     degrees = np.bincount(i, weights, minlength=count) + np.bincount(j, weights, minlength=count)

@@ -20,25 +20,7 @@ def largest(weights: Float) -> Measure:
 
 
 def fit_curve(times: Float, values: Float, tolerance: float, measure: Measure) -> Curve:
-    """Find a curve with few knots that stays near values.
-
-    Parameters
-    ----------
-    times : (T,) float64
-        Times of the values, increasing.
-    values : (T, k) float64
-        What to stay near.
-    tolerance : float
-        Largest allowed ``measure(curve(times) - values)``.
-    measure : callable
-        How large deviations are.
-
-    Returns
-    -------
-    Curve
-        The least-squares spline on knots that were set where it was needed: every interval that holds a value out
-        of tolerance is halved. Through all values, if nothing less will do.
-    """
+    """Find a curve with few knots that stays near values: times ``(T,)``; values ``(T, k)``."""
     candidates = np.arange(2, len(times) - 2)  # those of the not-a-knot spline through all values
     chosen = np.zeros(0, dtype=np.int64)
     while len(chosen) < len(candidates):
@@ -59,14 +41,7 @@ def fit_curve(times: Float, values: Float, tolerance: float, measure: Measure) -
 def least_squares_curve(times: Float, values: Float, inner: Float) -> Curve:
     """Find the curve with given inner knots that is nearest to values.
 
-    Parameters
-    ----------
-    times : (T,) float64
-        Times of the values, increasing.
-    values : (T, k) float64
-        What to be near to, in the sense of least squares.
-    inner : (n,) float64
-        Knots strictly between the first time and the last, increasing, no more than T - 4.
+    Shapes: times ``(T,)``; values ``(T, k)``; inner ``(n,)``.
     """
     first, last = times[0], times[-1]
     if len(times) < 4 or len(inner) >= len(times) - 4:

@@ -36,56 +36,27 @@ CORRECTION_STEP = 2.0**-24
 
 
 class Between(NamedTuple):
-    """Frames and times between them, as predicted: cubic splines through all go as the prediction goes.
+    """Frames and times between them, as predicted: cubic splines through all go as the prediction goes."""
 
-    Attributes
-    ----------
-    times : (2T - 1,) float64
-        Frames and the middles between them, in seconds.
-    rows : Rows
-        Weights of the frames there.
-    quarters : (4T - 3,) float64
-        Frames and the quarters between them, in seconds.
-    targets, placement : (4T - 3, ...), (4T - 3, P) float64
-        How parts stand to each other at the quarters, and placements.
-    """
-
-    times: Float
-    rows: Rows
-    quarters: Float
-    targets: Float
-    placement: Float
+    times: Float  # (2T - 1,) frames and the middles between them, in seconds
+    rows: Rows  # weights of the frames there
+    quarters: Float  # (4T - 3,) frames and the quarters between them, in seconds
+    targets: Float  # (4T - 3, ...) how parts stand to each other at the quarters, and placements
+    placement: Float  # (4T - 3, P) how parts stand to each other at the quarters, and placements
 
 
 @dataclass(frozen=True, eq=False)
 class Encoded:
-    """A sequence as vectors of a shape space.
+    """A sequence as vectors of a shape space."""
 
-    Attributes
-    ----------
-    header : SequenceHeader
-        Mesh and times.
-    space : ShapeSpace
-        The space.
-    shapes : (T, S) array, perhaps on disk, of float64
-        The vectors of the frames without their placement.
-    placement : (T, P) float64
-        The placement.
-    samples : (T, C) float64
-        Coordinates of some vertices, which tell what operator in time predicts the sequence best.
-    pose : {"modes", "keys"}
-        What key shapes shall be.
-    in_body : bool
-        Whether poses of parts are predicted as seen from their bodies, too.
-    """
-
-    header: SequenceHeader
-    space: ShapeSpace
-    shapes: LargeArray
-    placement: Float
+    header: SequenceHeader  # mesh and times
+    space: ShapeSpace  # the space
+    shapes: LargeArray  # (T, S) the vectors of the frames without their placement
+    placement: Float  # (T, P) the placement
+    # (T, C) coordinates of some vertices, which tell what operator in time predicts the sequence best.
     samples: Float
-    pose: PoseForm = "modes"
-    in_body: bool = False
+    pose: PoseForm = "modes"  # what key shapes shall be
+    in_body: bool = False  # whether poses of parts are predicted as seen from their bodies, too
 
     @cached_property
     def operator(self) -> Operator:
@@ -142,26 +113,7 @@ def encode(
     workers: Executor = serially,
     progress: Progress = silent,
 ) -> Encoded:
-    """Encode all frames of a sequence in a space.
-
-    Parameters
-    ----------
-    sequence : FrameStore or MeshSequence
-        The sequence.
-    space : ShapeSpace
-        The space.
-    pose : {"modes", "keys"}
-        What key shapes shall be.
-    workers : Executor, optional
-        Who encodes blocks of frames.
-    progress : callable, optional
-        Told about every block.
-
-    Raises
-    ------
-    OutputError
-        If there is no room for the vectors, neither in memory nor in a temporary file.
-    """
+    """Encode all frames of a sequence in a space."""
     count, size = len(sequence.points), space.shape_dim
     placed = slice(size, size + space.placement_dim)
     shapes = new_large_array((count, size))
@@ -190,36 +142,20 @@ def _encoded(shared: tuple[ShapeSpace, Index], points: FloatArray) -> tuple[Floa
 
 @dataclass(frozen=True)
 class Detail:
-    """How detailed signals are.
+    """How detailed signals are."""
 
-    Attributes
-    ----------
-    rank : int, optional
-        Number of shape modes; by default all there are.
-    slack : float
-        How far, in diagonals, the signals may be from the frames (by the measures of `Encoded`); zero to pass
-        through them all.
-    knots : int or (n,) array_like, optional
-        Inner knots of all curves, instead of those that slack chooses.
-    step : float
-        Key shapes and curves are rounded to multiples of this number, a power of two in diagonals, so that they take
-        few bytes; zero not to.
-    """
-
-    rank: int | None = None
+    rank: int | None = None  # number of shape modes; by default all there are
+    # How far, in diagonals, the signals may be from the frames (by the measures of Encoded); zero to pass through them
+    # all.
     slack: float = 0.0
-    knots: int | ArrayLike | None = None
+    knots: int | ArrayLike | None = None  # inner knots of all curves, instead of those that slack chooses
+    # Key shapes and curves are rounded to multiples of this number, a power of two in diagonals, so that they take few
+    # bytes; zero not to.
     step: float = 0.0
 
 
 def build(encoded: Encoded, detail: Detail) -> Model:
-    """Make the model of an encoded sequence.
-
-    Raises
-    ------
-    SettingsError
-        If there are more knots than frames can tell, or knots are outside the sequence.
-    """
+    """Make the model of an encoded sequence."""
     times = encoded.header.times
     rank = _rank(encoded, detail)
     modes = encoded.modes.first(rank)
@@ -240,21 +176,11 @@ def build(encoded: Encoded, detail: Detail) -> Model:
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """Makes the curves of a model.
+    """Makes the curves of a model."""
 
-    Attributes
-    ----------
-    encoded : Encoded
-        The sequence.
-    pose : PoseMap
-        From pose space to weights of the key shapes.
-    key_poses : (K, pose_dim) float64
-        How parts stand in the key shapes.
-    """
-
-    encoded: Encoded
-    pose: PoseMap
-    key_poses: Float
+    encoded: Encoded  # the sequence
+    pose: PoseMap  # from pose space to weights of the key shapes
+    key_poses: Float  # (K, pose_dim) how parts stand in the key shapes
 
     def with_knots(self, scores: Float, inner: Float) -> tuple[Curve, Curve, Curve]:
         """Return curves of time, placement and correction with inner knots ``(n,)``."""

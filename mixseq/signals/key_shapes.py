@@ -10,19 +10,7 @@ from mixseq.signals.pose import PoseMap
 
 
 def choose_keys(scores: Float) -> Index:
-    """Choose frames as key shapes for points of pose space.
-
-    Parameters
-    ----------
-    scores : (T, r) float64
-        The sequence in pose space.
-
-    Returns
-    -------
-    (r + 1,) int64
-        Frames, ascending, spread as widely as a pivoted QR decomposition finds: the others are blends of them
-        with small weights.
-    """
+    """Choose frames as key shapes for points of pose space: scores ``(T, r)``; result ``(r + 1,)``."""
     size = np.abs(scores).max(initial=0.0) or 1.0
     corners = np.concatenate([np.full((1, len(scores)), size), scores.T])
     pivots = linalg.qr(corners, mode="r", pivoting=True)[1]
@@ -30,14 +18,7 @@ def choose_keys(scores: Float) -> Index:
 
 
 def key_map(keys: Float) -> PoseMap:
-    """Make the pose map of key shapes that lie at points of pose space.
-
-    Parameters
-    ----------
-    keys : (K, r) float64
-        Where the key shapes are. Of all weights that reproduce a point (barycentric coordinates where K = r + 1)
-        the map gives those with the smallest sum of squares.
-    """
+    """Make the pose map of key shapes that lie at points of pose space: keys ``(K, r)``."""
     corners = np.concatenate(
         [np.ones((1, len(keys))), keys.T]
     )  # weights w of a point c: corners @ w = (1, c)

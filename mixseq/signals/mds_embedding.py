@@ -67,16 +67,7 @@ class Plane(NamedTuple):
 def plane_of(points: Float, pose: PoseMap, shapes: Float, metric: Float) -> Plane:
     """Find the plane of the first two principal components of blended shapes.
 
-    Parameters
-    ----------
-    points : (T, k) float64
-        The frames in pose space.
-    pose : PoseMap
-        From there to the affine weights of the key shapes.
-    shapes : (K, S) float64
-        Key shapes.
-    metric : (S,) float64
-        Weight of every coordinate in distances.
+    Shapes: points ``(T, k)``; shapes ``(K, S)``; metric ``(S,)``.
     """
     weights = pose.weights(points)
     origin = weights.mean(axis=0)

@@ -37,24 +37,12 @@ Deviations = Callable[[int], Iterator[tuple[slice, Float]]]
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """Principal components of T vectors.
+    """Principal components of T vectors."""
 
-    Attributes
-    ----------
-    scores : (T, r) float64
-        Coordinates of the vectors, in the metric's unit.
-    sizes : (r,) float64
-        Singular values, decreasing: norms of the columns of the scores.
-    mean : (D,) float64
-        Mean vector.
-    deviations : callable
-        Yields how far one standard deviation along every mode is.
-    """
-
-    scores: Float
-    sizes: Float
-    mean: Float
-    deviations: Deviations
+    scores: Float  # (T, r) coordinates of the vectors, in the metric's unit
+    sizes: Float  # (r,) singular values, decreasing: norms of the columns of the scores
+    mean: Float  # (D,) mean vector
+    deviations: Deviations  # yields how far one standard deviation along every mode is
 
     def first(self, rank: int) -> Modes:
         """Return the first modes only."""
@@ -79,12 +67,7 @@ class Modes:
 def principal_modes(vectors: LargeArray, metric: Float) -> Modes:
     """Find all modes of vectors, at most as many as there are coordinates, and one fewer than frames.
 
-    Parameters
-    ----------
-    vectors : (T, D) array, perhaps on disk, of float64
-        Vectors of a shape space.
-    metric : (D,) float64
-        Weight of every coordinate in distances between vectors.
+    Shapes: vectors ``(T, D)``; metric ``(D,)``.
     """
     count, dim = vectors.shape
     return _of_frames(vectors, metric) if count <= dim else _of_coordinates(vectors, metric)

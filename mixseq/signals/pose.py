@@ -90,21 +90,7 @@ class PoseMap:
 def straight_modes(scores: Float, mean: Float, directions: Float) -> tuple[PoseMap, Float]:
     """Make the pose signal and the key shapes of vectors ``mean + scores @ directions``.
 
-    Parameters
-    ----------
-    scores : (T, r) float64
-        Points of pose space.
-    mean : (D,) float64
-        Vector at its origin.
-    directions : (r, D) float64
-        Change of the vector along every coordinate.
-
-    Returns
-    -------
-    pose : PoseMap
-        From scores to the weights of the key shapes.
-    shapes : (1 + r, D) float64
-        The mean, and it plus one standard deviation along every direction.
+    Shapes: scores ``(T, r)``; mean ``(D,)``; directions ``(r, D)``; result ``(1 + r, D)``.
     """
     sizes = np.sqrt(np.square(scores).mean(axis=0))
     sizes = np.where(sizes > 0, sizes, 1.0)

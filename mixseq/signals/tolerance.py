@@ -48,29 +48,6 @@ def within(
 
     Slack of the signals and error of the decoded frames grow together, though not evenly; so the slack is scaled
     with the error that was measured, and bisected once it was both too small and too large.
-
-    Parameters
-    ----------
-    encoded : Encoded
-        The sequence in a shape space.
-    sequence : FrameStore or MeshSequence
-        The sequence itself.
-    tolerance : float
-        Largest distance of a vertex, in diagonals.
-    progress : callable, optional
-        Told about every model that is tried.
-    workers : Executor, optional
-        Who decodes blocks of frames.
-
-    Returns
-    -------
-    Model
-        Within the tolerance, measured; if nothing coarser is, the exact model.
-
-    Raises
-    ------
-    SettingsError, ReconstructionError
-        If not even that is: see `made_sure`.
     """
     low, high, slack = 0.0, np.inf, tolerance / 4
     best: Model | None = None
@@ -116,29 +93,7 @@ def made_sure(
     workers: Executor | None = None,
     progress: Progress = silent,
 ) -> Model:
-    """Return a model that keeps a promise at all frames.
-
-    Parameters
-    ----------
-    model : Model
-        A model of the sequence.
-    sequence : FrameStore or MeshSequence
-        The original.
-    promise : float
-        Largest distance of a vertex, in diagonals.
-    workers : Executor, optional
-        Who decodes blocks of frames.
-    progress : callable, optional
-        Told when it is done.
-
-    Raises
-    ------
-    SettingsError
-        If it does not, and coordinates are so large beside the first frame that double precision has not enough digits:
-        the sequence is far from the origin, or grows or moves too far.
-    ReconstructionError
-        If it does not for another reason.
-    """
+    """Return a model that keeps a promise at all frames."""
     error = largest_error(model, sequence, workers=workers)
     progress(1, 1, "checking")
     if error <= promise:
@@ -169,19 +124,7 @@ def largest_error(
     stop: float = np.inf,
     workers: Executor | None = None,
 ) -> float:
-    """Return the largest distance of a vertex at the frames, in diagonals.
-
-    Parameters
-    ----------
-    model : Model
-        A model of the sequence.
-    sequence : FrameStore or MeshSequence
-        The original.
-    stop : float
-        Do not look further once the error is above this.
-    workers : Executor, optional
-        Who decodes blocks of frames.
-    """
+    """Return the largest distance of a vertex at the frames, in diagonals."""
     unit = bounding_diagonal(sequence.points[:1][0]) or 1.0
     # Every 4th frame first, then those between: what is out of tolerance is out of it at many frames.
     frames = np.concatenate([np.arange(first, len(sequence.points), 4) for first in (0, 2, 1, 3)])

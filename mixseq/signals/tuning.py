@@ -39,15 +39,7 @@ ENOUGH = 0.8
 
 
 def tuned(encoded: Encoded, frames: LargeArray) -> Encoded:
-    """Choose how parts are predicted between frames, and the share of lengths and angles.
-
-    Parameters
-    ----------
-    encoded : Encoded
-        The sequence.
-    frames : (T, V, 3) array, perhaps on disk
-        Its frames.
-    """
+    """Choose how parts are predicted between frames, and the share of lengths and angles: frames ``(T, V, 3)``."""
     space = encoded.space
     if not isinstance(space, MixedSpace) or space.placement == "free" or len(frames) < 4:
         return encoded
@@ -63,25 +55,13 @@ def tuned(encoded: Encoded, frames: LargeArray) -> Encoded:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """Frames that are left out, and what becomes of them.
+    """Frames that are left out, and what becomes of them."""
 
-    Attributes
-    ----------
-    encoded, space : Encoded, MixedSpace
-        The sequence, and its space.
-    frames : (n,) int64
-        Frames that are left out.
-    rows : Rows
-        Weights of the others.
-    points : (n, V, 3) float64
-        What they are, in diagonals.
-    """
-
-    encoded: Encoded
-    space: MixedSpace
-    frames: Index
-    rows: Rows
-    points: Float
+    encoded: Encoded  # the sequence, and its space
+    space: MixedSpace  # the sequence, and its space
+    frames: Index  # (n,) frames that are left out
+    rows: Rows  # weights of the others
+    points: Float  # (n, V, 3) what they are, in diagonals
 
     @classmethod
     def of(cls, encoded: Encoded, space: MixedSpace, frames: LargeArray) -> Trial:

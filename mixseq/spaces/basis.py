@@ -27,16 +27,10 @@ class BasisSpace(ShapeSpace):
 
     Compressed sequences are of this space: the basis are principal components of trajectories. Skinning is of it, too,
     with basis vectors that are a weight, or a weight times a coordinate; so blends are those of linear blend skinning.
-
-    Attributes
-    ----------
-    basis : (K, V) float64
-        The basis vectors, none of them zero everywhere.
-    scale : float
-        Length of the unit of the space, in the units of the sequence: coefficients are in diagonals.
     """
 
-    basis: Float
+    basis: Float  # (K, V) the basis vectors, none of them zero everywhere
+    # Length of the unit of the space, in the units of the sequence: coefficients are in diagonals.
     scale: float
     name = "basis"
 

@@ -47,21 +47,11 @@ FULL = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
 
 
 class Gradients(NamedTuple):
-    """The blocks of T vectors of S_f.
+    """The blocks of T vectors of S_f."""
 
-    Attributes
-    ----------
-    turns : (T, F, 3)
-        Rotation vectors from the reference, face by face.
-    stretches : (T, F, 6)
-        Stretches: xx, yy, zz, xy, xz, yz.
-    centres : (T, p, 3)
-        Centres of the pieces, in diagonals.
-    """
-
-    turns: Float
-    stretches: Float
-    centres: Float
+    turns: Float  # (T, F, 3) rotation vectors from the reference, face by face
+    stretches: Float  # (T, F, 6) stretches: xx, yy, zz, xy, xz, yz
+    centres: Float  # (T, p, 3) centres of the pieces, in diagonals
 
 
 @dataclass(frozen=True, eq=False)

@@ -84,20 +84,7 @@ class SpaceOptions(TypedDict, total=False):
 
 
 def space_settings(name: SpaceName, **given: Any) -> SpaceSettings:
-    """Make the settings of a space of what users chose, by the names of the settings.
-
-    Parameters
-    ----------
-    name : str
-        Name of the space.
-    **given
-        Settings by name. Those of other spaces are allowed as long as they are what they are by default.
-
-    Raises
-    ------
-    SettingsError
-        If the name is none of `SPACES`, or the space has no use for a setting.
-    """
+    """Make the settings of a space of what users chose, by the names of the settings."""
     _check_name(name)
     known = _defaults(name)
     for setting, value in given.items():
@@ -143,28 +130,7 @@ def make_space(
     workers: Executor = serially,
     progress: Progress = silent,
 ) -> ShapeSpace:
-    """Make the shape space of a sequence.
-
-    Parameters
-    ----------
-    frames : FrameStore or MeshSequence
-        The sequence. Its first frame is the reference, and its diagonal the unit.
-    name : str
-        One of `SPACES`.
-    settings : MixedSettings, EdgeSettings or NoSettings, optional
-        How it is made, see `space_settings`.
-    workers : Executor, optional
-        Who looks at the frames; the space is the same whoever does.
-    progress : callable, optional
-        Told about every block of frames.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such space, the settings are another space's, or one is out of range.
-    SegmentationError
-        If given parts do not fit the mesh.
-    """
+    """Make the shape space of a sequence."""
     _check_name(name)
     settings = settings or _SETTINGS[name]()
     if not isinstance(settings, _SETTINGS[name]):
@@ -197,15 +163,7 @@ def make_space(
 def part_of_faces(
     frames: FrameStore | MeshSequence, settings: MixedSettings, topology: Topology
 ) -> NDArray[np.int64]:
-    """Return the part ``(F,)`` of every triangle in the mixed space: given, or found.
-
-    Raises
-    ------
-    SettingsError
-        If the number of parts is out of range.
-    SegmentationError
-        If given parts do not fit the mesh.
-    """
+    """Return the part ``(F,)`` of every triangle in the mixed space: given, or found."""
     points, parts = frames.points, settings.parts
     if not (parts is None or isinstance(parts, int | np.integer)):
         return segment_by_labels(parts, topology)

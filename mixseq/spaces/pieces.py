@@ -26,20 +26,11 @@ class Pieces:
 
     Vertices that no face uses are pieces of their own, after all others. Pieces may share vertices, but no edges;
     arrays of *rows* hold the vertices of all pieces, piece after piece.
-
-    Attributes
-    ----------
-    vertices : tuple of (n_k,) int64
-        Vertices of every piece, ascending.
-    faces : tuple of (m_k,) int64
-        Faces of every piece, ascending; none of an unused vertex.
-    shapes : (N, 3) float64
-        Rows of the reference, every piece about its centre.
     """
 
-    vertices: tuple[Index, ...]
-    faces: tuple[Index, ...]
-    shapes: Float
+    vertices: tuple[Index, ...]  # vertices of every piece, ascending
+    faces: tuple[Index, ...]  # faces of every piece, ascending; none of an unused vertex
+    shapes: Float  # (N, 3) rows of the reference, every piece about its centre
 
     @classmethod
     def of(cls, topology: Topology, reference: FloatArray) -> Pieces:
@@ -106,17 +97,7 @@ class Pieces:
     def place(self, rows: Float, rotations: Float, centres: Float) -> Float:
         """Move pieces rigidly to where poses say; the inverse of `poses`.
 
-        Parameters
-        ----------
-        rows : (N, 3) float64
-            Shapes of the pieces, every one anywhere.
-        rotations, centres : (p, 3, 3), (p, 3) float64
-            Poses.
-
-        Returns
-        -------
-        (V, 3) float64
-            Vertices; those of several pieces are the mean of these.
+        Shapes: rows ``(N, 3)``; rotations, centres ``(p, 3, 3), (p, 3)``; result ``(V, 3)``.
         """
         upright, _, _ = self._registered(self._own_rows, rows)
         return self.merged(np.einsum("nij,nj->ni", rotations[self.owner], upright) + centres[self.owner])

@@ -28,21 +28,13 @@ from mixseq.shells.solvers import Factor, factorise
 
 @dataclass(frozen=True, eq=False)
 class Integration(PickledWithoutCaches):
-    """The sides whose differences are known.
+    """The sides whose differences are known."""
 
-    Attributes
-    ----------
-    sides : (S, 2) int64
-        Pairs i, j of vertices; a pair may be there more than once, or name one vertex twice.
-    weights : (S,) float64
-        Weights w. Single ones may be negative, if L is positive semidefinite all the same (obtuse triangles).
-    count : int
-        Number n of vertices.
-    """
-
+    # (S, 2) pairs i, j of vertices; a pair may be there more than once, or name one vertex twice.
     sides: Index
+    # (S,) weights w. Single ones may be negative, if L is positive semidefinite all the same (obtuse triangles).
     weights: Float
-    count: int
+    count: int  # number n of vertices
 
     def constants(self) -> tuple[object, ...]:
         """Implement `PickledWithoutCaches.constants`."""
@@ -76,15 +68,7 @@ class Integration(PickledWithoutCaches):
         return factorise(laplacian[self.solved][:, self.solved])
 
     def vertices(self, differences: Float) -> Float:
-        """Find the vertices ``(n, 3)`` whose sides ``x_j - x_i`` are closest to differences ``(S, 3)``.
-
-        Raises
-        ------
-        SettingsError
-            If there is not one difference for every side.
-        ReconstructionError
-            If the weights leave vertices free.
-        """
+        """Find the vertices ``(n, 3)`` whose sides ``x_j - x_i`` are closest to differences ``(S, 3)``."""
         if differences.shape != (len(self.sides), 3):
             raise SettingsError(
                 f"differences have shape {differences.shape}; one for each side is expected, ({len(self.sides)}, 3)"

@@ -24,20 +24,13 @@ from mixseq.topology import Topology
 
 @dataclass(frozen=True, eq=False)
 class PosedSpace(ShapeSpace):
-    """A space whose shapes are up to a rigid motion of every piece.
+    """A space whose shapes are up to a rigid motion of every piece."""
 
-    Attributes
-    ----------
-    topology : Topology
-        Connectivity of the mesh.
-    scale : float
-        Length of the unit of the space, in the units of the sequence: the diagonal of the first frame.
-    reference : (V, 3) float64
-        The first frame, in the space's unit: rotations are from it, angles of the first encoded frame stay near it.
-    """
-
-    topology: Topology
+    topology: Topology  # connectivity of the mesh
+    # Length of the unit of the space, in the units of the sequence: the diagonal of the first frame.
     scale: float
+    # (V, 3) the first frame, in the space's unit: rotations are from it, angles of the first encoded frame stay near
+    # it.
     reference: Float
 
     @cached_property

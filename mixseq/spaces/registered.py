@@ -15,14 +15,7 @@ from mixseq.geometry.rigid import aligning_rotations
 def centred_parts(x: Float, vertices: Index, ends: Index, shapes: Float) -> tuple[Float, Float, Float]:
     """Return part vertices ``(N, 3)`` about their centres, these ``(p, 3)``, and products with shapes ``(p, 3, 3)``.
 
-    Parameters
-    ----------
-    x : (V, 3) float64
-        A frame, in diagonals.
-    vertices, ends : (N,), (p,) int64
-        Vertices of all parts, part by part, and where each part ends.
-    shapes : (N, 3) float64
-        Mean shapes, centred.
+    Shapes: x ``(V, 3)``; vertices, ends ``(N,), (p,)``.
     """
     moved = np.empty((len(vertices), 3))
     centres, covariances = np.zeros((len(ends), 3)), np.zeros((len(ends), 3, 3))
@@ -45,15 +38,7 @@ def centred_parts(x: Float, vertices: Index, ends: Index, shapes: Float) -> tupl
 
 @compiled
 def turned_back(moved: Float, ends: Index, rotations: Float) -> Float:
-    """Return part vertices ``(N, 3)``, turned by the inverse rotations of their parts.
-
-    Parameters
-    ----------
-    moved, ends : (N, 3) float64, (p,) int64
-        Vertices part by part, and where each part ends.
-    rotations : (p, 3, 3) float64
-        Rotation of every part.
-    """
+    """Return part vertices ``(N, 3)``, turned by the inverse rotations of their parts: rotations ``(p, 3, 3)``."""
     result = np.empty((len(moved), 3))
     start = 0
     for part in range(len(ends)):

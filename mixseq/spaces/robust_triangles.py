@@ -53,14 +53,7 @@ def vertex_normals(x: Float, faces: Index, edges: Index) -> Float:
     They are the sums of the normals of the faces, weighted by area. A vertex without a normal takes the mean of its
     neighbours'; if no vertex that it is connected to has one it is zero.
 
-    Parameters
-    ----------
-    x : (n, 3) float64
-        Vertices.
-    faces : (F, 3) int64
-        Triangles.
-    edges : (E, 2) int64
-        Their edges.
+    Shapes: faces ``(F, 3)``; edges ``(E, 2)``.
     """
     of_faces = face_normals(x, faces)
     sums = _gathered(len(x), faces.reshape(-1), np.repeat(of_faces, 3, axis=0))
@@ -91,14 +84,7 @@ def completed(rows: Float, faces: Index, edges: Index) -> Float:
 
     The fourth vertex of a face without area is across its longest side, as the normals of its vertices say.
 
-    Parameters
-    ----------
-    rows : (n, 3) float64
-        Vertices.
-    faces : (F, 3) int64
-        Triangles.
-    edges : (E, 2) int64
-        Their edges.
+    Shapes: rows ``(n, 3)``; faces ``(F, 3)``; edges ``(E, 2)``.
     """
     corners = rows[faces]
     normals = face_normals(rows, faces)

@@ -14,15 +14,7 @@ Job = TypeVar("Job")
 
 
 class Background:
-    """Works on threads of its own until it is closed; closes at the end of a ``with`` block.
-
-    Parameters
-    ----------
-    work : callable
-        What each thread does. It waits for `_changed`, and returns once `_closed` is set.
-    threads : int
-        How many threads there are.
-    """
+    """Works on threads of its own until it is closed; closes at the end of a ``with`` block."""
 
     def __init__(self, work: Callable[[], None], threads: int = 1) -> None:
         self._closed = False
@@ -47,15 +39,7 @@ class Background:
 
 
 class Jobs(Background, Generic[Job]):
-    """Does jobs one after the other, until it is closed.
-
-    Parameters
-    ----------
-    failed : callable
-        Told what could not be done, and the error.
-    jobs : iterable, optional
-        The first ones.
-    """
+    """Does jobs one after the other, until it is closed."""
 
     def __init__(self, failed: Callable[[str, Exception], None], jobs: Iterable[Job] = ()) -> None:
         self._failed = failed

@@ -29,33 +29,7 @@ DIGITS = 5
 
 
 def signals_of(model: Model, plane: Plane | None = None) -> dict[str, Any]:
-    """Return what the charts of a page draw of a model, ready for JSON.
-
-    Parameters
-    ----------
-    model : Model
-        Any. Without modes, or of one frame, it has no handles; of one frame, no keys either.
-    plane : Plane, optional
-        The embedding that is drawn, see `Model.embedding`; by default the model's own.
-
-    Returns
-    -------
-    dict
-        In diagonals and seconds:
-
-        - ``start``, ``end``; ``fps``, by which times have frame numbers; ``times`` (n,) and the ``path`` (n, 2),
-          `Model.embedding` at them;
-        - ``frames`` (f, 2) and ``frameTimes`` (f,), frames on the path;
-        - ``handles``, each a ``time`` and where the path is ``at`` that time; ``reach``, how far a drag of one goes to
-          both sides (`mixseq.operations.drag`);
-        - ``coefficients``, each a ``name`` and its ``values`` (n,), those that `mixseq.plots.draw_coefficients` draws;
-        - ``keys`` (k, 2), times of the output and of the source: equal.
-
-    Raises
-    ------
-    SettingsError
-        If the plane is of other key shapes.
-    """
+    """Return what the charts of a page draw of a model, ready for JSON."""
     start, end = model.start, model.end
     moves = end > start and model.time.dim > 0
     times = _evenly_chosen(dense_times(model), POINTS) if end > start else np.array([start])

@@ -7,27 +7,13 @@ from dataclasses import dataclass, replace
 
 @dataclass(frozen=True)
 class Clock:
-    """What frame is to be seen when.
+    """What frame is to be seen when."""
 
-    Attributes
-    ----------
-    count : int
-        Frames of the period.
-    fps : float
-        Frames per second at the speed 1.
-    speed : float
-        How many times as fast it runs.
-    frame : float
-        Where it was, in frames, when it was started or stopped.
-    since : float, optional
-        When it was started, in seconds of the time of day; None while it stands.
-    """
-
-    count: int
-    fps: float
-    speed: float = 1.0
-    frame: float = 0.0
-    since: float | None = None
+    count: int  # frames of the period
+    fps: float  # frames per second at the speed 1
+    speed: float = 1.0  # how many times as fast it runs
+    frame: float = 0.0  # where it was, in frames, when it was started or stopped
+    since: float | None = None  # when it was started, in seconds of the time of day; None while it stands
 
     @property
     def runs(self) -> bool:

@@ -36,47 +36,24 @@ DIGITS = 5
 
 @dataclass(frozen=True)
 class PageItemReport:
-    """What became of a mesh in a page.
+    """What became of a mesh in a page."""
 
-    Attributes
-    ----------
-    name : str
-        What stands above it.
-    frames : int
-        Its poses.
-    max_error : float
-        No vertex is farther from where it was, in diagonals of the bounding box of the first pose.
-    error : float
-        The same in units of the mesh.
-    positions, colours : int
-        Bytes that its mesh and motion, and its colours, take before they are text.
-    """
-
-    name: str
-    frames: int
+    name: str  # what stands above it
+    frames: int  # its poses
+    # No vertex is farther from where it was, in diagonals of the bounding box of the first pose.
     max_error: float
-    error: float
-    positions: int
-    colours: int
+    error: float  # the same in units of the mesh
+    positions: int  # bytes that its mesh and motion, and its colours, take before they are text
+    colours: int  # bytes that its mesh and motion, and its colours, take before they are text
 
 
 @dataclass(frozen=True, eq=False)
 class PageMesh:
-    """A mesh in a page.
+    """A mesh in a page."""
 
-    Attributes
-    ----------
-    description : dict
-        What the page must know, as JSON takes it.
-    data : list of bytes
-        The streams, and colours that are stored.
-    report : PageItemReport
-        How exact it is, and how large.
-    """
-
-    description: dict[str, Any]
-    data: list[bytes]
-    report: PageItemReport
+    description: dict[str, Any]  # what the page must know, as JSON takes it
+    data: list[bytes]  # the streams, and colours that are stored
+    report: PageItemReport  # how exact it is, and how large
 
 
 def page_mesh(
@@ -103,11 +80,6 @@ def page_mesh(
         Bound, in diagonals.
     progress : callable, optional
         Told how far it is.
-
-    Raises
-    ------
-    SettingsError
-        If the bound is beyond the digits of the coordinates.
     """
     header = shown.mesh.header
     if shown.coded is None:

@@ -52,11 +52,6 @@ class ExportSettings:
         From where meshes are seen at first, see `mixseq.scene.camera.seen_from`.
     following : bool
         Whether bodies that travel stay in the middle at first, and the ground moves.
-
-    Raises
-    ------
-    SettingsError
-        If a setting is out of range.
     """
 
     fps: float | None = None
@@ -79,18 +74,10 @@ class ExportSettings:
 
 @dataclass(frozen=True)
 class ExportReport:
-    """What became of a page.
+    """What became of a page."""
 
-    Attributes
-    ----------
-    size : int
-        Bytes of the file.
-    items : tuple of PageItemReport
-        Its meshes.
-    """
-
-    size: int
-    items: tuple[PageItemReport, ...]
+    size: int  # bytes of the file
+    items: tuple[PageItemReport, ...]  # its meshes
 
 
 def export_page(
@@ -103,34 +90,6 @@ def export_page(
     """Write a page that plays meshes.
 
     Poses are asked for once and kept in a temporary table. Equal input makes equal bytes.
-
-    Parameters
-    ----------
-    target : path
-        The file: give a temporary one.
-    items : sequence of PageItem
-        The meshes, from left to right.
-    settings : ExportSettings, optional
-        How.
-    progress : callable, optional
-        Told about every frame, and every stage of compressing.
-    workers : Executor, optional
-        Who decodes models, by default as many threads as there are cores.
-
-    Returns
-    -------
-    ExportReport
-        How large it is, and how exact.
-
-    Raises
-    ------
-    SettingsError
-        If there is nothing to show, times do not increase, something has no colours, or the bound is beyond the digits
-        of coordinates.
-    InvalidSequenceError
-        If there are more or fewer poses than times, or poses of another mesh.
-    OutputError
-        If there is no room for temporary files.
     """
     chosen = settings or ExportSettings()
     if not items:

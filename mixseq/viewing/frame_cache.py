@@ -30,17 +30,7 @@ class _Wish:
 
 
 class FrameCache(Background):
-    """Frames of scenes, decoded in the background.
-
-    Parameters
-    ----------
-    ready : callable
-        Called, on another thread, whenever a pose was decoded.
-    threads : int
-        How many threads decode.
-    memory : int
-        Bytes of poses that are kept; those used last.
-    """
+    """Frames of scenes, decoded in the background."""
 
     def __init__(self, ready: Callable[[], None], threads: int = 2, memory: int = MEMORY) -> None:
         self._ready = ready
@@ -52,27 +42,7 @@ class FrameCache(Background):
         super().__init__(self._decode, threads)
 
     def want(self, scene: Scene, frame: int, ahead: bool = True) -> tuple[Single, ...] | None:
-        """Ask for a frame.
-
-        Parameters
-        ----------
-        scene : Scene
-            What is shown.
-        frame : int
-            Which frame of it.
-        ahead : bool
-            Whether the frames after it will be wanted, too.
-
-        Returns
-        -------
-        tuple of (V, 3) float32, or None
-            The poses of its items, if they are there; else they will be, unless another frame is wanted first.
-
-        Raises
-        ------
-        MixseqError
-            If one of them cannot be decoded.
-        """
+        """Ask for a frame."""
         elapsed = scene.elapsed(frame)
         with self._changed:
             self._wish = _Wish(scene, frame, ahead)

@@ -26,38 +26,19 @@ large as the smaller one; ours. Metres beside centimetres would be a dot."""
 
 @dataclass(frozen=True, eq=False)
 class PageItem:
-    """A mesh in a page, which has the poses of its own frames.
+    """A mesh in a page, which has the poses of its own frames."""
 
-    Attributes
-    ----------
-    mesh : SceneItem
-        What moves.
-    colourings : mapping of str to Colouring
-        What colours may show, the first one first.
-    signals : mapping, optional
-        The signals of a model, for its charts (`mixseq.viewing.chart_data.signals_of`).
-    coded : CompressedSequence, optional
-        The mesh as it is compressed already; else its poses are.
-    """
-
-    mesh: SceneItem
-    colourings: Mapping[str, Colouring]
+    mesh: SceneItem  # what moves
+    colourings: Mapping[str, Colouring]  # what colours may show, the first one first
+    # The signals of a model, for its charts (mixseq.viewing.chart_data.signals_of).
     signals: Mapping[str, Any] | None = None
-    coded: CompressedSequence | None = None
+    coded: CompressedSequence | None = None  # the mesh as it is compressed already; else its poses are
 
 
 def page_items(
     colours: SceneColours, coded: Sequence[CompressedSequence | None] | None = None
 ) -> list[PageItem]:
-    """Return the meshes of a scene with all colours that they can have, and the charts of models.
-
-    Parameters
-    ----------
-    colours : SceneColours
-        The scene.
-    coded : sequence of CompressedSequence or None, optional
-        Those of the meshes that are compressed already.
-    """
+    """Return the meshes of a scene with all colours that they can have, and the charts of models."""
     items = colours.scene.items
     return [
         PageItem(
@@ -69,19 +50,12 @@ def page_items(
 
 @dataclass(frozen=True, eq=False)
 class Extent:
-    """Where a mesh is in all its poses, Y up.
+    """Where a mesh is in all its poses, Y up."""
 
-    Attributes
-    ----------
-    low, high : (3,) float
-        Corners of its bounding box.
-    seen : (views, 5) float
-        Left, right, bottom and top on the screen of each view, whose middle is the origin of space, and the bottom of
-        what is at height zero below the mesh.
-    """
-
-    low: Float
-    high: Float
+    low: Float  # (3,) corners of its bounding box
+    high: Float  # (3,) corners of its bounding box
+    # (views, 5) left, right, bottom and top on the screen of each view, whose middle is the origin of space, and the
+    # bottom of what is at height zero below the mesh.
     seen: Float
 
     @property
@@ -113,25 +87,17 @@ class Extent:
 
 @dataclass(frozen=True, eq=False)
 class Gathered:
-    """The poses of a mesh.
+    """The poses of a mesh."""
 
-    Attributes
-    ----------
-    poses : (n, V, 3) array, perhaps on disk
-        As they were given.
-    still, following : Extent
-        Where they are, from their own view and from that of the first mesh of the page; and where they are when the
-        camera goes with them, from the mean of the vertices, on the ground.
-    views : (View, View)
-        Their own view, and that of the first mesh of the page.
-    like_first : bool
-        Whether they are seen as the first mesh is: they have its triangles, and about its place and size.
-    """
-
-    poses: LargeArray
+    poses: LargeArray  # (n, V, 3) as they were given
+    # Where they are, from their own view and from that of the first mesh of the page; and where they are when the
+    # camera goes with them, from the mean of the vertices, on the ground.
     still: Extent
+    # Where they are, from their own view and from that of the first mesh of the page; and where they are when the
+    # camera goes with them, from the mean of the vertices, on the ground.
     following: Extent
-    views: tuple[View, View]
+    views: tuple[View, View]  # (View, View) their own view, and that of the first mesh of the page
+    # Whether they are seen as the first mesh is: they have its triangles, and about its place and size.
     like_first: bool
 
 
@@ -159,11 +125,6 @@ def gather(
         Who decodes.
     camera : (float, float), optional
         From where, see `mixseq.scene.camera.seen_from`.
-
-    Raises
-    ------
-    InvalidSequenceError
-        If there are more or fewer poses than times, or poses of another mesh.
     """
     header = item.header
     same = first is None or np.array_equal(header.faces, first[0].faces)

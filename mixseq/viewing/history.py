@@ -9,37 +9,20 @@ from mixseq.signals import Model
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A model and what made it.
+    """A model and what made it."""
 
-    Attributes
-    ----------
-    name : str
-        What was done, such as ``repeat``; that of the first step is empty.
-    model : Model
-        What came of it.
-    keys : tuple of (float, float)
-        Of a retiming, its keys: times of the output and of the source, in seconds.
-    """
-
-    name: str
-    model: Model
+    name: str  # what was done, such as repeat; that of the first step is empty
+    model: Model  # what came of it
+    # Of a retiming, its keys: times of the output and of the source, in seconds.
     keys: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """Steps, and which of them is seen now; every change is a new history.
+    """Steps, and which of them is seen now; every change is a new history."""
 
-    Attributes
-    ----------
-    steps : tuple of Step
-        The first is the model as it was opened.
-    now : int
-        Which of them is seen.
-    """
-
-    steps: tuple[Step, ...]
-    now: int = 0
+    steps: tuple[Step, ...]  # the first is the model as it was opened
+    now: int = 0  # which of them is seen
 
     @classmethod
     def of(cls, model: Model) -> History:

@@ -22,40 +22,20 @@ SAME = 0.03
 
 @dataclass(frozen=True)
 class Pair:
-    """A vertex of the source and one of the target.
+    """A vertex of the source and one of the target."""
 
-    Attributes
-    ----------
-    vertices : (int, int)
-        The two.
-    name : str
-        What the file calls it; may be empty.
-    """
-
-    vertices: tuple[int, int]
-    name: str = ""
+    vertices: tuple[int, int]  # the two
+    name: str = ""  # what the file calls it; may be empty
 
 
 @dataclass(frozen=True)
 class Marking:
-    """Pairs that are set.
+    """Pairs that are set."""
 
-    Attributes
-    ----------
-    pairs : tuple of Pair
-        In the order in which they are numbered.
-    begun : (int, int), optional
-        Side and vertex of a point whose partner is not clicked yet.
-    chosen : int, optional
-        The pair that the next click moves, or that can be deleted.
-    skipped : frozenset of (int, int)
-        Vertices of proposals that were not wanted.
-    """
-
-    pairs: tuple[Pair, ...] = ()
-    begun: tuple[int, int] | None = None
-    chosen: int | None = None
-    skipped: frozenset[tuple[int, int]] = frozenset()
+    pairs: tuple[Pair, ...] = ()  # in the order in which they are numbered
+    begun: tuple[int, int] | None = None  # side and vertex of a point whose partner is not clicked yet
+    chosen: int | None = None  # the pair that the next click moves, or that can be deleted
+    skipped: frozenset[tuple[int, int]] = frozenset()  # vertices of proposals that were not wanted
 
     @classmethod
     def of(cls, markers: Markers) -> Marking:
@@ -135,15 +115,9 @@ class MarkingHistory:
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Where the vertices of both meshes are, in diagonals of each.
+    """Where the vertices of both meshes are, in diagonals of each."""
 
-    Attributes
-    ----------
-    points : ((V, 3), (V', 3)) float64
-        Source and target.
-    """
-
-    points: tuple[Float, Float]
+    points: tuple[Float, Float]  # ((V, 3), (V', 3) source and target
 
     @classmethod
     def of(cls, source: Float, target: Float) -> Places:

@@ -32,17 +32,7 @@ class MarkingListener(Protocol):
 
 
 class MarkingSession(Jobs[Callable[[], None]]):
-    """Markers of two meshes while they are set.
-
-    Parameters
-    ----------
-    source, target : MeshSequence
-        The meshes, each in its first frame.
-    markers : Markers
-        What is set at first. If that is nothing, markers are suggested.
-    listener : MarkingListener
-        Called when something happens.
-    """
+    """Markers of two meshes while they are set."""
 
     def __init__(
         self, source: MeshSequence, target: MeshSequence, markers: Markers, listener: MarkingListener

@@ -15,21 +15,11 @@ from mixseq.arrays import IntArray
 
 
 class Picked(NamedTuple):
-    """What a ray meets first.
+    """What a ray meets first."""
 
-    Attributes
-    ----------
-    face : int
-        The triangle.
-    vertex : int
-        The nearest of its corners.
-    distance : float
-        How far along the ray, in lengths of its direction.
-    """
-
-    face: int
-    vertex: int
-    distance: float
+    face: int  # the triangle
+    vertex: int  # the nearest of its corners
+    distance: float  # how far along the ray, in lengths of its direction
 
 
 def pick(
@@ -37,14 +27,7 @@ def pick(
 ) -> Picked | None:
     """Return the first triangle that a ray meets, from either side, or None.
 
-    Parameters
-    ----------
-    points : (V, 3) float
-        Vertices.
-    faces : (F, 3) int
-        Triangles.
-    origin, direction : (3,) float
-        The ray.
+    Shapes: points ``(V, 3)``; faces ``(F, 3)``; origin, direction ``(3,)``.
     """
     start, along = np.asarray(origin, dtype=np.float64), np.asarray(direction, dtype=np.float64)
     a, b, c = np.moveaxis(np.asarray(points, dtype=np.float64)[faces], 1, 0)

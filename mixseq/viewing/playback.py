@@ -39,39 +39,15 @@ class Stage(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """What is seen at a time.
+    """What is seen at a time."""
 
-    Attributes
-    ----------
-    scene : Scene
-        What is shown.
-    frame : int
-        Which frame of it.
-    poses : tuple of (V, 3) float32
-        The points of its items.
-    """
-
-    scene: Scene
-    frame: int
-    poses: tuple[Single, ...]
+    scene: Scene  # what is shown
+    frame: int  # which frame of it
+    poses: tuple[Single, ...]  # the points of its items
 
 
 class Playback(Background):
-    """Plays a scene on a stage.
-
-    Parameters
-    ----------
-    scene : Scene
-        What is shown.
-    stage : Stage
-        What draws it.
-    failed : callable
-        Told about errors, on the thread that plays.
-    threads : int
-        How many threads decode.
-    memory : int
-        Bytes of decoded frames that are kept.
-    """
+    """Plays a scene on a stage."""
 
     def __init__(
         self,
@@ -148,15 +124,7 @@ class Playback(Background):
             self.change(replace(self._shot, rate=fps))
 
     def change(self, scene: Scene, settled: bool = True) -> None:
-        """Show something else at the same time.
-
-        Parameters
-        ----------
-        scene : Scene
-            What.
-        settled : bool
-            Whether it will stay, so that its other frames are worth decoding.
-        """
+        """Show something else at the same time."""
         with self._changed:
             self._clock = self._clock.over(scene.count, scene.fps, monotonic())
             self._shot, self._settled = scene, settled

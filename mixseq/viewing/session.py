@@ -28,13 +28,7 @@ class Save(Protocol):
     """Writes a model to a file, as a model or as a sequence."""
 
     def __call__(self, path: Path, model: Model, replace: bool) -> str:
-        """Write it, and return a sentence about the file.
-
-        Raises
-        ------
-        MixseqError
-            If it cannot be written, or there is such a file and it shall not be replaced.
-        """
+        """Write it, and return a sentence about the file."""
 
 
 PATIENCE = 1.0
@@ -69,17 +63,7 @@ class _Job:
 
 
 class Session(Jobs[_Job]):
-    """Editing of the models of a scene.
-
-    Parameters
-    ----------
-    playback : Playback
-        Shows them.
-    listener : SessionListener
-        Called when something happens.
-    save : Save
-        Writes models to files.
-    """
+    """Editing of the models of a scene."""
 
     def __init__(self, playback: Playback, listener: SessionListener, save: Save) -> None:
         self._playback = playback

@@ -61,15 +61,7 @@ def chart_scripts() -> str:
 
 
 def page_text(description: Mapping[str, Any], data: Sequence[bytes]) -> bytes:
-    """Return a page.
-
-    Parameters
-    ----------
-    description : mapping
-        The ``title`` of the page, and what is in the streams, as JSON takes it.
-    data : sequence of bytes
-        Streams of the meshes.
-    """
+    """Return a page."""
     charts = any(item["signals"] for item in description["items"])
     parts = (
         _plain(script("player.css")),

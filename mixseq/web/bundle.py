@@ -29,11 +29,6 @@ def bundled(*entries: str) -> str:
 
     Every module becomes a function that is called once, so that names of different modules do not meet. What only
     people need is taken away, as by `stripped`.
-
-    Parameters
-    ----------
-    *entries : str
-        The modules whose exports are those of the whole; `SEQUENCE` if there are none.
     """
     entries = entries or (SEQUENCE,)
     places: dict[str, str] = {}

@@ -29,13 +29,7 @@ if TYPE_CHECKING:
 
 
 def container_of(path: Path, file: Contents) -> Container:
-    """Return what has been read of a compressed model.
-
-    Raises
-    ------
-    FormatError
-        If it is another file, or HDF5 cannot read it.
-    """
+    """Return what has been read of a compressed model."""
     with reading_h5(path):
         if file.kind != MODEL_FORMAT or "coding" not in file.attrs:
             raise FormatError(f"{path} is no compressed model; make one with mixseq encode --max-error")

@@ -23,15 +23,7 @@ _OTHER_SIDE = "mixseq_io.hdf5.unpacking"
 
 @dataclass(frozen=True)
 class Contents:
-    """What is in an HDF5 file.
-
-    Parameters
-    ----------
-    attributes : mapping of str to mapping
-        Attributes by the name of their group; that of the root is empty.
-    arrays : mapping of str to array
-        Datasets by their names.
-    """
+    """What is in an HDF5 file."""
 
     attributes: Mapping[str, Mapping[str, Any]]
     arrays: Mapping[str, NDArray[Any]]
@@ -53,13 +45,7 @@ class Contents:
 
 
 def read_attributes(path: Path) -> Contents:
-    """Read a file's attributes, and no arrays.
-
-    Raises
-    ------
-    FormatError
-        If the file is missing or damaged, or has what ours do not have, see `mixseq_io.hdf5.permitted`.
-    """
+    """Read a file's attributes, and no arrays."""
     check_regular(path, "HDF5")
     found: Contents = call_isolated(f"{_OTHER_SIDE}:attributes", path)
     return found
@@ -71,11 +57,6 @@ def read_contents(
     """Read a whole file; if its `format` is another than `kind`, where one is given, its attributes only.
 
     `meanwhile` is called while the other process reads.
-
-    Raises
-    ------
-    FormatError
-        As `read_attributes`; also if a dataset is damaged, or all together take more than `mixseq_io.memory` allows.
     """
     check_regular(path, "HDF5")
     found: Contents = call_isolated(f"{_OTHER_SIDE}:contents", path, kind, meanwhile=meanwhile)

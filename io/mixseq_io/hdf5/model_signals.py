@@ -36,13 +36,7 @@ def write_signals(file: h5py.File, model: Model, space: StoredSpace) -> None:
 
 
 def read_signals(path: Path, file: Contents, header: SequenceHeader, space: StoredSpace) -> Model:
-    """Read the signals of a model in a space.
-
-    Raises
-    ------
-    FormatError
-        If a dataset is missing or damaged, or signals contradict each other.
-    """
+    """Read the signals of a model in a space."""
     pose = _read_pose(path, file)
     knots = increasing(path, file, "signals/time/times")
     time = Curve(knots, floats(path, file, "signals/time/values", (len(knots), pose.dim)))

@@ -35,14 +35,7 @@ _LINKS = {h5l.TYPE_SOFT: "a soft link", h5l.TYPE_EXTERNAL: "a link to another fi
 
 
 def check_permitted(path: Path, file: h5py.File) -> None:
-    """Look at every object of a file that was just opened.
-
-    Raises
-    ------
-    FormatError
-        Names the object, if it is a link, is stored in another way, has another type, rank or more data than ours
-        can have.
-    """
+    """Look at every object of a file that was just opened."""
     _Inspection(path).group(file.id, "")
 
 

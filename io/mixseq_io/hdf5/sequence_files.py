@@ -46,13 +46,7 @@ _CHUNK_BYTES = 1 << 20
 
 
 def open_h5(path: Path) -> SequenceReader:
-    """Open a sequence, or sample a model, that mixseq stored in HDF5.
-
-    Raises
-    ------
-    FormatError
-        If the file is of another kind, damaged, or written by another version of mixseq.
-    """
+    """Open a sequence, or sample a model, that mixseq stored in HDF5."""
     found = read_attributes(path)
     if found.kind == MODEL_FORMAT:
         return ModelReader(path)  # decoded here, where nobody limits how long it takes

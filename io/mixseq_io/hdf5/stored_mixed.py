@@ -62,13 +62,7 @@ def write_mixed_space(file: h5py.File, space: MixedSpace) -> None:
 
 
 def read_mixed_space(path: Path, file: Contents, header: SequenceHeader) -> MixedSpace:
-    """Read a mixed space.
-
-    Raises
-    ------
-    FormatError
-        If something in it is missing, damaged or contradicts the rest.
-    """
+    """Read a mixed space."""
     topology = Topology(header.faces, header.vertex_count)
     decomposition = _read_segmentation(path, file, topology)
     steadiness = Steadiness(*(_read_steadiness(path, file, name) for name in Steadiness._fields))

@@ -47,13 +47,7 @@ KNOWN = (*SPACES, BasisSpace.name)
 
 
 def storable(space: ShapeSpace) -> StoredSpace:
-    """Return the space, if files can hold it.
-
-    Raises
-    ------
-    OutputError
-        If they cannot.
-    """
+    """Return the space, if files can hold it."""
     if isinstance(space, StoredSpace):
         return space
     raise OutputError(f"files hold models in the spaces {', '.join(KNOWN)}, not in {type(space).__name__}")
@@ -115,13 +109,7 @@ def write_space(file: h5py.File, space: StoredSpace) -> None:
 
 
 def read_space(path: Path, file: Contents, header: SequenceHeader) -> StoredSpace:
-    """Read a shape space.
-
-    Raises
-    ------
-    FormatError
-        If the space is not known, or something in it is missing, damaged or contradicts the rest.
-    """
+    """Read a shape space."""
     kind = file.text("space")
     if kind not in KNOWN:
         raise FormatError(f"{path}: the space {kind!r} is not known; {', '.join(KNOWN)} are")

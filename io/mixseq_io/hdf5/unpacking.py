@@ -41,13 +41,7 @@ def contents(path: Path, kind: str | None) -> Contents:
 
 
 def contents_of(path: Path, file: h5py.File, but: Collection[str] = ()) -> Contents:
-    """Read all of an open file, `but` some datasets.
-
-    Raises
-    ------
-    FormatError
-        If a dataset is damaged, or they take more memory than is allowed.
-    """
+    """Read all of an open file, `but` some datasets."""
     _, datasets = _objects(file)
     check_memory(path, sum(_unpacked(each, name in but) for name, each in datasets.items()), "its datasets")
     arrays: dict[str, NDArray[Any]] = {}
@@ -79,13 +73,7 @@ def _objects(file: h5py.File) -> tuple[dict[str, h5py.Group], dict[str, h5py.Dat
 
 @contextmanager
 def opened_h5(path: Path) -> Iterator[h5py.File]:
-    """Open a file in this process, if there is nothing in it that our files do not have.
-
-    Raises
-    ------
-    FormatError
-        If it is missing, damaged, or refused by `check_permitted`; also for what h5py raises while it is open.
-    """
+    """Open a file in this process, if there is nothing in it that our files do not have."""
     with reading_h5(path), h5py.File(path, "r") as file:
         check_permitted(path, file)
         yield file

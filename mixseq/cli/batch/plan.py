@@ -19,24 +19,13 @@ _LAST_NUMBER = re.compile(r"(\d+)(?=\D*$)")
 
 @dataclass(frozen=True)
 class Asset:
-    """A sequence to be encoded.
+    """A sequence to be encoded."""
 
-    Attributes
-    ----------
-    source : Path
-        Its file, or the pattern of its numbered files; absolute, as another process may have another folder.
-    target : Path
-        The model to write, absolute.
-    size : int
-        Bytes of the source, all of its files together.
-    signature : str
-        By this it is known again: a hash of the names, sizes and times of change of its files.
-    """
-
+    # Its file, or the pattern of its numbered files; absolute, as another process may have another folder.
     source: Path
-    target: Path
-    size: int
-    signature: str
+    target: Path  # the model to write, absolute
+    size: int  # bytes of the source, all of its files together
+    signature: str  # by this it is known again: a hash of the names, sizes and times of change of its files
 
 
 def find_sources(paths: Iterable[Path]) -> list[Path]:
@@ -45,16 +34,6 @@ def find_sources(paths: Iterable[Path]) -> list[Path]:
     In a folder every file of a format that holds sequences is one, and so are files with the same name but for their
     numbers. Models are none, nor are single meshes: those of point caches belong to them, others are told in a
     warning. Folders in it are left alone.
-
-    Warns
-    -----
-    MixseqWarning
-        If single meshes in a folder are left out.
-
-    Raises
-    ------
-    FormatError
-        If a file does not exist, or there is nothing in a folder.
     """
     found: dict[Path, None] = {}
     for path in paths:
@@ -78,22 +57,7 @@ def files_of(source: Path) -> list[Path]:
 
 
 def plan(sources: Sequence[Path], out: Path, names: Mapping[str, str]) -> tuple[Asset, ...]:
-    """Choose where models go: ``walk.usdc`` to ``walk.h5``, or to ``walk.usdc.h5`` if there is another walk.
-
-    Parameters
-    ----------
-    sources : sequence of Path
-        What `find_sources` returned.
-    out : Path
-        The folder of the models.
-    names : mapping of str to str
-        Names of models that sources got before, which they keep.
-
-    Raises
-    ------
-    OutputError
-        If two sources would get the same name, or a model would replace a source.
-    """
+    """Choose where models go: ``walk.usdc`` to ``walk.h5``, or to ``walk.usdc.h5`` if there is another walk."""
     taken = {name.casefold() for name in names.values()}
     stems = Counter(stem_of(source).casefold() for source in sources if str(source) not in names)
     owners: dict[str, Path | str] = {

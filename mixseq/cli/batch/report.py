@@ -19,49 +19,23 @@ HEADING = ("asset", "frames", "vertices", "time", "max error", "KG error", "size
 
 @dataclass(frozen=True)
 class Entry:
-    """What became of an asset.
+    """What became of an asset."""
 
-    Attributes
-    ----------
-    source, target, source_bytes, source_signature
-        The asset, see `Asset`.
-    settings : mapping
-        How it was to be encoded.
-    state : {"done", "failed", "left"}
-        Left are those that nobody came to.
-    frames, vertices : int, optional
-        What was encoded.
-    seconds : float, optional
-        Time of encoding, without the check.
-    max_error : float, optional
-        Largest error of a vertex in diagonals, decoded.
-    kg_percent : float, optional
-        Karni-Gotsman error.
-    bytes : int, optional
-        Size of the model.
-    bits : float, optional
-        The same in bits per vertex and frame.
-    message : str
-        Why it failed.
-    warnings : tuple of str
-        What was told while it was read.
-    """
-
-    source: str
-    target: str
-    source_bytes: int
-    source_signature: str
-    settings: Mapping[str, Any]
-    state: Literal["done", "failed", "left"] = "left"
-    frames: int | None = None
-    vertices: int | None = None
-    seconds: float | None = None
-    max_error: float | None = None
-    kg_percent: float | None = None
-    bytes: int | None = None
-    bits: float | None = None
-    message: str = ""
-    warnings: tuple[str, ...] = field(default=())
+    source: str  # the asset, see Asset
+    target: str  # the asset, see Asset
+    source_bytes: int  # the asset, see Asset
+    source_signature: str  # the asset, see Asset
+    settings: Mapping[str, Any]  # how it was to be encoded
+    state: Literal["done", "failed", "left"] = "left"  # left are those that nobody came to
+    frames: int | None = None  # what was encoded
+    vertices: int | None = None  # what was encoded
+    seconds: float | None = None  # time of encoding, without the check
+    max_error: float | None = None  # largest error of a vertex in diagonals, decoded
+    kg_percent: float | None = None  # karni-Gotsman error
+    bytes: int | None = None  # size of the model
+    bits: float | None = None  # the same in bits per vertex and frame
+    message: str = ""  # why it failed
+    warnings: tuple[str, ...] = field(default=())  # what was told while it was read
 
     @classmethod
     def of(cls, asset: Asset, settings: Mapping[str, Any], **result: Any) -> Entry:
@@ -130,13 +104,7 @@ class Report:
 
 
 def read_report(folder: Path) -> Report:
-    """Read the report in a folder; without one, or of nothing, it is empty.
-
-    Raises
-    ------
-    FormatError
-        If it is damaged.
-    """
+    """Read the report in a folder; without one, or of nothing, it is empty."""
     path = folder / "report.json"
     if not path.exists():
         return Report({})

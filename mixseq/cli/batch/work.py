@@ -42,13 +42,6 @@ def run(
     """Encode the assets that are not done yet.
 
     The report is on the disk before the work starts, and after every asset: whatever happens, it tells what is left.
-
-    Raises
-    ------
-    OutputError
-        If the report cannot be written, or another batch is writing to the folder.
-    ClusterError
-        If the connection to a cluster is lost.
     """
     assets = list(assets)
     with _alone(out):

@@ -31,24 +31,12 @@ BYTES_BEYOND = 4
 
 
 class Coded(NamedTuple):
-    """Bytes, and how far they have been written or read.
+    """Bytes, and how far they have been written or read."""
 
-    Attributes
-    ----------
-    decoding : bool
-        Whether bits are read.
-    data : (n,) uint8
-        The bytes, or room for them.
-    place : (1,) int64
-        Where the next byte is, or goes.
-    interval : (3,) int64
-        Both ends of the interval, and if decoding the number in it.
-    """
-
-    decoding: bool
-    data: NDArray[np.uint8]
-    place: Index
-    interval: Index
+    decoding: bool  # whether bits are read
+    data: NDArray[np.uint8]  # (n,) the bytes, or room for them
+    place: Index  # (1,) where the next byte is, or goes
+    interval: Index  # (3,) both ends of the interval, and if decoding the number in it
 
 
 def to_write(room: int) -> Coded:

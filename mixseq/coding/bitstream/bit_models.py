@@ -43,30 +43,17 @@ _LEAST = 16
 
 
 class BitModels(NamedTuple):
-    """What is known about bits to come.
+    """What is known about bits to come."""
 
-    Attributes
-    ----------
-    shares : (inputs, contexts, positions) int32
-        Frequencies of 1 and from how many bits they are: ``256 p + n``.
-    weights : (kinds, inputs) int64
-        Weights. Kinds are the positions, unless contexts tell these apart.
-    contexts : (inputs,) int64
-        To be set before a bit: what the inputs know.
-    inputs : (inputs,) int64
-        The inputs x of the current bit.
-    stretch, squash, steps, trust : int64
-        Tables of x of p, of p of x, of the rates of frequencies, and of n / (n + 1).
-    """
-
+    # (inputs, contexts, positions) frequencies of 1 and from how many bits they are: 256 p + n.
     shares: NDArray[np.int32]
-    weights: Index
-    contexts: Index
-    inputs: Index
-    stretch: Index
-    squash: Index
-    steps: Index
-    trust: Index
+    weights: Index  # (kinds, inputs) weights. Kinds are the positions, unless contexts tell these apart
+    contexts: Index  # (inputs,) to be set before a bit: what the inputs know
+    inputs: Index  # (inputs,) the inputs x of the current bit
+    stretch: Index  # tables of x of p, of p of x, of the rates of frequencies, and of n / (n + 1)
+    squash: Index  # tables of x of p, of p of x, of the rates of frequencies, and of n / (n + 1)
+    steps: Index  # tables of x of p, of p of x, of the rates of frequencies, and of n / (n + 1)
+    trust: Index  # tables of x of p, of p of x, of the rates of frequencies, and of n / (n + 1)
 
 
 def bit_models(inputs: int, contexts: int, positions: int, kinds: int | None = None) -> BitModels:

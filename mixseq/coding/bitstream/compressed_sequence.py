@@ -44,72 +44,34 @@ SHORTEST, LONGEST = 0.5, 64.0
 
 @dataclass(frozen=True)
 class Chunk:
-    """Consecutive frames, which can be decoded without those of other chunks.
+    """Consecutive frames, which can be decoded without those of other chunks."""
 
-    Attributes
-    ----------
-    first, count : int
-        The frames: ``first`` to ``first + count - 1``.
-    coefficients : bytes
-        The coefficients of the spatial basis at these frames.
-    residuals : bytes
-        The residual layer, which brings vertices below the bound; empty if nothing has to.
-    """
-
-    first: int
-    count: int
-    coefficients: bytes
+    first: int  # the frames: first to first + count - 1
+    count: int  # the frames: first to first + count - 1
+    coefficients: bytes  # the coefficients of the spatial basis at these frames
+    # The residual layer, which brings vertices below the bound; empty if nothing has to.
     residuals: bytes = b""
 
 
 @dataclass(frozen=True)
 class CodingParameters:
-    """What has to be known to decode, all of it plain numbers and strings, with the names that they have in files.
+    """What has to be known to decode, all of it plain numbers and strings, with the names that they have in files."""
 
-    Attributes
-    ----------
-    factors : {"trajectories", "shapes"}
-        Kind of the spatial basis: see `mixseq.coding.bitstream.spatial_basis`.
-    rank : int
-        Number K of basis vectors that are coded, of all parts together.
-    frame_count : int
-        Number T of frames.
-    step : float
-        Quantisation step, in the units of the sequence.
-    diagonal : float
-        Diagonal of the bounding box of the first frame, in the units of the sequence.
-    max_error : float
-        Largest distance of a vertex from the original at the frames, in diagonals, measured by decoding; a promise.
-    kg_percent : float
-        KG error of all frames, measured.
-    promised : bool
-        Whether `max_error` was asked for: then it is the bound that was asked for, and the residual layer sees to it.
-    correction : float
-        Unit of the residual layer, in the units of the sequence; zero if there is none.
-    ranks : tuple of int
-        Number of basis vectors of every part, if the mesh has several.
-    uv_steps : int, optional
-        Texture coordinates are multiples of one by this number. None if there are none, or they are as they were.
-    uv_error : float, optional
-        Largest difference of u and of v from the original; a promise. None as `uv_steps`.
-
-    Raises
-    ------
-    SettingsError
-        If one of them is of another type, or out of range: somebody wrote it into a file.
-    """
-
-    factors: BasisKind
-    rank: int
-    frame_count: int
-    step: float
-    diagonal: float
+    factors: BasisKind  # kind of the spatial basis: see mixseq.coding.bitstream.spatial_basis
+    rank: int  # number K of basis vectors that are coded, of all parts together
+    frame_count: int  # number T of frames
+    step: float  # quantisation step, in the units of the sequence
+    diagonal: float  # diagonal of the bounding box of the first frame, in the units of the sequence
+    # Largest distance of a vertex from the original at the frames, in diagonals, measured by decoding; a promise.
     max_error: float
-    kg_percent: float
+    kg_percent: float  # kG error of all frames, measured
+    # Whether max_error was asked for: then it is the bound that was asked for, and the residual layer sees to it.
     promised: bool
-    correction: float = 0.0
-    ranks: tuple[int, ...] = ()
+    correction: float = 0.0  # unit of the residual layer, in the units of the sequence; zero if there is none
+    ranks: tuple[int, ...] = ()  # number of basis vectors of every part, if the mesh has several
+    # Texture coordinates are multiples of one by this number. None if there are none, or they are as they were.
     uv_steps: int | None = None
+    # Largest difference of u and of v from the original; a promise. None as uv_steps.
     uv_error: float | None = None
 
     def __post_init__(self) -> None:
@@ -151,22 +113,10 @@ class CodingParameters:
 
 @dataclass(frozen=True)
 class BetweenFrames:
-    """How coefficients are predicted between frames: what `mixseq.prediction.operator.chosen` found.
+    """How coefficients are predicted between frames: what `mixseq.prediction.operator.chosen` found."""
 
-    Attributes
-    ----------
-    length : float
-        Length of the covariance, in mean steps between frames: from 0.5 to 64, or infinite.
-    cubic : (float, float)
-        Shares of the usual cubic spline in the first and in the last interval, from 0 to 1.
-
-    Raises
-    ------
-    SettingsError
-        If one of them is of another type, or out of range: somebody wrote it into a file.
-    """
-
-    length: float
+    length: float  # length of the covariance, in mean steps between frames: from 0.5 to 64, or infinite
+    # Shares of the usual cubic spline in the first and in the last interval, from 0 to 1.
     cubic: tuple[float, float]
 
     def __post_init__(self) -> None:
@@ -189,50 +139,21 @@ def _is_number(value: object) -> bool:
 
 @dataclass(frozen=True)
 class CompressedSequence:
-    """A compressed sequence, as a file holds it.
+    """A compressed sequence, as a file holds it."""
 
-    Attributes
-    ----------
-    header : SequenceHeader
-        Mesh and times.
-    parameters : CodingParameters
-        How to read the streams.
-    basis : tuple of bytes
-        The spatial basis, in groups; each group needs those before it, and makes the sequence more accurate.
-    chunks : tuple of Chunk
-        Signals over time: all frames, in order.
-    order : {"keep", "vertices", "free"}
-        What has the numbers of the original: vertices and polygons, vertices only, or neither. Decoders do not need it.
-    between : BetweenFrames, optional
-        How coefficients are predicted between frames. None if that is chosen anew by whoever decodes them.
-    """
-
-    header: SequenceHeader
-    parameters: CodingParameters
+    header: SequenceHeader  # mesh and times
+    parameters: CodingParameters  # how to read the streams
+    # The spatial basis, in groups; each group needs those before it, and makes the sequence more accurate.
     basis: tuple[bytes, ...]
-    chunks: tuple[Chunk, ...]
+    chunks: tuple[Chunk, ...]  # signals over time: all frames, in order
+    # What has the numbers of the original: vertices and polygons, vertices only, or neither. Decoders do not need it.
     order: OrderName = "keep"
+    # How coefficients are predicted between frames. None if that is chosen anew by whoever decodes them.
     between: BetweenFrames | None = None
 
 
 def to_model(coded: CompressedSequence) -> Model:
-    """Decode a compressed sequence.
-
-    Parameters
-    ----------
-    coded : CompressedSequence
-        The sequence.
-
-    Returns
-    -------
-    Model
-        In the basis space (trajectories) or the vertex space (shapes), with the residual layer of the file.
-
-    Raises
-    ------
-    FormatError
-        If the streams are damaged or contradict each other.
-    """
+    """Decode a compressed sequence."""
     return decode(coded)[0]
 
 

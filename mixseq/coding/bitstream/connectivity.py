@@ -28,20 +28,7 @@ from mixseq.polygons import Polygons
 
 
 def encode_polygons(polygons: Polygons, vertex_count: int) -> bytes:
-    """Code polygons so that `decode_polygons` returns the same.
-
-    Parameters
-    ----------
-    polygons : Polygons
-        Any polygons: also such that share edges or corners, have a vertex twice, or none at all.
-    vertex_count : int
-        Number V of vertices, used or not.
-
-    Raises
-    ------
-    InvalidSequenceError
-        If a corner has no such vertex.
-    """
+    """Code polygons so that `decode_polygons` returns the same."""
     if not len(polygons.counts):
         return b""
     lowest, highest = int(polygons.indices.min()), int(polygons.indices.max())
@@ -56,21 +43,7 @@ def encode_polygons(polygons: Polygons, vertex_count: int) -> bytes:
 
 
 def decode_polygons(data: bytes, polygon_count: int, corner_count: int, vertex_count: int) -> Polygons:
-    """Return the polygons that `encode_polygons` coded.
-
-    Parameters
-    ----------
-    data : bytes
-        What `encode_polygons` returned.
-    polygon_count, corner_count, vertex_count : int
-        Numbers P of polygons, C of all their corners, and V of vertices. Memory grows with these, so they should have
-        been checked.
-
-    Raises
-    ------
-    FormatError
-        If the data are damaged, or have other numbers of polygons, corners, or vertices.
-    """
+    """Return the polygons that `encode_polygons` coded."""
     mesh = f"{polygon_count} polygons with {corner_count} corners and {vertex_count} vertices"
     if (
         polygon_count < 0

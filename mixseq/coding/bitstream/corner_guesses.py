@@ -51,48 +51,22 @@ _NEXT, _PLACES, _MIDDLE = np.uint64(1000003), np.uint64(4), np.uint64(32)
 
 
 class Past(NamedTuple):
-    """What is remembered of earlier corners beside the mesh.
+    """What is remembered of earlier corners beside the mesh."""
 
-    Attributes
-    ----------
-    guesses : (GUESSES,) int64
-        Guesses at the current corner, -1 if there is none.
-    successes : (4, GUESSES) int64
-        At every place, whether the last 8 guesses were right, as bits.
-    winners : (4, 2) int64
-        At every place of the last polygons: which guess was right, or `GUESSES` and the state of the vertex.
-    trail : (3,) int64
-        The same for the last corners.
-    near : (6,) int64
-        First, second and last corner of the polygon before, and of the one before that.
-    bases : (BASES,) int64
-        Vertices from which the current one is counted.
-    distances : (3, 4, BASES) int64
-        For every state, place and base: mean of the number of bits of the distance, in 256ths.
-    named : (4,) int64
-        The last vertex at every place that no guess had.
-    last_distances : (3,) int64
-        The last distance for every state.
-    repeats : (_REPEATS,) int64
-        Corners that come after certain differences, 0 for none.
-    about : (INPUTS,) int64
-        Contexts of the current number.
-    used : (V,) int32
-        The polygon that had a vertex last, -1 if there is none.
-    """
-
-    guesses: Index
-    successes: Index
+    guesses: Index  # (GUESSES,) guesses at the current corner, -1 if there is none
+    successes: Index  # (4, GUESSES) at every place, whether the last 8 guesses were right, as bits
+    # (4, 2) at every place of the last polygons: which guess was right, or GUESSES and the state of the vertex.
     winners: Index
-    trail: Index
-    near: Index
-    bases: Index
+    trail: Index  # (3,) the same for the last corners
+    near: Index  # (6,) first, second and last corner of the polygon before, and of the one before that
+    bases: Index  # (BASES,) vertices from which the current one is counted
+    # (3, 4, BASES) for every state, place and base: mean of the number of bits of the distance, in 256ths.
     distances: Index
-    named: Index
-    last_distances: Index
-    repeats: Index
-    about: Index
-    used: NDArray[np.int32]
+    named: Index  # (4,) the last vertex at every place that no guess had
+    last_distances: Index  # (3,) the last distance for every state
+    repeats: Index  # (_REPEATS,) corners that come after certain differences, 0 for none
+    about: Index  # (INPUTS,) contexts of the current number
+    used: NDArray[np.int32]  # (V,) the polygon that had a vertex last, -1 if there is none
 
 
 def no_past(vertex_count: int) -> Past:

@@ -33,13 +33,7 @@ def without_check(data: bytes) -> tuple[bytes, int]:
 
 
 def refuse_others(found: int, expected: int) -> None:
-    """Make sure that numbers are those that were coded.
-
-    Raises
-    ------
-    FormatError
-        If they are not.
-    """
+    """Make sure that numbers are those that were coded."""
     if found != expected:
         raise FormatError(
             "coded numbers come out otherwise than they went in: the file is damaged, or this machine, or a library "

@@ -21,28 +21,16 @@ _BUCKETS = 4
 
 
 class Corners(NamedTuple):
-    """The corners of polygons on nodes: on vertices, or on texture coordinates.
+    """The corners of polygons on nodes: on vertices, or on texture coordinates."""
 
-    Attributes
-    ----------
-    starts : (P + 1,) int64
-        The first corner of every polygon, and the number C of corners.
-    polygon, node : (C,) int64
-        The polygon and the node of every corner.
-    twin : (C,) int64
-        A half-edge runs from a corner to the next one of its polygon. The corner from which one runs the other way,
-        -1 if there is none. Of several between the same nodes, the first is the twin of the first, and so on.
-    around_starts : (N + 1,) int64
-    around : (C,) int64
-        The corners at node n, ascending: ``around[around_starts[n] : around_starts[n + 1]]``.
-    """
-
-    starts: Index
-    polygon: Index
-    node: Index
+    starts: Index  # (P + 1,) the first corner of every polygon, and the number C of corners
+    polygon: Index  # (C,) the polygon and the node of every corner
+    node: Index  # (C,) the polygon and the node of every corner
+    # (C,) a half-edge runs from a corner to the next one of its polygon. The corner from which one runs the other way,
+    # -1 if there is none. Of several between the same nodes, the first is the twin of the first, and so on.
     twin: Index
-    around_starts: Index
-    around: Index
+    around_starts: Index  # (N + 1,)
+    around: Index  # (C,) the corners at node n, ascending: around[around_starts[n] : around_starts[n + 1]]
 
 
 def corners_of(polygons: Polygons, node_count: int) -> Corners:

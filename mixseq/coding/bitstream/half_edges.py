@@ -32,41 +32,23 @@ Frozen: breaks old files."""
 
 
 class HalfEdges(NamedTuple):
-    """The mesh so far. A half-edge has the number of the corner that it starts from.
+    """The mesh so far. A half-edge has the number of the corner that it starts from."""
 
-    Attributes
-    ----------
-    tails, heads : (C,) int32
-        Where half-edges start and end.
-    newest : (2, V) int32
-        The newest open half-edge into (0) and out of (1) every vertex, -1 if there is none.
-    older, newer : (2, C) int32
-        The next older and newer ones, into the head and out of the tail, -1 if there are none.
-    open_edges : (V,) int32
-        How many open half-edges end or start at a vertex.
-    degrees : (V,) int32
-        How many corners a vertex has.
-    states : (V,) uint8
-        `UNUSED`, `OPEN`, or `CLOSED`.
-    members : (3,) int64
-        How many vertices are in every state.
-    trees : (3, V + 1) int32
-        Partial sums over the vertices of every state.
-    unused : (2, V + 2) int32
-        For vertex v at v + 1, the next unused vertex below (0) and above (1), also at v + 1; of used vertices, as it
-        was when they came into use. The ends are no vertices.
-    """
-
-    tails: Small
-    heads: Small
+    tails: Small  # (C,) where half-edges start and end
+    heads: Small  # (C,) where half-edges start and end
+    # (2, V) the newest open half-edge into (0) and out of (1) every vertex, -1 if there is none.
     newest: Small
+    # (2, C) the next older and newer ones, into the head and out of the tail, -1 if there are none.
     older: Small
+    # (2, C) the next older and newer ones, into the head and out of the tail, -1 if there are none.
     newer: Small
-    open_edges: Small
-    degrees: Small
-    states: NDArray[np.uint8]
-    members: Index
-    trees: Small
+    open_edges: Small  # (V,) how many open half-edges end or start at a vertex
+    degrees: Small  # (V,) how many corners a vertex has
+    states: NDArray[np.uint8]  # (V,) UNUSED, OPEN, or CLOSED
+    members: Index  # (3,) how many vertices are in every state
+    trees: Small  # (3, V + 1) partial sums over the vertices of every state
+    # (2, V + 2) for vertex v at v + 1, the next unused vertex below (0) and above (1), also at v + 1; of used vertices,
+    # as it was when they came into use. The ends are no vertices.
     unused: Small
 
 

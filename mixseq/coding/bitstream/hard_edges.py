@@ -21,22 +21,7 @@ from mixseq.surface import by_first_use
 
 
 def encode_hard_edges(polygons: Polygons, vertex_count: int, numbers: IntArray) -> bytes | None:
-    """Code which corners share a normal so that `decode_hard_edges` returns it.
-
-    Parameters
-    ----------
-    polygons : Polygons
-        The mesh, with at least one polygon.
-    vertex_count : int
-        Number of its vertices.
-    numbers : (sum of counts,) int
-        Corners with the same number share a normal.
-
-    Returns
-    -------
-    bytes or None
-        None if vertices share a normal, or one has very many: that is not coded.
-    """
+    """Code which corners share a normal so that `decode_hard_edges` returns it: numbers ``(sum of counts,)``."""
     bits = bits_to_write(len(numbers) * MOST_SEAM_BITS, SEAM_KINDS)
     wanted = by_first_use(numbers)
     nodes = _walked(bits, polygons, vertex_count, wanted)
@@ -46,13 +31,7 @@ def encode_hard_edges(polygons: Polygons, vertex_count: int, numbers: IntArray) 
 
 
 def decode_hard_edges(data: bytes, polygons: Polygons, vertex_count: int) -> Index:
-    """Return numbers ``(sum of counts,)`` of normals at the corners: 0, 1, 2, ... as they come.
-
-    Raises
-    ------
-    FormatError
-        If the data are damaged, or those of another mesh.
-    """
+    """Return numbers ``(sum of counts,)`` of normals at the corners: 0, 1, 2, ... as they come."""
     what = f"hard edges at {polygons.indices.size} corners"
     stream, expected = without_check(data)
     bits = bits_to_read(stream, SEAM_KINDS)

@@ -36,24 +36,12 @@ _BYTES_OF_BIT = 2
 
 
 class Bits(NamedTuple):
-    """Bits that are written or read, and what is known about those to come.
+    """Bits that are written or read, and what is known about those to come."""
 
-    Attributes
-    ----------
-    coded : Coded
-        Where they are written or read.
-    models : BitModels
-        What is known of slots and kinds.
-    contexts : (INPUTS,) int64
-        To be set before every bit: what the inputs know, any numbers.
-    failed : (1,) int64
-        Whether what is read is damaged.
-    """
-
-    coded: Coded
-    models: BitModels
-    contexts: Index
-    failed: Index
+    coded: Coded  # where they are written or read
+    models: BitModels  # what is known of slots and kinds
+    contexts: Index  # (INPUTS,) to be set before every bit: what the inputs know, any numbers
+    failed: Index  # (1,) whether what is read is damaged
 
 
 def bits_to_write(count: int, kinds: int) -> Bits:

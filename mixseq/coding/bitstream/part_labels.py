@@ -35,13 +35,7 @@ def write_labels(writer: Writer, labels: Index, graph: SignalGraph) -> None:
 
 
 def read_labels(reader: Reader, number: int, graph: SignalGraph) -> Index:
-    """Return the labels ``(V,)`` of so many parts that `write_labels` wrote.
-
-    Raises
-    ------
-    FormatError
-        If they are damaged.
-    """
+    """Return the labels ``(V,)`` of so many parts that `write_labels` wrote."""
     nodes = np.zeros(graph.size, dtype=np.int64)
     _code(reader.bits(), _models(), nodes, graph.neighbours, graph.counts)
     reader.checked(nodes)

@@ -28,13 +28,6 @@ def walk_polygons(polygons: Polygons, vertex_count: int) -> tuple[Index, Index]:
 
     Components follow each other by their lowest vertices, where they begin.
 
-    Parameters
-    ----------
-    polygons : Polygons
-        Any polygons: also such that share edges or corners, or have a vertex twice.
-    vertex_count : int
-        Number of vertices, used or not.
-
     Examples
     --------
     >>> strip = Polygons.from_triangles([[2, 1, 3], [4, 2, 3], [1, 2, 0]])

@@ -84,29 +84,6 @@ class Predictor:
 
     Whoever codes fills `values` node by node, each after `predictor_kernels.predict` has told what it may be, and calls
     `finish` after the last one.
-
-    Parameters
-    ----------
-    graph : SignalGraph
-        The graph of N nodes.
-    coordinates : int
-        Number of signals that belong together: coordinates of a basis vector, or of a coefficient.
-
-    Attributes
-    ----------
-    neighbours : (N, n) int32
-        Nodes before every node that it is predicted from: those of its stencil, and later those of the graph and those
-        most like it.
-    counts : (N,) int32
-        How many of them there are.
-    weights : (N, n) float64
-        Their weights, multiples of 2^-24.
-    values : (N,) int64
-        The signal in work, in nodes' order, in steps / UNIT.
-    steps : (N,) int64
-        Of what its numbers are multiples, in steps / UNIT.
-    searched : int
-        When so many signals are known, neighbours change.
     """
 
     def __init__(self, graph: SignalGraph, coordinates: int = 1) -> None:

@@ -42,30 +42,14 @@ _NOTHING: Residuals = np.zeros(0, dtype=np.int64), np.zeros((0, 3), dtype=np.int
 
 @dataclass(frozen=True, eq=False)
 class CodedResidualLayer(PickledWithoutCaches):
-    """The residual layer of a compressed sequence, decoded where it is asked for.
+    """The residual layer of a compressed sequence, decoded where it is asked for."""
 
-    Attributes
-    ----------
-    times : (T,) float64
-        Times of the frames in seconds; between them residuals are interpolated.
-    chunks : tuple of (int, bytes)
-        Number of frames of every chunk, and its stream.
-    faces : (F, 3) int32
-        Triangles of the mesh.
-    vertex_count : int
-        Number V of vertices.
-    unit : float
-        Length of the unit w, in the units of the sequence.
-    known : SignalGraph, optional
-        The graph of the mesh, where it has been found already.
-    """
-
-    times: Float
-    chunks: tuple[tuple[int, bytes], ...]
-    faces: NDArray[np.int32]
-    vertex_count: int
-    unit: float
-    known: InitVar[SignalGraph | None] = None
+    times: Float  # (T,) times of the frames in seconds; between them residuals are interpolated
+    chunks: tuple[tuple[int, bytes], ...]  # number of frames of every chunk, and its stream
+    faces: NDArray[np.int32]  # (F, 3) triangles of the mesh
+    vertex_count: int  # number V of vertices
+    unit: float  # length of the unit w, in the units of the sequence
+    known: InitVar[SignalGraph | None] = None  # the graph of the mesh, where it has been found already
 
     def __post_init__(self, known: SignalGraph | None) -> None:
         if known is not None:
@@ -143,15 +127,6 @@ def write_residuals(residuals: Callable[[int], Index], frames: range, graph: Sig
 
     Runs of `RUN` frames are coded by themselves, two at a time, so that one frame can be decoded without many others:
     first the lengths of all runs in bytes, four bytes each, then the runs.
-
-    Parameters
-    ----------
-    residuals : callable
-        Returns those of a frame.
-    frames : range
-        The frames.
-    graph : SignalGraph
-        Of the mesh.
     """
     parts = (frames[start : start + RUN] for start in range(0, len(frames), RUN))
     runs = list(on_two_threads()(_write_run, (residuals, graph), parts))
@@ -161,29 +136,7 @@ def write_residuals(residuals: Callable[[int], Index], frames: range, graph: Sig
 
 
 def read_residuals(stream: bytes, count: int, run: int, graph: SignalGraph) -> list[Residuals]:
-    """Return the residuals of one run of frames.
-
-    Parameters
-    ----------
-    stream : bytes
-        What `write_residuals` returned.
-    count : int
-        Number of frames in the stream.
-    run : int
-        Which run: frames from ``run * RUN`` on.
-    graph : SignalGraph
-        Of the mesh.
-
-    Returns
-    -------
-    list of (vertices (n,), numbers (n, 3))
-        For every frame of the run, which vertices are displaced, and how far, in units of the layer.
-
-    Raises
-    ------
-    FormatError
-        If the stream is damaged.
-    """
+    """Return the residuals of one run of frames."""
     frames = min(RUN, count - run * RUN)
     if not stream:
         return [_NOTHING] * frames

@@ -51,26 +51,15 @@ Contexts = tuple[int, Small, Small, Index, Index, Index]
 
 
 class Signal(NamedTuple):
-    """A signal that is rounded, and not yet coded. Nothing of it is changed later.
+    """A signal that is rounded, and not yet coded. Nothing of it is changed later."""
 
-    Attributes
-    ----------
-    known, neighbours, counts
-        As of `Contexts`.
-    sizes : tuple of (N,) int32 or int64
-        Activity, its mean around, and numbers of the signal before: what else `signal_kernels.code_numbers` needs.
-    numbers : (N,) int32 or int64
-        Its numbers in nodes' order.
-    values : (N,) int32 or int64
-        The values that it has for a decoder, in steps / `UNIT`.
-    """
-
-    known: int
-    neighbours: Small
-    counts: Small
+    known: int  # as of Contexts
+    neighbours: Small  # as of Contexts
+    counts: Small  # as of Contexts
+    # Activity, its mean around, and numbers of the signal before: what else signal_kernels.code_numbers needs.
     sizes: tuple[IntArray, IntArray, IntArray]
-    numbers: IntArray
-    values: IntArray
+    numbers: IntArray  # (N,) its numbers in nodes' order
+    values: IntArray  # (N,) the values that it has for a decoder, in steps / UNIT
 
     @classmethod
     def of(cls, contexts: Contexts, numbers: Index, values: Index) -> Signal:
@@ -126,11 +115,6 @@ class Reader:
     """Reads what a `Writer` wrote, in the same order, with models that learned the same.
 
     What follows from numbers is worked out on a thread of its own, while the next ones are read.
-
-    Parameters
-    ----------
-    data : bytes
-        What `Writer.finish` returned.
     """
 
     def __init__(self, data: bytes) -> None:
@@ -140,13 +124,7 @@ class Reader:
         self._turns = InTurn()
 
     def bits(self) -> arithmetic.Coded:
-        """Return where to read.
-
-        Raises
-        ------
-        FormatError
-            If more was read than there is.
-        """
+        """Return where to read."""
         if arithmetic.is_beyond(self._coded):
             raise FormatError("coded numbers end early; the file is damaged")
         return self._coded
@@ -164,29 +142,13 @@ class Reader:
         self._turns.wait()
 
     def finish(self) -> None:
-        """Make sure that what was read is what was written.
-
-        Raises
-        ------
-        FormatError
-            If it is not.
-        """
+        """Make sure that what was read is what was written."""
         self.wait()
         refuse_others(self._check, self._expected)
 
 
 class SignalCoder:
-    """Round signals over one graph, one after another, to be coded; or read them.
-
-    Parameters
-    ----------
-    graph : SignalGraph
-        The graph.
-    coordinates : int
-        Number of signals that belong together: coordinates of a basis vector, or of a coefficient.
-    models : NumberModels, optional
-        Of a stream that is read. Models are shared with other coders of the same streams.
-    """
+    """Round signals over one graph, one after another, to be coded; or read them."""
 
     def __init__(self, graph: SignalGraph, coordinates: int = 1, models: NumberModels | None = None) -> None:
         self._graph = graph
@@ -197,15 +159,7 @@ class SignalCoder:
         self._known = 0
 
     def round(self, targets: Float) -> tuple[Float, Signal]:
-        """Round a signal ``(N,)`` in steps.
-
-        Returns
-        -------
-        values : (N,) float64
-            The values in steps that a decoder will have.
-        signal : Signal
-            What is to be written.
-        """
+        """Round a signal ``(N,)`` in steps."""
         predictor, numbers = self._predictor, np.empty_like(self._numbers)
         kernels.round_off(
             UNIT * np.asarray(targets, dtype=np.float64)[self._graph.order],
@@ -238,13 +192,7 @@ class SignalCoder:
         return values
 
     def read_ahead(self, reader: Reader) -> Float:
-        """Return an array ``(N,)`` in which the values in steps of the next signal are when the reader is finished.
-
-        Raises
-        ------
-        FormatError
-            If the stream ends early.
-        """
+        """Return an array ``(N,)`` in which the values in steps of the next signal are when the reader is finished."""
         predictor, numbers, values = self._predictor, np.zeros_like(self._numbers), np.empty(self._graph.size)
         kernels.code_numbers(reader.bits(), self._models.bits, *self._contexts(), numbers)
         self._count(numbers)

@@ -40,31 +40,16 @@ class SignalGraph:
     """Nodes in the order of their coding, and the earlier nodes each is predicted from.
 
     Nodes have the numbers of that order everywhere.
-
-    Attributes
-    ----------
-    order : (N,) int64
-        Vertices, or frames, of the nodes: coarse to fine.
-    neighbours : (N, n) int64
-        For every node, nodes before it.
-    counts : (N,) int64
-        How many of them there are.
-    weights : (N, n) float64
-        Their weights as long as nothing is known of the signals; rows add up to one.
-    ring : (R,) int64
-    ring_starts : (N + 1,) int64
-        All nodes beside node i, before or after it: ``ring[ring_starts[i] : ring_starts[i + 1]]``.
-    over_time : bool
-        Whether nodes are frames, not vertices.
     """
 
-    order: Index
-    neighbours: Index
-    counts: Index
-    weights: Float
-    ring: Index
+    order: Index  # (N,) vertices, or frames, of the nodes: coarse to fine
+    neighbours: Index  # (N, n) for every node, nodes before it
+    counts: Index  # (N,) how many of them there are
+    weights: Float  # (N, n) their weights as long as nothing is known of the signals; rows add up to one
+    ring: Index  # (R,)
+    # (N + 1,) all nodes beside node i, before or after it: ring[ring_starts[i] : ring_starts[i + 1]].
     ring_starts: Index
-    over_time: bool = False
+    over_time: bool = False  # whether nodes are frames, not vertices
 
     def __post_init__(self) -> None:
         for name in ("order", "neighbours", "counts", "weights", "ring", "ring_starts"):
@@ -88,15 +73,7 @@ class SignalGraph:
 
 
 def mesh_graph(faces: NDArray[np.integer], vertex_count: int) -> SignalGraph:
-    """Return the graph of a mesh: vertices and edges.
-
-    Parameters
-    ----------
-    faces : (F, 3) int
-        Triangles.
-    vertex_count : int
-        Number V of vertices; those without faces are nodes without neighbours.
-    """
+    """Return the graph of a mesh: vertices and edges; faces ``(F, 3)``."""
     ring_starts, ring = mesh_neighbours(faces, vertex_count)
     neighbours = np.zeros((vertex_count, MOST), dtype=np.int64)
     counts = np.zeros(vertex_count, dtype=np.int64)
@@ -117,26 +94,14 @@ def mesh_graph(faces: NDArray[np.integer], vertex_count: int) -> SignalGraph:
 
 
 class Level(NamedTuple):
-    """Nodes that go at once, and the graphs before and after; of N nodes, but those that are gone have no edges.
+    """Nodes that go at once, and the graphs before and after; of N nodes, but those that are gone have no edges."""
 
-    Attributes
-    ----------
-    gone : (n,) int64
-        Nodes that go.
-    starts, beside : (N + 1,), (2 E,) int64
-        Neighbours of all nodes before, as `signal_graph_kernels.adjacency` lists them.
-    new : (n', 2) int64
-        Edges that close the holes; some twice, or there already.
-    new_starts, new_beside : (N + 1,), (2 E',) int64
-        Neighbours of all nodes after.
-    """
-
-    gone: Index
-    starts: Index
-    beside: Index
-    new: Index
-    new_starts: Index
-    new_beside: Index
+    gone: Index  # (n,) nodes that go
+    starts: Index  # (N + 1,) neighbours of all nodes before, as signal_graph_kernels.adjacency lists them
+    beside: Index  # (2 E,) neighbours of all nodes before, as signal_graph_kernels.adjacency lists them
+    new: Index  # (n', 2) edges that close the holes; some twice, or there already
+    new_starts: Index  # (N + 1,) neighbours of all nodes after
+    new_beside: Index  # (2 E',) neighbours of all nodes after
 
 
 def mesh_neighbours(faces: NDArray[np.integer], vertex_count: int) -> tuple[Index, Index]:
@@ -178,11 +143,6 @@ def path_graph(count: int) -> SignalGraph:
 
     A frame is predicted from two known frames on either side, at first by the polynomial through them (Lagrange), and
     from the two nearest that are known besides.
-
-    Parameters
-    ----------
-    count : int
-        Number of frames, at least one.
     """
     neighbours = np.zeros((count, 6), dtype=np.int64)
     counts = np.zeros(count, dtype=np.int64)

@@ -87,25 +87,14 @@ class Block(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SpatialBasis:
-    """A basis, as a decoder has it.
+    """A basis, as a decoder has it."""
 
-    Attributes
-    ----------
-    kind : {"trajectories", "shapes"}
-        What is compared: vertices or frames.
-    blocks : tuple of Block
-        Basis vectors of every part, in the units of the sequence; they are zero everywhere else. c = 1 of trajectories,
-        the first of which are constant; c = 3 of shapes, the first of which is the mean times the root of T.
-    parts : (K,) int64
-        Part that a vector belongs to, for all vectors in the order of their coefficients.
-    frame_count : int
-        Number T of frames.
-    """
-
-    kind: BasisKind
+    kind: BasisKind  # what is compared: vertices or frames
+    # Basis vectors of every part, in the units of the sequence; they are zero everywhere else. c = 1 of trajectories,
+    # the first of which are constant; c = 3 of shapes, the first of which is the mean times the root of T.
     blocks: tuple[Block, ...]
-    parts: Index
-    frame_count: int
+    parts: Index  # (K,) part that a vector belongs to, for all vectors in the order of their coefficients
+    frame_count: int  # number T of frames
 
     @property
     def vertex_count(self) -> int:
@@ -177,13 +166,7 @@ def read_basis(
     faces: NDArray[np.integer],
     graph: SignalGraph,
 ) -> tuple[list[Float], list[Index]]:
-    """Return the basis vectors ``(K, c, n)`` of every part, and its vertices.
-
-    Raises
-    ------
-    FormatError
-        If the streams are damaged.
-    """
+    """Return the basis vectors ``(K, c, n)`` of every part, and its vertices."""
     models, labels = NumberModels(), np.zeros(graph.size, dtype=np.int64)
     readers = [Reader(stream) for stream in streams]
     if len(ranks) > 1:

@@ -34,20 +34,11 @@ HUB = 32
 
 
 class Stencils(NamedTuple):
-    """What every node is predicted from, as long as nothing is known of the signals.
+    """What every node is predicted from, as long as nothing is known of the signals."""
 
-    Attributes
-    ----------
-    neighbours : (N, WIDEST) int64
-        Nodes before every node; the first ``counts[node]`` of a row count.
-    counts : (N,) int64
-    weights : (N, WIDEST) float64
-        Rows add up to one.
-    """
-
-    neighbours: Index
-    counts: Index
-    weights: Float
+    neighbours: Index  # (N, WIDEST) nodes before every node; the first counts[node] of a row count
+    counts: Index  # (N,)
+    weights: Float  # (N, WIDEST) rows add up to one
 
 
 _known: WeakKeyDictionary[SignalGraph, Stencils] = WeakKeyDictionary()

@@ -56,40 +56,16 @@ def grid_values(numbers: Index, steps: int) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class CodedUVs:
-    """Texture coordinates that were coded.
+    """Texture coordinates that were coded."""
 
-    Attributes
-    ----------
-    data : bytes
-        What `decode_uvs` is given.
-    corners : Corners
-        Corners on nodes: on pairs of coordinates.
-    copies : Copies
-        Which polygons have images.
-    known : Known
-        The coordinates of nodes, and how far they were from their guess.
-    """
-
-    data: bytes
-    corners: Corners
-    copies: Copies
-    known: Known
+    data: bytes  # what decode_uvs is given
+    corners: Corners  # corners on nodes: on pairs of coordinates
+    copies: Copies  # which polygons have images
+    known: Known  # the coordinates of nodes, and how far they were from their guess
 
 
 def code_uvs(polygons: Polygons, vertex_count: int, numbers: Index, regions: Index | None = None) -> CodedUVs:
-    """Code coordinates in steps so that `decode_uvs` returns them.
-
-    Parameters
-    ----------
-    polygons : Polygons
-        The mesh, with at least one polygon.
-    vertex_count : int
-        Number of its vertices.
-    numbers : (sum of counts, 2) int64
-        Coordinates at the corners, none beyond `LARGEST`.
-    regions : (P,) int64, optional
-        Where copies begin, see `walk_values`; by default there are none.
-    """
+    """Code coordinates in steps so that `decode_uvs` returns them: numbers ``(sum of counts, 2)``; regions ``(P,)``."""
     keys = np.column_stack([polygons.indices, numbers])
     labels = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
     bits = bits_to_write(len(labels) * MOST_SEAM_BITS, SEAM_KINDS + VALUE_KINDS)
@@ -102,13 +78,7 @@ def code_uvs(polygons: Polygons, vertex_count: int, numbers: Index, regions: Ind
 
 
 def decode_uvs(data: bytes, polygons: Polygons, vertex_count: int, steps: int) -> CornerValues:
-    """Return the texture coordinates that `code_uvs` coded, as multiples of ``1 / steps``.
-
-    Raises
-    ------
-    FormatError
-        If the data are damaged, or those of another mesh.
-    """
+    """Return the texture coordinates that `code_uvs` coded, as multiples of ``1 / steps``."""
     what = f"texture coordinates at {polygons.indices.size} corners"
     stream, expected = without_check(data)
     bits = bits_to_read(stream, SEAM_KINDS + VALUE_KINDS)

@@ -33,27 +33,14 @@ _PRECISION = 17
 
 
 class Copies(NamedTuple):
-    """Images so far.
+    """Images so far."""
 
-    Attributes
-    ----------
-    places : (P,) int64
-        When a polygon is visited.
-    image : (C,) int64
-        The image of every corner, -1 if there is none.
-    mirrored : (P,) bool
-        Whether the image of a polygon is mirrored.
-    region : (P,) int64
-        When the region of a polygon began, -1 for none.
-    anchors : (P, 2) int64
-        For every region, by when it began: the first corner that is known with its image, and the one whose image is
-        farthest from the image of that; -1 for none.
-    """
-
-    places: Index
-    image: Index
-    mirrored: NDArray[np.bool_]
-    region: Index
+    places: Index  # (P,) when a polygon is visited
+    image: Index  # (C,) the image of every corner, -1 if there is none
+    mirrored: NDArray[np.bool_]  # (P,) whether the image of a polygon is mirrored
+    region: Index  # (P,) when the region of a polygon began, -1 for none
+    # (P, 2) for every region, by when it began: the first corner that is known with its image, and the one whose image
+    # is farthest from the image of that; -1 for none.
     anchors: Index
 
 

@@ -37,43 +37,22 @@ COPIED, AROUND, BEYOND, BESIDE, ANYWHERE = range(5)
 
 
 class Guess(NamedTuple):
-    """A guess, and what is known about it.
+    """A guess, and what is known about it."""
 
-    Attributes
-    ----------
-    at : (2,) int64
-        The guess.
-    back : (2,) int64
-        How far it is drawn back where such guesses are too far out.
-    facts : (3,) int64
-        What it is made of (`AROUND`, ...); of how many guesses it is the mean; how far these are apart, u and v added.
-    low, high : (2,) int64
-        The least and largest of these.
-    """
-
-    at: Index
-    back: Index
+    at: Index  # (2,) the guess
+    back: Index  # (2,) how far it is drawn back where such guesses are too far out
+    # (3,) what it is made of (AROUND, ...); of how many guesses it is the mean; how far these are apart, u and v added.
     facts: Index
-    low: Index
-    high: Index
+    low: Index  # (2,) the least and largest of these
+    high: Index  # (2,) the least and largest of these
 
 
 class Known(NamedTuple):
-    """Nodes so far.
+    """Nodes so far."""
 
-    Attributes
-    ----------
-    values : (N, 2) int64
-        Coordinates.
-    there : (N,) bool
-        Whether they are known.
-    sizes : (N,) int64
-        How far they were from their guess, u and v added.
-    """
-
-    values: Index
-    there: NDArray[np.bool_]
-    sizes: Index
+    values: Index  # (N, 2) coordinates
+    there: NDArray[np.bool_]  # (N,) whether they are known
+    sizes: Index  # (N,) how far they were from their guess, u and v added
 
 
 def no_guess() -> Guess:

@@ -35,21 +35,7 @@ MOST_SEAM_BITS = 2 + MOST_NODES
 
 @compiled
 def walk_seams(bits: Bits, corners: Corners, order: Index, labels: Index, nodes: Index) -> int:
-    """Code which corners have the same label ``(C,)``, or decode it; return the number of nodes.
-
-    Parameters
-    ----------
-    bits : Bits
-        The state; `bits.failed` says whether it ended early.
-    corners : Corners
-        Corners on vertices.
-    order : (P,) int64
-        The order of polygons.
-    labels : (C,) int64
-        If coding, corners of a vertex with the same label have the same coordinates.
-    nodes : (C,) int64
-        -1 at first; gets the node of every corner.
-    """
+    """Code which corners have the same label ``(C,)``, or decode it; return the number of nodes: order ``(P,)``."""
     vertex, twin = corners.node, corners.twin
     vertex_count = len(corners.around_starts) - 1
     newest = np.full(vertex_count, -1, dtype=np.int64)

@@ -14,24 +14,7 @@ from mixseq.coding.bitstream.signal_graph import MOST, coarser_levels, mesh_neig
 
 
 def coarse_mesh(faces: NDArray[np.integer], vertex_count: int, most: int) -> tuple[Index, Index]:
-    """Take vertices away until there are few enough.
-
-    Parameters
-    ----------
-    faces : (F, 3) int
-        Triangles.
-    vertex_count : int
-        Number V of vertices.
-    most : int
-        So many vertices are few enough; more are left where edges do not hold them together.
-
-    Returns
-    -------
-    vertices : (n,) int64
-        Those that are left, increasing.
-    faces : (E, 3) int64
-        The edges between them, as triangles with two corners at one vertex.
-    """
+    """Take vertices away until there are few enough: faces ``(F, 3)``; result ``(n,)``, ``(E, 3)``."""
     starts, beside = mesh_neighbours(faces, vertex_count)
     left = np.ones(vertex_count, dtype=bool)
     scratch = np.zeros((vertex_count, MOST), dtype=np.int64), np.zeros(vertex_count, dtype=np.int64)

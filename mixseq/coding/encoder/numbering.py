@@ -10,21 +10,7 @@ from mixseq.sequence_header import SequenceHeader
 
 
 def cheapest_numbering(header: SequenceHeader, order: OrderName) -> Renumbering:
-    """Return the numbering in which polygons take the fewest bytes.
-
-    Parameters
-    ----------
-    header : SequenceHeader
-        The mesh.
-    order : {"keep", "vertices", "free"}
-        What keeps its numbers: vertices and polygons, vertices only, or nothing. Numbers that are no worse than others
-        are kept anyway, as those of regular grids.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such order.
-    """
+    """Return the numbering in which polygons take the fewest bytes."""
     if order not in ORDERS:
         raise SettingsError(f"order is {order!r}; one of {', '.join(ORDERS)} is expected")
     polygons, sizes = header.polygons, object_sizes(header)

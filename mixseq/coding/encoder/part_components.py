@@ -26,21 +26,11 @@ _AT_ONCE = 16
 
 
 class Fit(NamedTuple):
-    """Coefficients of a part that are nearest to a sequence.
+    """Coefficients of a part that are nearest to a sequence."""
 
-    Attributes
-    ----------
-    coefficients : (K, T, d) float64
-        Of the varying vectors, made unit vectors.
-    gram : (K, K) float64
-        Products of these vectors.
-    squares : float
-        Sum of the squared distances that these coefficients leave.
-    """
-
-    coefficients: Float
-    gram: Float
-    squares: float
+    coefficients: Float  # (K, T, d) of the varying vectors, made unit vectors
+    gram: Float  # (K, K) products of these vectors
+    squares: float  # sum of the squared distances that these coefficients leave
 
     def squares_of(self, coefficients: Float) -> float:
         """Return the sum of the squared distances that other coefficients ``(K, T, d)`` leave."""
@@ -49,22 +39,7 @@ class Fit(NamedTuple):
 
 
 class PartComponents:
-    """Principal components of a part of the mesh, computed as far as they are asked for.
-
-    Parameters
-    ----------
-    components : PrincipalComponents
-        Those of the whole mesh.
-    part : Part
-        The part; shapes are of the whole mesh only.
-    least : float
-        Components with a norm below this are left out, in the units of the sequence.
-
-    Attributes
-    ----------
-    norms : (K,) float64
-        Norms of the vectors that are coded, in the units of the sequence.
-    """
+    """Principal components of a part of the mesh, computed as far as they are asked for."""
 
     def __init__(self, components: PrincipalComponents, part: Part, least: float) -> None:
         self.part, self.norms = part, components.norms
@@ -130,14 +105,7 @@ class PartComponents:
 def _turned(loadings: Float, least: float) -> tuple[Float, Float, Float]:
     """Find the principal components of a part from the vectors ``(R, n)`` of the whole mesh at its vertices.
 
-    Returns
-    -------
-    directions : (K, R) float64
-        Components as sums of the vectors.
-    offsets : (K,) float64
-        The means of these sums, which the constant vector has.
-    norms : (K,) float64
-        Norms of the components without them.
+    Shapes: result ``(K, R)``, ``(K,)``, ``(K,)``.
     """
     means = loadings.mean(axis=1)
     gram = loadings @ loadings.T - loadings.shape[1] * np.outer(means, means)

@@ -37,15 +37,7 @@ FRAMES = 16
 
 
 def vertex_parts(sequence: FrameStore, counts: tuple[int, ...]) -> dict[int, Index]:
-    """Return labels ``(V,)`` of the vertices, for those of the numbers of parts that there can be, increasing.
-
-    Parameters
-    ----------
-    sequence : FrameStore
-        The sequence.
-    counts : tuple of int
-        Numbers of parts, increasing.
-    """
+    """Return labels ``(V,)`` of the vertices, for those of the numbers of parts that there can be, increasing."""
     header = sequence.header
     if len(header.faces) < FACES * counts[-1]:
         return {}
@@ -66,22 +58,7 @@ def vertex_parts(sequence: FrameStore, counts: tuple[int, ...]) -> dict[int, Ind
 
 
 def merged(points: NDArray[np.floating], labels: Index, counts: tuple[int, ...]) -> dict[int, Index]:
-    """Merge parts two by two.
-
-    Parameters
-    ----------
-    points : (T, V, 3) float
-        The sequence, or some of its frames.
-    labels : (V,) int64
-        Parts 0 ... P - 1 to begin with.
-    counts : tuple of int
-        Numbers of parts that are asked for.
-
-    Returns
-    -------
-    dict of int to (V,) int64
-        Labels for those of `counts` that do not exceed P.
-    """
+    """Merge parts two by two: points ``(T, V, 3)``; labels ``(V,)``."""
     number = int(labels.max(initial=0)) + 1
     sums = _Sums.of(points, labels, number)
     own = sums.energies()

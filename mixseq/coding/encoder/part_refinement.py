@@ -38,19 +38,7 @@ VISIBLE = 0.1
 
 
 def refined(components: PrincipalComponents, labels: Index, faces: NDArray[np.integer], step: float) -> Index:
-    """Return better labels ``(V,)`` of the parts of a mesh, of which there are as many.
-
-    Parameters
-    ----------
-    components : PrincipalComponents
-        Of all trajectories.
-    labels : (V,) int64
-        Parts 0 ... P - 1 to begin with.
-    faces : (F, 3) int
-        Triangles.
-    step : float
-        The step that numbers are going to be rounded to, about, in the units of the sequence.
-    """
+    """Return better labels ``(V,)`` of the parts of a mesh, of which there are as many: faces ``(F, 3)``."""
     number, vertices = int(labels.max()) + 1, len(labels)
     seen = np.count_nonzero(components.norms > VISIBLE * step * np.sqrt(vertices))
     motion = components.vectors[: min(max(seen, 1), MODES), 0]

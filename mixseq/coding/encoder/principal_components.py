@@ -35,27 +35,15 @@ MOST = 3000
 
 @dataclass(frozen=True, eq=False)
 class PrincipalComponents:
-    """What is known of a sequence: curves over time times vectors over the mesh, most important first.
+    """What is known of a sequence: curves over time times vectors over the mesh, most important first."""
 
-    Attributes
-    ----------
-    kind : {"trajectories", "shapes"}
-        What is compared: vertices or frames.
-    mean : (T, 3) or (3, V) float64
-        Mean of all vertices at every frame (trajectories), or of all frames at every vertex (shapes).
-    curves : (K, T, d) float64
-        Coefficients, orthonormal: d = 3 of trajectories, 1 of shapes.
-    vectors : (K, c, V) float64
-        Basis vectors in the units of the sequence, orthogonal: c = 1 of trajectories, 3 of shapes.
-    left_out : float
-        Sum of squares of what components that are too small have of the sequence.
-    """
-
-    kind: BasisKind
+    kind: BasisKind  # what is compared: vertices or frames
+    # (T, 3) mean of all vertices at every frame (trajectories), or of all frames at every vertex (shapes).
     mean: Float
-    curves: Float
+    curves: Float  # (K, T, d) coefficients, orthonormal: d = 3 of trajectories, 1 of shapes
+    # (K, c, V) basis vectors in the units of the sequence, orthogonal: c = 1 of trajectories, 3 of shapes.
     vectors: Float
-    left_out: float
+    left_out: float  # sum of squares of what components that are too small have of the sequence
 
     @cached_property
     def norms(self) -> Float:
@@ -69,15 +57,7 @@ class PrincipalComponents:
 
 
 def trajectories(sequence: FrameStore, least: float) -> PrincipalComponents:
-    """Find the principal components of all vertices' trajectories.
-
-    Parameters
-    ----------
-    sequence : FrameStore
-        The sequence.
-    least : float
-        Components with a norm below this are left out, in the units of the sequence.
-    """
+    """Find the principal components of all vertices' trajectories."""
     count = len(sequence.points)
     table, means = _centred(sequence, np.arange(count))
     stride = -(-min(table.shape) // MOST)
@@ -100,15 +80,7 @@ def trajectories(sequence: FrameStore, least: float) -> PrincipalComponents:
 
 
 def shapes(components: PrincipalComponents, least: float) -> PrincipalComponents:
-    """Find the principal components of the frames from those of the trajectories.
-
-    Parameters
-    ----------
-    components : PrincipalComponents
-        Of trajectories.
-    least : float
-        Components with a norm below this are left out, in the units of the sequence.
-    """
+    """Find the principal components of the frames from those of the trajectories."""
     some = components.norms > 0
     curves, vectors, norms = components.curves[some], components.vectors[some, 0], components.norms[some]
     mean = components.mean.mean(axis=0)[:, None] + curves.mean(axis=1).T @ vectors

@@ -25,17 +25,7 @@ def needed(apart: Float, bound: float) -> Index:
     :math:`w = 2 \varepsilon / \sqrt 3` in every coordinate. What is left is at most :math:`w / 2` in each, so at most
     :math:`\varepsilon` in all. Everywhere else there is no residual.
 
-    Parameters
-    ----------
-    apart : (T, V, 3) float64
-        Originals minus decoded frames, in the units of the sequence.
-    bound : float
-        The bound, in the same units.
-
-    Returns
-    -------
-    (T, V, 3) int64
-        In units of `width`, zeros where nothing has to be added.
+    Shapes: apart ``(T, V, 3)``; result ``(T, V, 3)``.
     """
     far = np.einsum("tvi,tvi->tv", apart, apart) > bound * bound
     return np.where(far[..., None], np.rint(apart / width(bound)), 0.0).astype(np.int64)

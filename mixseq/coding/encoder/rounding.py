@@ -47,17 +47,7 @@ def _round_part(step: float, part: PartComponents) -> RoundedPart:
 
 
 def code_basis(rounded: Sequence[RoundedPart], labels: Index, graph: SignalGraph) -> tuple[bytes, ...]:
-    """Return the streams of the groups of a basis, as `read_basis` reads them.
-
-    Parameters
-    ----------
-    rounded : sequence of RoundedPart
-        The parts.
-    labels : (V,) int64
-        Part of every vertex.
-    graph : SignalGraph
-        Of the whole mesh.
-    """
+    """Return the streams of the groups of a basis, as `read_basis` reads them: labels ``(V,)``."""
     models, streams = NumberModels(), []
     for number, of_parts in enumerate(groups_of_parts([len(part.vectors) for part in rounded])):
         writer = Writer()
@@ -81,15 +71,7 @@ def chunks(frame_count: int, size: int = CHUNK) -> list[range]:
 def round_coefficients(
     basis: SpatialBasis, coefficients: Float, step: float, size: int = CHUNK
 ) -> tuple[Float, list[list[Signal]]]:
-    """Round coefficients ``(T, K, d)`` of the vectors that vary.
-
-    Returns
-    -------
-    decoded : (T, K, d) float64
-        The coefficients as a decoder has them.
-    signals : list of list of Signal
-        What is coded of every chunk.
-    """
+    """Round coefficients ``(T, K, d)`` of the vectors that vary."""
     scales, owners = basis.norms[basis.varying] / step, basis.parts[basis.varying]
     decoded, spans = np.empty_like(coefficients), chunks(len(coefficients), size)
     numbers = coefficients * scales[:, None]

@@ -45,27 +45,13 @@ DIGITS = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A way to code a sequence: with its components, of one kind, and with these parts.
+    """A way to code a sequence: with its components, of one kind, and with these parts."""
 
-    Attributes
-    ----------
-    components : PrincipalComponents
-        Of the whole mesh.
-    parts : tuple of PartComponents
-        Of every part.
-    graph : SignalGraph
-        Of the whole mesh.
-    labels : (V,) int64
-        Part of every vertex.
-    share : float
-        Share of a larger mesh that these vertices are.
-    """
-
-    components: PrincipalComponents
-    parts: tuple[PartComponents, ...]
-    graph: SignalGraph
-    labels: Index
-    share: float = 1.0
+    components: PrincipalComponents  # of the whole mesh
+    parts: tuple[PartComponents, ...]  # of every part
+    graph: SignalGraph  # of the whole mesh
+    labels: Index  # (V,) part of every vertex
+    share: float = 1.0  # share of a larger mesh that these vertices are
 
     @classmethod
     def of(
@@ -118,42 +104,19 @@ def _result_of(_: None, work: Callable[[], Any]) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A sequence, rounded with one step.
+    """A sequence, rounded with one step."""
 
-    Attributes
-    ----------
-    candidate : Candidate
-        How it is coded.
-    step : float
-        The step, in the units of the sequence.
-    ranks : tuple of int
-        Number of basis vectors of every part that are coded; those that are zero are not in the basis.
-    basis : SpatialBasis
-        The basis as a decoder has it.
-    coefficients : (T, K, d) float64
-        Its coefficients as a decoder has them.
-    spans : tuple of range
-        Frames of every chunk.
-    coding : Coding
-        Streams of both.
-    error : float
-        Root of the sum of all squared distances, without the residual layer.
-    residuals : tuple of bytes
-        The residual layer of every chunk, if there is a bound.
-    bound : float, optional
-        What the residual layer is for.
-    """
-
-    candidate: Candidate
-    step: float
+    candidate: Candidate  # how it is coded
+    step: float  # the step, in the units of the sequence
+    # Number of basis vectors of every part that are coded; those that are zero are not in the basis.
     ranks: tuple[int, ...]
-    basis: SpatialBasis
-    coefficients: Float
-    spans: tuple[range, ...]
-    coding: Coding
-    error: float
-    residuals: tuple[bytes, ...] = ()
-    bound: float | None = None
+    basis: SpatialBasis  # the basis as a decoder has it
+    coefficients: Float  # (T, K, d) its coefficients as a decoder has them
+    spans: tuple[range, ...]  # frames of every chunk
+    coding: Coding  # streams of both
+    error: float  # root of the sum of all squared distances, without the residual layer
+    residuals: tuple[bytes, ...] = ()  # the residual layer of every chunk, if there is a bound
+    bound: float | None = None  # what the residual layer is for
 
     @property
     def chunks(self) -> tuple[Chunk, ...]:
@@ -184,19 +147,7 @@ class Trial:
 
 
 def try_step(sequence: FrameStore, candidate: Candidate, step: float, chunk: int = CHUNK) -> Trial:
-    """Round a sequence with one step.
-
-    Parameters
-    ----------
-    sequence : FrameStore
-        The sequence.
-    candidate : Candidate
-        What is known of it, and how it is to be coded.
-    step : float
-        Quantisation step, in the units of the sequence.
-    chunk : int
-        A chunk has about so many frames.
-    """
+    """Round a sequence with one step."""
     rounded = round_basis(candidate.parts, step)
     vectors = [part.vectors for part in rounded]
     parts = [one.part.vertices for one in candidate.parts]

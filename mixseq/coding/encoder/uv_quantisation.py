@@ -28,30 +28,7 @@ _MOST_STEPS = 1 << 23
 def with_quantised_uvs(
     header: SequenceHeader, uv_error: float = UV_ERROR, uvs: bool = True
 ) -> tuple[SequenceHeader, int | None]:
-    """Return a header with rounded texture coordinates, and how many steps of the grid a unit has.
-
-    Parameters
-    ----------
-    header : SequenceHeader
-        The mesh.
-    uv_error : float
-        Largest difference of u and of v, in units of the texture's square; 0 leaves them as they are.
-    uvs : bool
-        Whether to keep texture coordinates at all.
-
-    Returns
-    -------
-    header : SequenceHeader
-        The header of the same mesh.
-    steps : int or None
-        None if there are no coordinates, or they are as they were: also where there are none that are near enough to
-        them, or they are not finite.
-
-    Raises
-    ------
-    SettingsError
-        If `uv_error` is out of range.
-    """
+    """Return a header with rounded texture coordinates, and how many steps of the grid a unit has."""
     if not 0 <= uv_error <= MOST_UV_ERROR:
         raise SettingsError(f"uv_error is {uv_error}; a number from 0 to {MOST_UV_ERROR} is expected")
     exact = header.surface.uvs

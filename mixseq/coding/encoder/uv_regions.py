@@ -36,44 +36,21 @@ _OFF = 6.0, 0.01
 
 
 class _Search(NamedTuple):
-    """What is looked through.
+    """What is looked through."""
 
-    Attributes
-    ----------
-    corners : Corners
-        Corners on nodes.
-    places : (P,) int64
-        When polygons are visited.
-    values : (N, 2) int64
-        Coordinates.
-    bits : (N,) float64
-        What the miss of a node takes without a copy.
-    covered : (P,) bool
-        Which polygons are copies already.
-    polygons, nodes : (P,), (N,) int64
-        The number of the last try that met them.
-    """
-
-    corners: Corners
-    places: Index
-    values: Index
-    bits: Float
-    covered: NDArray[np.bool_]
-    polygons: Index
-    nodes: Index
+    corners: Corners  # corners on nodes
+    places: Index  # (P,) when polygons are visited
+    values: Index  # (N, 2) coordinates
+    bits: Float  # (N,) what the miss of a node takes without a copy
+    covered: NDArray[np.bool_]  # (P,) which polygons are copies already
+    polygons: Index  # (P,) the number of the last try that met them
+    nodes: Index  # (N,) the number of the last try that met them
 
 
 def encode_uvs(polygons: Polygons, vertex_count: int, numbers: Index) -> bytes:
     """Code texture coordinates in steps in as few bytes as there are, without copies or with those that are found.
 
-    Parameters
-    ----------
-    polygons : Polygons
-        The mesh.
-    vertex_count : int
-        Number of its vertices.
-    numbers : (sum of counts, 2) int64
-        Coordinates at the corners.
+    Shapes: numbers ``(sum of counts, 2)``.
     """
     plain = code_uvs(polygons, vertex_count, numbers)
     tried = [plain.data]
@@ -85,15 +62,7 @@ def encode_uvs(polygons: Polygons, vertex_count: int, numbers: Index) -> bytes:
 
 
 def find_regions(coded: CodedUVs, candidates: int, apart: float, least: float) -> Index:
-    """Return where copies begin, as `code_uvs` takes it, in coordinates that were coded without any.
-
-    Parameters
-    ----------
-    coded : CodedUVs
-        The coordinates.
-    candidates, apart, least
-        As in `_WIDE`.
-    """
+    """Return where copies begin, as `code_uvs` takes it, in coordinates that were coded without any."""
     from scipy.spatial import cKDTree
 
     corners, places = coded.corners, coded.copies.places

@@ -51,11 +51,6 @@ def panels_of(
     barred : bool
         Whether a colour bar stands below them.
 
-    Raises
-    ------
-    SettingsError
-        If they would be smaller than `SMALLEST`.
-
     Examples
     --------
     >>> panels_of(2, 100, 50, 1.0, False, False)

@@ -19,35 +19,16 @@ SMOOTHED = 0.25
 
 @dataclass(frozen=True)
 class Aim:
-    """From where a film is seen.
+    """From where a film is seen."""
 
-    Attributes
-    ----------
-    camera : (float, float), optional
-        Degrees from the body's front, to its left, and above the horizon; by default its front and a side.
-    turn : float
-        Degrees by which the camera goes around during the film.
-    follow : bool
-        Whether it goes with the body.
-    """
-
+    # Degrees from the body's front, to its left, and above the horizon; by default its front and a side.
     camera: tuple[float, float] | None = None
-    turn: float = 0.0
-    follow: bool = False
+    turn: float = 0.0  # degrees by which the camera goes around during the film
+    follow: bool = False  # whether it goes with the body
 
 
 def cameras_of(items: Sequence[DecodedItem], aim: Aim, fps: float) -> list[Camera]:
-    """Place the cameras: the same for all that have the triangles of the first, one of its own for each of the others.
-
-    Parameters
-    ----------
-    items : sequence of DecodedItem
-        What is shown.
-    aim : Aim
-        From where.
-    fps : float
-        Frames per second of the film.
-    """
+    """Place the cameras: one for all that have the triangles of the first, one of its own for each other."""
     groups: dict[int, list[DecodedItem]] = {}
     group_of = []
     for number, item in enumerate(items):

@@ -48,13 +48,7 @@ LONGEST_GIF = 655.0
 
 
 def film_format(target: str | PathLike[str]) -> FilmFormat:
-    """Tell a film's format from its file's extension.
-
-    Raises
-    ------
-    OutputError
-        If it is none of `FILM_FORMATS`.
-    """
+    """Tell a film's format from its file's extension."""
     extension = Path(target).suffix.lower().removeprefix(".")
     for known in FILM_FORMATS:
         if extension == known:
@@ -63,15 +57,7 @@ def film_format(target: str | PathLike[str]) -> FilmFormat:
 
 
 def check_film(form: FilmFormat, size: tuple[int, int], fps: float | None = None) -> None:
-    """Refuse before the work what a format or this machine cannot do.
-
-    Raises
-    ------
-    SettingsError
-        If the size or the rate does not go with the format.
-    MissingExtraError
-        If Pillow, its encoder or ffmpeg is not there.
-    """
+    """Refuse before the work what a format or this machine cannot do."""
     for side in size:
         if not SMALLEST <= side <= LARGEST:
             raise SettingsError(
@@ -96,28 +82,7 @@ def check_film(form: FilmFormat, size: tuple[int, int], fps: float | None = None
 
 
 def encode_film(target: Path, form: FilmFormat, draw: Draw, count: int, fps: float) -> None:
-    """Write frames as they are drawn; the file is replaced when all are written.
-
-    Parameters
-    ----------
-    target : Path
-        The file.
-    form : {"mp4", "gif", "webp"}
-        Its format, whatever its name.
-    draw : callable
-        Draws the frames whose numbers it is given.
-    count : int
-        Number of frames, at least 2.
-    fps : float
-        Frames per second.
-
-    Raises
-    ------
-    SettingsError
-        If a GIF would be too long.
-    OutputError
-        If ffmpeg cannot write the file.
-    """
+    """Write frames as they are drawn; the file is replaced when all are written."""
     target = target.resolve()  # a symbolic link is followed, not replaced
     with TemporaryDirectory(prefix=target.name, dir=target.parent) as folder:
         temporary = Path(folder, target.name)
@@ -194,13 +159,7 @@ def _write_gif(file: IO[bytes], draw: Draw, count: int, fps: float) -> None:
 
 
 def pillow_module(name: str) -> Any:
-    """Import a module of Pillow when it is needed.
-
-    Raises
-    ------
-    MissingExtraError
-        If Pillow is not installed.
-    """
+    """Import a module of Pillow when it is needed."""
     try:
         return import_module(f"PIL.{name}")
     except ImportError as error:

@@ -30,13 +30,7 @@ _CURE = (
 
 
 def find_ffmpeg() -> str:
-    """Return the path of an ffmpeg that encodes H.264.
-
-    Raises
-    ------
-    MissingExtraError
-        If there is no ffmpeg on the PATH, or it does not run or has no libx264.
-    """
+    """Return the path of an ffmpeg that encodes H.264."""
     program = shutil.which("ffmpeg")
     if program is None:
         raise MissingExtraError(f"MP4 needs ffmpeg, and there is none on the PATH; {_CURE}")
@@ -50,15 +44,7 @@ def find_ffmpeg() -> str:
 
 
 def write_mp4(target: Path, pictures: Iterator[Picture], fps: float) -> None:
-    """Write frames as an MP4 that plays while it is loaded.
-
-    Raises
-    ------
-    MissingExtraError
-        As `find_ffmpeg`.
-    OutputError
-        If ffmpeg cannot write the file.
-    """
+    """Write frames as an MP4 that plays while it is loaded."""
     program = find_ffmpeg()
     first = next(pictures)
     height, width = first.shape[:2]

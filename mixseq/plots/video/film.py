@@ -58,11 +58,6 @@ class FilmSettings:
     scale : float, optional
         Error (in diagonals), strain or change of angles (in degrees) that has the last colour, by default the
         largest of the film.
-
-    Raises
-    ------
-    SettingsError
-        If a setting is out of range, or of no use.
     """
 
     size: tuple[int, int] = (1280, 720)
@@ -116,15 +111,6 @@ def film(
         Told about every frame.
     workers : Executor, optional
         Who draws, by default as many threads as there are cores.
-
-    Raises
-    ------
-    SettingsError
-        If there is nothing to show, settings do not go with the format or with what is shown.
-    OutputError
-        If the target's extension is not known, or it cannot be written.
-    MissingExtraError
-        If matplotlib, Pillow or what encodes the format is not installed.
     """
     chosen = settings or FilmSettings()
     form = film_format(target)
@@ -154,13 +140,7 @@ def film(
 
 
 def check_shown(shown: Sequence[SceneItem], settings: FilmSettings, against: object) -> None:
-    """Refuse what cannot be shown, before the work.
-
-    Raises
-    ------
-    SettingsError
-        If nothing is shown, an original is missing or of no use, or something has no parts.
-    """
+    """Refuse what cannot be shown, before the work."""
     if not shown:
         raise SettingsError("there is nothing to show; give a sequence or a model")
     if settings.colour == "error" and against is None:

@@ -21,46 +21,22 @@ HEAT_CONTRAST = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """What one panel shows.
+    """What one panel shows."""
 
-    Attributes
-    ----------
-    header : SequenceHeader
-        The mesh.
-    colours : (3,) or (F, 3) float
-        RGB in 0..1 of the mesh or of each face, where nothing is measured.
-    camera : Camera
-        From where, in the proportions of the panel.
-    place : pair of slices
-        Where it is in the picture.
-    """
-
-    header: SequenceHeader
-    colours: ArrayLike
-    camera: Camera
-    place: Rectangle
+    header: SequenceHeader  # the mesh
+    colours: ArrayLike  # (3,) RGB in 0..1 of the mesh or of each face, where nothing is measured
+    camera: Camera  # from where, in the proportions of the panel
+    place: Rectangle  # where it is in the picture
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """All that the frames of a film have in common.
+    """All that the frames of a film have in common."""
 
-    Attributes
-    ----------
-    panels : sequence of Panel
-        From left to right, and down.
-    backdrop : (H, W, 3) uint8
-        What does not change: names and the colour bar.
-    frames : int
-        Number of frames N.
-    palette : (256, 3) float, optional
-        Colours of what is measured, RGB in 0..1.
-    """
-
-    panels: Sequence[Panel]
-    backdrop: Picture
-    frames: int
-    palette: Float | None = None
+    panels: Sequence[Panel]  # from left to right, and down
+    backdrop: Picture  # (H, W, 3) what does not change: names and the colour bar
+    frames: int  # number of frames N
+    palette: Float | None = None  # (256, 3) colours of what is measured, RGB in 0..1
 
 
 Moment = tuple[int, list[tuple[Float, Bytes | None]]]

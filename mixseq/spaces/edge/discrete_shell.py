@@ -75,20 +75,11 @@ def is_sheet(points: FloatArray, faces: IntArray) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class VolumeTerm:
-    """The residual of a volume, a `DenseTerm` of `mixseq.shells.fitting`.
+    """The residual of a volume, a `DenseTerm` of `mixseq.shells.fitting`."""
 
-    Attributes
-    ----------
-    faces : (m, 3) int64
-        Triangles of the surface.
-    target : float
-        Volume that is wanted.
-    weight : float
-        Weight of the term over the volume of the reference, so that the residual counts relative changes.
-    """
-
-    faces: NDArray[np.int64]
-    target: float
+    faces: NDArray[np.int64]  # (m, 3) triangles of the surface
+    target: float  # volume that is wanted
+    # Weight of the term over the volume of the reference, so that the residual counts relative changes.
     weight: float
 
     def residual(self, points: Float) -> float:
@@ -111,18 +102,10 @@ class ShellPiece(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class DiscreteShell(PickledWithoutCaches):
-    """An `EdgeProjection`: one Gauss-Newton over each piece of a mesh.
+    """An `EdgeProjection`: one Gauss-Newton over each piece of a mesh."""
 
-    Attributes
-    ----------
-    topology : Topology
-        Connectivity of the mesh.
-    pieces : Pieces
-        Its hinge-connected pieces.
-    """
-
-    topology: Topology
-    pieces: Pieces
+    topology: Topology  # connectivity of the mesh
+    pieces: Pieces  # its hinge-connected pieces
 
     @cached_property
     def shells(self) -> tuple[ShellPiece | None, ...]:

@@ -13,23 +13,16 @@ from mixseq.shells.fitting import ShellReport, ShellSettings
 
 
 class Wanted(NamedTuple):
-    """What a mesh should have, and how much of it counts.
+    """What a mesh should have, and how much of it counts."""
 
-    Attributes
-    ----------
-    lengths, weights : (E,) float64
-        Lengths of all edges, and their weights: one over the typical length.
-    angles : (H,) float64
-        Dihedral angles of all hinges in radians, whole turns do not matter.
-    volumes, volume_weights : (p,) float64
-        Volumes of all pieces, and their weights: over the typical volume, 0 where it does not count. Empty for no
-        volume term at all.
-    """
-
-    lengths: Float
-    weights: Float
-    angles: Float
+    lengths: Float  # (E,) lengths of all edges, and their weights: one over the typical length
+    weights: Float  # (E,) lengths of all edges, and their weights: one over the typical length
+    angles: Float  # (H,) dihedral angles of all hinges in radians, whole turns do not matter
+    # (p,) volumes of all pieces, and their weights: over the typical volume, 0 where it does not count. Empty for no
+    # volume term at all.
     volumes: Float
+    # (p,) volumes of all pieces, and their weights: over the typical volume, 0 where it does not count. Empty for no
+    # volume term at all.
     volume_weights: Float
 
 

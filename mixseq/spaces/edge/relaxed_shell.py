@@ -41,41 +41,21 @@ NOTHING = np.zeros((0, 3))
 
 
 class _Rows(NamedTuple):
-    """The mesh with pieces that share no vertices; its faces are those of the mesh.
+    """The mesh with pieces that share no vertices; its faces are those of the mesh."""
 
-    Attributes
-    ----------
-    topology : Topology
-        Connectivity of the rows.
-    edge_ids, hinge_ids : (E,), (H,) int64
-        Which of the mesh its edges and hinges are.
-    """
-
-    topology: Topology
-    edge_ids: Index
-    hinge_ids: Index
+    topology: Topology  # connectivity of the rows
+    edge_ids: Index  # (E,) which of the mesh its edges and hinges are
+    hinge_ids: Index  # (H,) which of the mesh its edges and hinges are
 
 
 @dataclass(frozen=True, eq=False)
 class RelaxedShell(PickledWithoutCaches):
-    """An `EdgeProjection` by constant matrices.
+    """An `EdgeProjection` by constant matrices."""
 
-    Attributes
-    ----------
-    topology : Topology
-        Connectivity of the mesh.
-    pieces : Pieces
-        Its hinge-connected pieces, with shapes that have typical lengths.
-    typical : (E,) float64
-        Typical lengths of all edges.
-    bending : float
-        Weight of an angle in radians against a relative length.
-    """
-
-    topology: Topology
-    pieces: Pieces
-    typical: Float
-    bending: float
+    topology: Topology  # connectivity of the mesh
+    pieces: Pieces  # its hinge-connected pieces, with shapes that have typical lengths
+    typical: Float  # (E,) typical lengths of all edges
+    bending: float  # weight of an angle in radians against a relative length
 
     @cached_property
     def _rows(self) -> _Rows:

@@ -56,41 +56,24 @@ STEADINESS = (1e-8, STILL**-2)
 
 
 class PartPoses(NamedTuple):
-    """Articulation in T frames: p parts and n relations of neighbours.
+    """Articulation in T frames: p parts and n relations of neighbours."""
 
-    Attributes
-    ----------
-    turns : (T, p, 4)
-        Rotations of parts since the reference frame, as seen from the body: quaternions.
-    centres : (T, p, 3)
-        Centres of parts, as seen from the body.
-    relation_turns : (T, n, 4)
-        How part j is turned as seen from part i: quaternions.
-    relation_points : (T, n, 3)
-        Where the pivot of part j is, as seen from part i.
-    """
-
+    # (T, p, 4) rotations of parts since the reference frame, as seen from the body: quaternions.
     turns: Numbers
-    centres: Numbers
-    relation_turns: Numbers
-    relation_points: Numbers
+    centres: Numbers  # (T, p, 3) centres of parts, as seen from the body
+    relation_turns: Numbers  # (T, n, 4) how part j is turned as seen from part i: quaternions
+    relation_points: Numbers  # (T, n, 3) where the pivot of part j is, as seen from part i
 
 
 class Steadiness(NamedTuple):
-    """One over the mean squared motion, in squared diagonals: how little poses and relations change over the frames.
+    """One over the mean squared motion, in squared diagonals: how little poses and relations change over the frames."""
 
-    Attributes
-    ----------
-    turns, centres : (p,) float64
-        Of rotations of parts, times their radii of gyration, and of centres, as seen from the body.
-    relation_turns, relation_points : (n,) float64
-        The same of how neighbours see each other, by the smaller of their radii.
-    """
-
+    # (p,) of rotations of parts, times their radii of gyration, and of centres, as seen from the body.
     turns: Float
+    # (p,) of rotations of parts, times their radii of gyration, and of centres, as seen from the body.
     centres: Float
-    relation_turns: Float
-    relation_points: Float
+    relation_turns: Float  # (n,) the same of how neighbours see each other, by the smaller of their radii
+    relation_points: Float  # (n,) the same of how neighbours see each other, by the smaller of their radii
 
     @classmethod
     def equal(cls, parts: int, relations: int) -> Steadiness:
@@ -100,37 +83,17 @@ class Steadiness(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Articulation:
-    """The parts of a mesh, and which of them are neighbours; make it with `articulation_of`.
+    """The parts of a mesh, and which of them are neighbours; make it with `articulation_of`."""
 
-    Attributes
-    ----------
-    rest_centres : (p, 3) float64
-        Centres of the parts in the reference frame, in diagonals.
-    radii, masses : (p,) float64
-        Radii of gyration in diagonals, and numbers of vertices.
-    areas : (p,) float64
-        Areas of the parts in the reference frame, in squared diagonals.
-    bodies : (p,) int64
-        The body of every part.
-    pairs : (n, 2) int64
-        Neighbours: parts i and j, every pair in both orders.
-    pivots : (n, 3) float64
-        Where they meet in the reference frame, as seen from the centre of j.
-    steadiness : Steadiness
-        How little they move.
-    relation_weight : float
-        Weight of a relation against a pose of its lighter part that moves as much.
-    """
-
-    rest_centres: Float
-    radii: Float
-    masses: Float
-    areas: Float
-    bodies: Index
-    pairs: Index
-    pivots: Float
-    steadiness: Steadiness
-    relation_weight: float = 1.0
+    rest_centres: Float  # (p, 3) centres of the parts in the reference frame, in diagonals
+    radii: Float  # (p,) radii of gyration in diagonals, and numbers of vertices
+    masses: Float  # (p,) radii of gyration in diagonals, and numbers of vertices
+    areas: Float  # (p,) areas of the parts in the reference frame, in squared diagonals
+    bodies: Index  # (p,) the body of every part
+    pairs: Index  # (n, 2) neighbours: parts i and j, every pair in both orders
+    pivots: Float  # (n, 3) where they meet in the reference frame, as seen from the centre of j
+    steadiness: Steadiness  # how little they move
+    relation_weight: float = 1.0  # weight of a relation against a pose of its lighter part that moves as much
 
     @property
     def part_count(self) -> int:
@@ -308,14 +271,7 @@ class Articulation:
     def motions(self, poses: PartPoses, bodies: tuple[Numbers, Numbers], correction: Numbers) -> Numbers:
         """Return the motions of parts in one frame as unit dual quaternions ``(p, 8)``.
 
-        Parameters
-        ----------
-        poses : PartPoses
-            Poses and relations of one frame, without the axis of frames.
-        bodies : ((B, 4), (B, 3))
-            Poses of the bodies.
-        correction : (6 p,)
-            Rotation vectors of parts, in their own axes, and shifts as seen from the body, after poses agree.
+        Shapes: bodies ``((B, 4), (B, 3)``; correction ``(6 p,)``.
         """
         turns, centres = self._agreed(poses)
         spins, shifts = correction.reshape(2, -1, 3)

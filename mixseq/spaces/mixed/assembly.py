@@ -38,51 +38,26 @@ LOWEST = 1e-4
 
 
 class FreeFrame(NamedTuple):
-    """One point of S_m.
+    """One point of S_m."""
 
-    Attributes
-    ----------
-    lengths, angles : (E',), (H',) float64
-        Edge lengths and hinge angles of joints.
-    unposed : (V, 3) float64
-        Vertices as seen from their frames: those of a rigid part have its shape.
-    posed : (V, 3) float64
-        Posed vertices, which tell where components are.
-    """
-
-    lengths: Float
-    angles: Float
-    unposed: Float
-    posed: Float
+    lengths: Float  # (E',) edge lengths and hinge angles of joints
+    angles: Float  # (H',) edge lengths and hinge angles of joints
+    unposed: Float  # (V, 3) vertices as seen from their frames: those of a rigid part have its shape
+    posed: Float  # (V, 3) posed vertices, which tell where components are
 
 
 @dataclass(frozen=True, eq=False)
 class Assembly(PickledWithoutCaches):
-    """Puts rigid parts and joints of one mesh together.
+    """Puts rigid parts and joints of one mesh together."""
 
-    Attributes
-    ----------
-    topology : Topology
-        The mesh.
-    part_of_vertex : (V,) int64
-        The part whose motion a vertex follows alone, -1 where it follows several.
-    joint_faces : (F,) bool
-        Faces whose lengths and angles are known; all of those whose corners do not follow one part alone.
-    edge_ids, hinge_ids : (E',), (H',) int64
-        Their edges and hinges.
-    reference : (V, 3) float64
-        A frame of the sequence.
-    relaxation : Relaxation
-        How lengths and angles are made to agree.
-    """
-
-    topology: Topology
-    part_of_vertex: Index
+    topology: Topology  # the mesh
+    part_of_vertex: Index  # (V,) the part whose motion a vertex follows alone, -1 where it follows several
+    # (F,) faces whose lengths and angles are known; all of those whose corners do not follow one part alone.
     joint_faces: Mask
-    edge_ids: Index
-    hinge_ids: Index
-    reference: Float
-    relaxation: Relaxation
+    edge_ids: Index  # (E',) their edges and hinges
+    hinge_ids: Index  # (H',) their edges and hinges
+    reference: Float  # (V, 3) a frame of the sequence
+    relaxation: Relaxation  # how lengths and angles are made to agree
 
     @cached_property
     def _parts(self) -> list[Index]:
@@ -192,13 +167,7 @@ class Assembly(PickledWithoutCaches):
         return lengths, angles
 
     def assemble(self, frame: FreeFrame) -> Relaxed:
-        """Return the mesh of a point of S_m, and what is left of its energy.
-
-        Raises
-        ------
-        ReconstructionError
-            If it is not finite.
-        """
+        """Return the mesh of a point of S_m, and what is left of its energy."""
         lengths, angles = self.targets(frame)
         start = self.start(frame, lengths, angles)
         relaxed = self.shell.relaxed(start, lengths, angles, self.relaxation.steps)

@@ -105,11 +105,6 @@ def mixed_space(
         follow them all the way.
     progress : callable, optional
         Told about every stage.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such placement.
     """
     if placement not in PLACEMENTS:
         raise SettingsError(f"placement is {placement!r}; {' or '.join(map(repr, PLACEMENTS))} is expected")

@@ -43,24 +43,12 @@ BENDING = 0.25
 
 @dataclass(frozen=True, eq=False)
 class JointProjection(PickledWithoutCaches):
-    """Moves the vertices of joints.
+    """Moves the vertices of joints."""
 
-    Attributes
-    ----------
-    topology : Topology
-        The mesh.
-    reference : (V, 3) float64
-        Its reference frame, in diagonals, which the weights are of.
-    joint_faces : (F,) bool
-        Faces whose lengths and angles have targets.
-    hold : float
-        Weight of posed vertices and frames against sides and hinges.
-    """
-
-    topology: Topology
-    reference: Float
-    joint_faces: Mask
-    hold: float
+    topology: Topology  # the mesh
+    reference: Float  # (V, 3) its reference frame, in diagonals, which the weights are of
+    joint_faces: Mask  # (F,) faces whose lengths and angles have targets
+    hold: float  # weight of posed vertices and frames against sides and hinges
 
     def constants(self) -> tuple[object, ...]:
         """Implement `PickledWithoutCaches.constants`."""
@@ -192,13 +180,7 @@ class JointProjection(PickledWithoutCaches):
         return factored_laplacian(ends[both], weights[both], held)
 
     def targets(self, x: Float, lengths: Float, angles: Float) -> tuple[Float, Float]:
-        """Return lengths ``(E,)`` and angles ``(H,)`` of the whole mesh: those of joints, and else of posed vertices.
-
-        Parameters
-        ----------
-        x, lengths, angles
-            As in `project`.
-        """
+        """Return lengths ``(E,)`` and angles ``(H,)`` of the whole mesh: of joints, and else of posed vertices."""
         topology = self.topology
         all_lengths, all_angles = lengths_and_angles(x, topology.edges, topology.hinges)
         sound = kernels.soundness(kernels.flatten(all_lengths, topology.face_edges.astype(np.int64)))
@@ -208,17 +190,7 @@ class JointProjection(PickledWithoutCaches):
         return all_lengths, all_angles
 
     def project(self, x: Numbers, lengths: Numbers, angles: Numbers, share: float) -> Numbers:
-        """Return posed vertices ``(V, 3)``, with those of joints moved.
-
-        Parameters
-        ----------
-        x : (V, 3)
-            Posed vertices, in diagonals.
-        lengths, angles : (E',), (H',)
-            Target lengths in diagonals and angles in radians, of `edge_ids` and `hinge_ids`.
-        share : float
-            How far lengths and angles go from the posed to the target ones, from 0 to 1.
-        """
+        """Return posed vertices ``(V, 3)``, with those of joints moved: lengths, angles ``(E',), (H',)``."""
         if not share or self.frame_factor is None or self.vertex_factor is None:
             return x
         _, face_edges, known = self._edge_table

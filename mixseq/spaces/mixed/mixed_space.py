@@ -122,33 +122,24 @@ class Projection:
 
 
 class MixedBlocks(NamedTuple):
-    """The blocks of T vectors: p parts with n relations, and B bodies.
+    """The blocks of T vectors: p parts with n relations, and B bodies."""
 
-    Attributes
-    ----------
-    lengths, angles : (T, E'), (T, H')
-        Edge lengths in diagonals and hinge angles in radians of joint faces; angles are unwrapped.
-    unposed : (T, V, 3)
-        Vertices as seen from their frames.
-    turns, centres : (T, p, 4), (T, p, 3)
-        Poses of parts as seen from their bodies: quaternions since the reference frame, and centres.
-    relation_turns, relation_points : (T, n, 4), (T, n, 3)
-        How a part sees its neighbour: the rotation since the reference frame, and the pivot.
-    body_turns, body_centres : (T, B, 4), (T, B, 3)
-        Poses of the bodies: quaternions since the reference frame, and centres.
-    corrections : (T, 6 p)
-        Rotation vectors of parts in their own axes, and shifts as seen from the body.
-    """
-
+    # (T, E') edge lengths in diagonals and hinge angles in radians of joint faces; angles are unwrapped.
     lengths: Numbers
+    # (T, H') edge lengths in diagonals and hinge angles in radians of joint faces; angles are unwrapped.
     angles: Numbers
-    unposed: Numbers
+    unposed: Numbers  # (T, V, 3) vertices as seen from their frames
+    # (T, p, 4) poses of parts as seen from their bodies: quaternions since the reference frame, and centres.
     turns: Numbers
+    # (T, p, 3) poses of parts as seen from their bodies: quaternions since the reference frame, and centres.
     centres: Numbers
+    # (T, n, 4) how a part sees its neighbour: the rotation since the reference frame, and the pivot.
     relation_turns: Numbers
+    # (T, n, 3) how a part sees its neighbour: the rotation since the reference frame, and the pivot.
     relation_points: Numbers
-    body_turns: Numbers
-    body_centres: Numbers
+    body_turns: Numbers  # (T, B, 4) poses of the bodies: quaternions since the reference frame, and centres
+    body_centres: Numbers  # (T, B, 3) poses of the bodies: quaternions since the reference frame, and centres
+    # (T, 6 p) rotation vectors of parts in their own axes, and shifts as seen from the body.
     corrections: Numbers
 
     @property
@@ -579,13 +570,7 @@ class MixedSpace(ShapeSpace):
 
 
 def as_mixed(space: ShapeSpace) -> MixedSpace:
-    """Return a space as it is, if it is the mixed shape space.
-
-    Raises
-    ------
-    SettingsError
-        If it is another one, which has no parts.
-    """
+    """Return a space as it is, if it is the mixed shape space."""
     if not isinstance(space, MixedSpace):
         raise SettingsError(f"the {space.name} space has no parts; fit a model with space='mixed'")
     return space

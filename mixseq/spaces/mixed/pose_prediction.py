@@ -51,24 +51,12 @@ TIMES_AT_ONCE = 64
 
 @dataclass(frozen=True, eq=False)
 class PosePrediction:
-    """Predicts the poses of all parts of a sequence.
+    """Predicts the poses of all parts of a sequence."""
 
-    Attributes
-    ----------
-    articulation : Articulation
-        The parts.
-    operator : Operator
-        The temporal operator of the sequence.
-    poses : Poses
-        Poses of the parts in the world at the frames, ``(T, p)``: rotations since the reference frame.
-    in_body : bool
-        Whether poses are predicted as seen from the body, too.
-    """
-
-    articulation: Articulation
-    operator: Operator
-    poses: Poses
-    in_body: bool = True
+    articulation: Articulation  # the parts
+    operator: Operator  # the temporal operator of the sequence
+    poses: Poses  # poses of the parts in the world at the frames, (T, p): rotations since the reference frame
+    in_body: bool = True  # whether poses are predicted as seen from the body, too
 
     def at(self, times: Float) -> tuple[Poses, Poses]:
         """Predict poses at times ``(N,)``: of the bodies ``(N, B)``, and of parts as seen from them ``(N, p)``.

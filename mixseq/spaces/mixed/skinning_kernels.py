@@ -50,14 +50,7 @@ def _blend(starts: Index, parts: Index, weights: Float, duals: Float, v: int, to
 def pose(starts: Index, parts: Index, weights: Float, duals: Float, unposed: Float) -> Float:
     """Move vertices ``(V, 3)`` by the blended motions of their parts.
 
-    Parameters
-    ----------
-    starts, parts, weights : (V + 1,) int64, (m,) int64, (m,) float64
-        Rows of a sparse matrix: skinning weights of the parts at every vertex.
-    duals : (p, 8)
-        Motions of the parts from the reference frame: real, then dual part of unit dual quaternions.
-    unposed : (V, 3)
-        Vertices as seen from their frames.
+    Shapes: starts, parts, weights ``(V + 1,)``; duals ``(p, 8)``.
     """
     x = np.empty_like(unposed)
     m = np.empty(8, duals.dtype)

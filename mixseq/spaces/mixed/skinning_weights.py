@@ -182,18 +182,7 @@ def fitted_skinning_weights(
 ) -> sparse.csr_array:
     """Find the shares ``(V, p)`` of a mesh with p parts; rows add up to one.
 
-    Parameters
-    ----------
-    topology : Topology
-        Connectivity of the mesh.
-    decomposition : Decomposition
-        Its parts.
-    shapes : (N, 3) float64
-        Mean shapes of the parts.
-    frames : (S, V, 3) float
-        Some frames, in the unit of the shapes.
-    reference : (V, 3) float64
-        The reference frame.
+    Shapes: shapes ``(N, 3)``; frames ``(S, V, 3)``; reference ``(V, 3)``.
     """
     near, far, part_of_far = _looked_at(topology, decomposition)
     graph = topology.vertex_adjacency[near][:, near]
@@ -252,12 +241,7 @@ def _parts_of_faces(topology: Topology, decomposition: Decomposition, some: Inde
 def _spread(graph: sparse.csr_array, at_faces: sparse.csr_array) -> tuple[Index, Float]:
     """Parts ``(n, MOST)`` near every vertex, largest shares first and -1 where there are fewer, and their shares.
 
-    Parameters
-    ----------
-    graph : (n, n) sparse matrix
-        Which vertices are neighbours.
-    at_faces : (n, p) sparse matrix
-        Shares of parts in their faces.
+    Shapes: graph ``(n, n)``; at_faces ``(n, p)``.
     """
     vertices, count = at_faces.shape
     degrees = np.asarray(graph.sum(axis=1)).reshape(-1)

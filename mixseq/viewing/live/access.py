@@ -31,15 +31,6 @@ class Access:
     host. It does not know the token, its cookie is for our own pages only (``SameSite=Strict``), and the browser says
     whose page it is (``Origin``). A page whose name was made to mean this machine (DNS rebinding) gives itself away by
     that name (``Host``).
-
-    Parameters
-    ----------
-    host : str
-        What the viewer listens at.
-    port : int
-        The port.
-    token : str
-        What a browser has to know; a new one by default.
     """
 
     host: str
@@ -58,15 +49,7 @@ class Access:
         return f"{self._cookie_name}={self.token}; Path=/; HttpOnly; SameSite=Strict"
 
     def refusal(self, path: str, headers: Headers) -> str | None:
-        """Return why a request is refused, None if it is not.
-
-        Parameters
-        ----------
-        path : str
-            What is asked for, with its query.
-        headers : Headers
-            Those of the request.
-        """
+        """Return why a request is refused, None if it is not."""
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
         if len(hosts) != 1 or not self._is_ours(hosts[0].lower()):
             return "a name that is not this machine's"

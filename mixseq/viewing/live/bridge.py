@@ -15,15 +15,7 @@ from mixseq.viewing.template import chart_scripts, script, script_json
 
 
 def add_bridge(server: Any, heard: Callable[[Message], None]) -> None:
-    """Add our scripts to the page of a server, where its controls are added now.
-
-    Parameters
-    ----------
-    server : viser.ViserServer
-        The server.
-    heard : callable
-        Told what the scripts say, on the server's thread; it must be quick.
-    """
+    """Add our scripts to the page of a server, where its controls are added now."""
     line = server.gui.add_text("mixseq", "", visible=False)
 
     @line.on_update  # type: ignore[untyped-decorator]

@@ -33,20 +33,12 @@ ROW, PLACE = "side by side", "in one place"
 
 @dataclass(frozen=True)
 class TimeBase:
-    """The times that are shown: those of one mesh of a scene, in seconds and by the numbers of its frames.
+    """The times that are shown: those of one mesh of a scene, in seconds and by the numbers of its frames."""
 
-    Attributes
-    ----------
-    start, fps : float
-        First time of the mesh in seconds, and its frames per second.
-    last, rate : float
-        Time of the scene's last frame since the first one, and frames of the scene per second.
-    """
-
-    start: float
-    fps: float
-    last: float
-    rate: float
+    start: float  # first time of the mesh in seconds, and its frames per second
+    fps: float  # first time of the mesh in seconds, and its frames per second
+    last: float  # time of the scene's last frame since the first one, and frames of the scene per second
+    rate: float  # time of the scene's last frame since the first one, and frames of the scene per second
 
     @classmethod
     def of(cls, scene: Scene, index: int) -> TimeBase:

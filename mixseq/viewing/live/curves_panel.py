@@ -18,21 +18,7 @@ from mixseq.viewing.template import script_json
 
 
 class Charts:
-    """The time curve, coefficients, and keys of a retiming.
-
-    Parameters
-    ----------
-    server : viser.ViserServer
-        Where they are added.
-    session : Session
-        What is edited.
-    playback : Playback
-        What is shown.
-    reach : float
-        Seconds to both sides over which the curve follows the mouse.
-    seconds : float
-        Duration of what is drawn.
-    """
+    """The time curve, coefficients, and keys of a retiming."""
 
     def __init__(
         self, server: Any, session: Session, playback: Playback, reach: float, seconds: float

@@ -183,19 +183,7 @@ def _parts(model: Model) -> tuple[str, ...]:
 
 
 class Editor:
-    """All controls that edit.
-
-    Parameters
-    ----------
-    server : viser.ViserServer
-        Where they are added.
-    session : Session
-        What is edited; it has a model.
-    playback : Playback
-        What is shown.
-    folder : Path
-        Where edited motions are saved.
-    """
+    """All controls that edit."""
 
     def __init__(self, server: Any, session: Session, playback: Playback, folder: Path) -> None:
         self._session = session

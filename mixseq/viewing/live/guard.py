@@ -48,13 +48,7 @@ HEADERS = {
 
 
 class Guard:
-    """Stands before one server of viser.
-
-    Parameters
-    ----------
-    access : Access
-        Who may connect; learns the port.
-    """
+    """Stands before one server of viser."""
 
     def __init__(self, access: Access) -> None:
         self.access = access
@@ -73,13 +67,7 @@ class Guard:
 
     @contextmanager
     def posted(self) -> Iterator[None]:
-        """Guard the server that is started meanwhile.
-
-        Raises
-        ------
-        RuntimeError
-            If none was: another viser may start its server in another way, and there is none without a guard.
-        """
+        """Guard the server that is started meanwhile."""
         usual, started = sockets.serve, []
 
         def serve(handler: Any, host: str, port: int, **settings: Any) -> Any:

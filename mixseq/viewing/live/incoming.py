@@ -74,26 +74,7 @@ _ENCODER = msgspec.msgpack.Encoder()
 
 
 def checked_message(raw: bytes | str, controls: Mapping[str, Any]) -> bytes | None:
-    """Return a message as viser shall read it.
-
-    Parameters
-    ----------
-    raw : bytes or str
-        What a page sent.
-    controls : mapping
-        viser's controls by their names.
-
-    Returns
-    -------
-    bytes or None
-        The message, written anew, so that there is nothing in it that was not checked. None for a number out of the
-        control's range, which may be a half-typed one.
-
-    Raises
-    ------
-    ValueError
-        If it is none that a page sends; tells what is wrong with it.
-    """
+    """Return a message as viser shall read it."""
     if isinstance(raw, str):
         raise ValueError("text, where bytes are expected")
     try:
@@ -139,15 +120,7 @@ def _in_range(value: Any, props: Any) -> bool:
 
 @dataclass
 class Rate:
-    """Allows so many things a second, and some more at once.
-
-    Parameters
-    ----------
-    persecond : float
-        How many in the long run.
-    atonce : float
-        How many at once, after a rest.
-    """
+    """Allows so many things a second, and some more at once."""
 
     persecond: float
     atonce: float

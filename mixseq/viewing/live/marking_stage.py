@@ -48,24 +48,12 @@ def colour(number: int) -> tuple[int, int, int]:
 
 @dataclass(frozen=True)
 class Ball:
-    """A ball on one of the meshes.
+    """A ball on one of the meshes."""
 
-    Attributes
-    ----------
-    vertex : int
-        Where it is.
-    text : str
-        What stands beside it; may be empty.
-    colour : (int, int, int)
-        Its colour.
-    scale : float
-        How many times the usual radius it has.
-    """
-
-    vertex: int
-    text: str
-    colour: tuple[int, int, int]
-    scale: float
+    vertex: int  # where it is
+    text: str  # what stands beside it; may be empty
+    colour: tuple[int, int, int]  # its colour
+    scale: float  # how many times the usual radius it has
 
 
 def balls(marking: Marking, proposals: Sequence[Pair], suspects: frozenset[int], side: int) -> Iterator[Ball]:
@@ -82,17 +70,7 @@ def balls(marking: Marking, proposals: Sequence[Pair], suspects: frozenset[int],
 
 
 class MarkingStage:
-    """Balls and numbers in the scene of a server.
-
-    Parameters
-    ----------
-    server : viser.ViserServer
-        The server.
-    topologies : (Topology, Topology)
-        Those of the two meshes.
-    clicked : callable
-        Told the side and the number of a ball that is clicked.
-    """
+    """Balls and numbers in the scene of a server."""
 
     def __init__(
         self, server: Any, topologies: tuple[Topology, Topology], clicked: Callable[[int, int], None]

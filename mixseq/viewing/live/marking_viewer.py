@@ -43,25 +43,13 @@ SaveMarkers = Callable[[Markers], str]
 
 @dataclass(frozen=True, eq=False)
 class MarkedMeshes:
-    """What markers are set on.
+    """What markers are set on."""
 
-    Attributes
-    ----------
-    source, target : MeshSequence
-        The meshes at rest, in their first frames.
-    names : (str, str)
-        What they are called.
-    markers : Markers
-        Those that are set at first.
-    file : str
-        What the file is called that they are saved to.
-    """
-
-    source: MeshSequence
-    target: MeshSequence
-    names: tuple[str, str]
-    markers: Markers
-    file: str
+    source: MeshSequence  # the meshes at rest, in their first frames
+    target: MeshSequence  # the meshes at rest, in their first frames
+    names: tuple[str, str]  # what they are called
+    markers: Markers  # those that are set at first
+    file: str  # what the file is called that they are saved to
 
     @property
     def scene(self) -> Scene:
@@ -76,15 +64,7 @@ class MarkedMeshes:
 
 
 class MarkingViewer:
-    """A running viewer for markers; make it with `marking_viewer`.
-
-    Attributes
-    ----------
-    address : str
-        Where it is, for a browser, with the token that lets it in.
-    session : MarkingSession
-        What is set.
-    """
+    """A running viewer for markers; make it with `marking_viewer`."""
 
     def __init__(
         self,
@@ -215,24 +195,7 @@ class MarkingViewer:
 def marking_viewer(
     meshes: MarkedMeshes, settings: ViewSettings, save: SaveMarkers
 ) -> Iterator[MarkingViewer]:
-    """Run a viewer in which markers are set in the background, as long as the context lasts.
-
-    Parameters
-    ----------
-    meshes : MarkedMeshes
-        What they are set on.
-    settings : ViewSettings
-        How; of its address, camera and material.
-    save : callable
-        Writes markers to their file.
-
-    Raises
-    ------
-    MissingExtraError
-        If viser is not installed.
-    SettingsError
-        If it cannot listen at the address.
-    """
+    """Run a viewer in which markers are set in the background, as long as the context lasts."""
     with ExitStack() as stack:
         server, address = stack.enter_context(served(settings.host, settings.port))
         yield MarkingViewer(server, address, meshes, settings, save, stack)

@@ -13,13 +13,7 @@ from mixseq.errors import MissingExtraError, SettingsError
 
 
 def check_viser() -> None:
-    """Refuse to go on without viser.
-
-    Raises
-    ------
-    MissingExtraError
-        If it is not installed.
-    """
+    """Refuse to go on without viser."""
     try:
         import viser  # noqa: F401
     except ImportError:
@@ -30,15 +24,7 @@ def check_viser() -> None:
 
 @contextmanager
 def served(host: str, wanted: int | None) -> Iterator[tuple[Any, str]]:
-    """Run a server as long as the context lasts; yields it, and its address with the token that lets one in.
-
-    Raises
-    ------
-    MissingExtraError
-        If viser is not installed.
-    SettingsError
-        If it cannot listen at the address.
-    """
+    """Run a server as long as the context lasts; yields it, and its address with the token that lets one in."""
     check_viser()
     import viser
 
@@ -65,13 +51,7 @@ FIRST_PORT, PORTS = 8080, 100
 
 
 def free_port(host: str, wanted: int | None) -> int:
-    """Return a port at which one may listen: the one that is wanted, or else the first that is free.
-
-    Raises
-    ------
-    SettingsError
-        If there is none; viser would go on to look for others, for minutes and whatever the reason is.
-    """
+    """Return a port at which one may listen: the one that is wanted, or else the first that is free."""
     for port in [wanted] if wanted is not None else range(FIRST_PORT, FIRST_PORT + PORTS):
         try:
             with socket.create_server((host, port), family=_family(host)):

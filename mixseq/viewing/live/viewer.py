@@ -59,17 +59,7 @@ class ViewSettings:
 
 
 class Viewer:
-    """A running viewer; make it with `viewer`.
-
-    Attributes
-    ----------
-    address : str
-        Where it is, for a browser, with the token that lets it in.
-    playback : Playback
-        What is shown, and when.
-    session : Session
-        What is edited.
-    """
+    """A running viewer; make it with `viewer`."""
 
     def __init__(
         self,
@@ -178,24 +168,7 @@ class Viewer:
 
 @contextmanager
 def viewer(colours: SceneColours, settings: ViewSettings, save: Save) -> Iterator[Viewer]:
-    """Run a viewer in the background, as long as the context lasts.
-
-    Parameters
-    ----------
-    colours : SceneColours
-        The scene, and its colours.
-    settings : ViewSettings
-        How.
-    save : Save
-        Writes edited models to files.
-
-    Raises
-    ------
-    MissingExtraError
-        If viser is not installed.
-    SettingsError
-        If it cannot listen at the address.
-    """
+    """Run a viewer in the background, as long as the context lasts."""
     with ExitStack() as stack:
         server, address = stack.enter_context(served(settings.host, settings.port))
         running = Viewer(server, address, colours, settings, save, stack)
