@@ -12,9 +12,9 @@ import click
 import mixseq
 from mixseq.choices import POSE_FORMS, STILLS, PoseForm, StillName
 from mixseq.cli.compressed import aim_options, coding_facts, coding_rows, compressed
-from mixseq.cli.console import announce, format_bytes, print_table, progress_bar
+from mixseq.cli.console import announce, print_table, progress_bar
 from mixseq.cli.files import GLB, Decoded, check_model_name, is_model
-from mixseq.cli.info import dimension_rows
+from mixseq.cli.info import bytes_of_frames, dimension_rows, size_row
 from mixseq.cli.labelled import parts_given
 from mixseq.cli.options import (
     FILE,
@@ -156,4 +156,4 @@ def _rows(model: Model | CompressedSequence, path: Path) -> dict[str, str]:
 
     if isinstance(model, CompressedSequence):
         return dict(coding_rows(coding_facts(path, model)))
-    return dict([*dimension_rows(model), ("size", format_bytes(path.stat().st_size))])
+    return dict([*dimension_rows(model), size_row(path.stat().st_size, bytes_of_frames(model.header))])

@@ -44,6 +44,7 @@ def command(path: Path, as_json: bool, reading: dict[str, Any], quiet: bool) -> 
     if is_model(path):
         model = mixseq.load(path)
         facts |= {"kind": "model", **_mesh(model.header, model.space.scale), **_dimensions(model)}
+        facts["bytes"]["frames"] = bytes_of_frames(model.header)
         facts |= _coding(path)
     else:
         with mixseq.open_sequence(path, **reading) as reader:
@@ -59,7 +60,7 @@ def command(path: Path, as_json: bool, reading: dict[str, Any], quiet: bool) -> 
 
 def dimension_rows(model: Model) -> Rows:
     """Rows of a table about the shape space of a model."""
-    return _dimension_rows(_dimensions(model))
+    return _dimension_rows(_dimensions(model), len(model.header.faces))
 
 
 def _mesh(header: SequenceHeader, diagonal: float) -> dict[str, Any]:
@@ -115,27 +116,38 @@ def _coding(path: Path) -> dict[str, Any]:
     return coding_facts(path, read_compressed(path)) if is_compressed(path) else {}
 
 
+def bytes_of_frames(header: SequenceHeader) -> int:
+    """Return how many bytes the frames take in single precision."""
+    return 12 * header.frame_count * header.vertex_count
+
+
+def size_row(total: int, frames: int) -> tuple[str, str]:
+    """Row of a table about the bytes of a model, beside those of its frames."""
+    return "size", f"{format_bytes(total)}, {total / frames:.2f} times the frames in single precision"
+
+
 def _dimensions(model: Model) -> dict[str, Any]:
-    """Count the signals; of S_m also its dimension, and that of S_e: a length and an angle per edge, and a pose."""
+    """Count the signals; in the mixed space also parts and joints, and lengths and angles of all edges and a pose."""
     signals = {
         "space": model.space.name,
+        "dim": model.space.dim,
         "key_shapes": len(model.shapes),
         "time_knots": len(model.time.times),
         "placement_knots": len(model.placement.times),
-        "dim": model.space.dim,
     }
     if model.space.decomposed is None:
         return signals
-    decomposition = model.decomposition
-    edges = 2 * len(model.mixed.topology.edges) + 6
+    space = model.mixed
+    edges = 2 * len(space.topology.edges) + 6
     return signals | {
-        "placement": model.mixed.placement,
-        "part_vertices": [len(part) for part in decomposition.parts],
-        "joint_free_vertices": [int(joint.free.sum()) for joint in decomposition.joints],
-        "dim_mixed": model.space.dim,
-        "dim_mixed_paper": decomposition.paper_dimension,
+        "correction_knots": len(model.correction.times),
+        "placement": space.placement,
         "dim_edges": edges,
-        "edges_per_mixed": edges / model.space.dim,
+        "edges_per_dim": edges / space.dim,
+        "part_vertices": [len(part) for part in space.decomposition.parts],
+        "bodies": space.articulation.body_count,
+        "joint_faces": int(space.joint_faces.sum()),
+        "share": space.projection.share,
     }
 
 
@@ -155,9 +167,11 @@ def _rows(facts: dict[str, Any]) -> Rows:
         *_surface_rows(facts["surface"]),
     ]
     if facts["kind"] == "model":
-        rows += _dimension_rows(facts)
+        rows += _dimension_rows(facts, facts["triangles"])
     if "coding" in facts:
         rows += coding_rows(facts)
+    elif facts["kind"] == "model":
+        rows.append(size_row(**facts["bytes"]))
     elif facts["bytes"]["total"] is not None:
         rows.append(("size", format_bytes(facts["bytes"]["total"])))
     return rows
@@ -204,25 +218,22 @@ def _surface_rows(surface: dict[str, Any]) -> Rows:
     return rows
 
 
-def _dimension_rows(facts: dict[str, Any]) -> Rows:
-    signals = [
-        ("space", f"{facts['space']}, dim {facts['dim']:,}"),
-        ("key shapes", f"{facts['key_shapes']:,}"),
-        (
-            "knots",
-            f"{facts['time_knots']:,} of the time signal, {facts['placement_knots']:,} of the placement",
-        ),
-    ]
+def _dimension_rows(facts: dict[str, Any], triangles: int) -> Rows:
+    knots = f"{facts['time_knots']:,} of the time signal, {facts['placement_knots']:,} of the placement"
+    vector, shapes = f"{facts['dim']:,} numbers", ("key shapes", f"{facts['key_shapes']:,}")
     if facts["space"] != "mixed":
-        return signals
-    parts, joints = facts["part_vertices"], facts["joint_free_vertices"]
+        return [("space", facts["space"]), ("vector", vector), shapes, ("knots", knots)]
+    shorter, parts, joints = facts["edges_per_dim"], facts["part_vertices"], facts["joint_faces"]
+    ratio = f"{shorter:.2f} times shorter" if shorter >= 1 else f"{1 / shorter:.2f} times longer"
     return [
-        *signals,
-        ("placement", facts["placement"]),
+        ("space", f"mixed, {facts['placement']} placement"),
+        ("vector", f"{vector}, {ratio} than all lengths and angles"),
+        shapes,
+        ("knots", f"{knots}, {facts['correction_knots']:,} of corrections"),
         ("parts", f"{len(parts)} with {_list(parts)} vertices"),
-        ("joints", f"{len(joints)} with {_list(joints)} free vertices" if joints else "none"),
-        ("dim S_m", f"{facts['dim_mixed']:,} ({facts['dim_mixed_paper']:,} as the paper counts)"),
-        ("dim S_e", f"{facts['dim_edges']:,}, {facts['edges_per_mixed']:.2f} times S_m"),
+        ("bodies", f"{facts['bodies']}"),
+        ("joints", f"{joints:,} faces, {100 * joints / max(triangles, 1):.1f} % of all"),
+        ("share", f"{facts['share']:g}"),
     ]
 
 

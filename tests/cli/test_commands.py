@@ -85,11 +85,21 @@ def test_info_of_a_model(run: Run) -> None:
     table = rows(succeed(run("info", "model.h5")))
     assert table["model"].strip() == "bar"
     assert table["parts"].strip() == "2 with 31, 31 vertices"
+    assert table["bodies"].strip() == "1"
     facts = json.loads(succeed(run("info", "model.h5", "--json")))
     assert facts["kind"] == "model"
     assert facts["placement"] == "anchored"
-    assert len(facts["part_vertices"]) == 2
-    assert facts["edges_per_mixed"] == pytest.approx(facts["dim_edges"] / facts["dim_mixed"])
+    assert (facts["part_vertices"], facts["bodies"]) == ([31, 31], 1)
+    assert (facts["time_knots"], facts["placement_knots"], facts["correction_knots"]) == (7, 13, 13)
+    model = mixseq.load("model.h5").mixed
+    assert (facts["dim"], facts["dim_edges"]) == (model.dim, 2 * 225 + 6)
+    assert facts["edges_per_dim"] == facts["dim_edges"] / facts["dim"]
+    assert (facts["joint_faces"], facts["share"]) == (model.joint_faces.sum(), model.projection.share)
+    assert facts["bytes"] == {"total": Path("model.h5").stat().st_size, "frames": 4 * 77 * 12}
+    shorter = f"{facts['edges_per_dim']:.2f} times shorter than all lengths and angles"
+    assert table["vector"].strip() == f"{facts['dim']} numbers, {shorter}"
+    assert table["knots"].strip() == "7 of the time signal, 13 of the placement, 13 of corrections"
+    assert table["size"].strip().endswith(" times the frames in single precision")
     assert (
         succeed(run("info", "model.hdf5", "--json")).splitlines()[2:]
         == (succeed(run("info", "model.h5", "--json")).splitlines()[2:])
@@ -203,7 +213,7 @@ def test_frames_at_another_rate(run: Run, folder: Path) -> None:
 def test_encode(run: Run, bent_bar: MeshSequence) -> None:
     text = succeed(run("encode", "bar.npz", "new.h5", "--check"))
     table = rows(text)
-    assert table["placement"].strip() == "anchored"
+    assert table["space"].strip() == "mixed, anchored placement"
     assert float(table["max error"].split()[0]) <= 5e-4  # the promise, lossless to the eye
     assert "KG error" in table
     assert text.splitlines()[-1].startswith("wrote new.h5 (")
@@ -213,7 +223,7 @@ def test_encode(run: Run, bent_bar: MeshSequence) -> None:
 def test_encode_with_settings(run: Run) -> None:
     arguments = ("--parts", "3", "--placement", "free", "--joint-width", "1")
     table = rows(succeed(run("encode", "bar.usdc", "old.h5", *arguments)))
-    assert table["placement"].strip() == "free"
+    assert table["space"].strip() == "mixed, free placement"
     assert table["parts"].strip().startswith("3 with ")
     assert "max error" not in table
     model = mixseq.load("old.h5")

@@ -229,7 +229,7 @@ def test_info(run: Run, small: Path) -> None:
 
 def test_info_of_what_is_not_compressed_says_nothing_of_it(run: Run) -> None:
     facts = json.loads(succeed(run("info", "model.h5", "--json")))
-    assert facts["bytes"] == {"total": Path("model.h5").stat().st_size}
+    assert set(facts["bytes"]) == {"total", "frames"}
     assert "coding" not in facts
 
 
