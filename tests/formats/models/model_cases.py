@@ -131,7 +131,7 @@ ATTRIBUTES = {
 def jointed(sequence: MeshSequence, detail: Detail) -> Model:
     """Make a model of two parts where lengths and angles move the vertices of joints half of the way."""
     space = mixseq.fit(sequence, parts=2).mixed
-    joints = (space.only_part[space.topology.faces] < 0).all(axis=1)
+    joints = np.asarray((space.only_part[space.topology.faces] < 0).all(axis=1))
     space = replace_fields(space, joint_faces=joints, projection=Projection(share=0.5))
     return build(encode(sequence, space), detail)
 
