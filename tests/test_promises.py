@@ -37,7 +37,8 @@ def test_promises_are_kept_or_refused(name: str, expected: dict[str, str], reaso
 @pytest.mark.slow
 def test_broken_promises_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     points, faces = SEQUENCES["two frames"]()
-    still, verify = mixseq.fit(mixseq.MeshSequence.from_arrays(points[[0, 0]], faces)), mixseq.verify
+    still = mixseq.fit(mixseq.MeshSequence.from_arrays(points[[0, 0]], faces), exact=True)
+    verify = mixseq.verify
 
     def liar(*given: Any) -> Any:
         return verify(given[0])  # which holds, as there is no original

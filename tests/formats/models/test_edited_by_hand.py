@@ -122,7 +122,7 @@ def test_an_edited_rotation_turns_the_body_there(copy: Path, model: Model) -> No
     np.testing.assert_allclose(mixseq.load(copy)(time), expected, atol=1e-9)
 
 
-def kept_by(model: Model, part: int) -> NDArray[np.int64]:
+def kept_by(model: Model, part: int) -> NDArray[np.integer]:
     """Return vertices that follow one part, and are no neighbours of joints."""
     space, faces = model.mixed, model.mixed.topology.faces
     near = np.isin(faces, faces[space.joint_faces]).any(axis=1)
