@@ -165,7 +165,9 @@ def build(encoded: Encoded, detail: Detail) -> Model:
         frames = choose_keys(modes.scores)
         pose = key_map(modes.scores[frames])
         shapes = encoded.shapes[frames]
-    shapes = _rounded(shapes, detail.step * encoded.space.coarseness)
+    if detail.step:  # weights add up to one: so errors of the first key shape are not magnified
+        steps = detail.step * encoded.space.coarseness
+        shapes = _rounded(shapes[:1], steps) + _rounded(shapes - shapes[:1], steps)
     signals = Signals(encoded, pose, shapes[:, encoded.pose_columns])
     if detail.knots is not None:
         curves = signals.with_knots(modes.scores, _inner_knots(detail.knots, times))
@@ -211,12 +213,12 @@ class Signals:
 
 def _curve(times: Float, values: Float, slack: float, measure: Measure, step: float) -> Curve:
     curve = fit_curve(times, values, slack, measure) if slack > 0 else Curve(times, values)
-    return Curve(curve.times, _rounded(curve.values, step))
+    return Curve(curve.times, _rounded(curve.values, step)) if step else curve
 
 
 def _rounded(values: Float, step: float | Float) -> Float:
-    """Round to multiples of a step, or of one for every column; zero not to."""
-    return np.asarray(np.round(values / step) * step) if np.all(step) else values
+    """Round to multiples of a step, or of one for every column."""
+    return np.asarray(np.round(values / step) * step)
 
 
 def _rank(encoded: Encoded, detail: Detail) -> int:
