@@ -31,6 +31,9 @@ from mixseq.spaces.base import ShapeSpace
 SAMPLED = 256
 """So many vertices tell which operator in time predicts a sequence best."""
 
+SMALLEST_SCORE = 1e-200
+"""Scores are rounded as if their largest was this at least."""
+
 CORRECTION_STEP = 2.0**-24
 """Step to which corrections are rounded where they are zero at the frames, in diagonals and radians."""
 
@@ -198,7 +201,9 @@ class Signals:
         """Return curves of time, placement and correction that stay within slack of frames and predictions, rounded."""
         encoded = self.encoded
         sites, rows, quarters, targets, placed = encoded.between
-        time = _curve(sites, rows.of(scores), slack, encoded.shape_measure, step)
+        # Scores of modes that hardly count are small, but lengths and angles, which weigh little, change with them.
+        sizes = 2.0 ** np.floor(np.log2(np.maximum(np.abs(scores).max(axis=0), SMALLEST_SCORE)))
+        time = _curve(sites, rows.of(scores), slack, encoded.shape_measure, step * sizes)
         placement = _curve(quarters, placed, slack, encoded.placement_measure, step)
         corrections = self._corrections(time, quarters, targets)
         if step and not slack:
@@ -211,9 +216,9 @@ class Signals:
         return self.encoded.space.corrections(blended, targets)
 
 
-def _curve(times: Float, values: Float, slack: float, measure: Measure, step: float) -> Curve:
+def _curve(times: Float, values: Float, slack: float, measure: Measure, step: float | Float) -> Curve:
     curve = fit_curve(times, values, slack, measure) if slack > 0 else Curve(times, values)
-    return Curve(curve.times, _rounded(curve.values, step)) if step else curve
+    return Curve(curve.times, _rounded(curve.values, step)) if np.any(step) else curve
 
 
 def _rounded(values: Float, step: float | Float) -> Float:
