@@ -60,6 +60,8 @@ def key_poses(model: Model) -> MeshSequence:
 def with_shapes(model: Model, keys: Frames | Model) -> Model:
     """Return the motion of a model on another body: same time and pose, other shapes.
 
+    The residual layer is left out, and so is the correction: they are of the first body.
+
     Parameters
     ----------
     model : Model
@@ -71,7 +73,7 @@ def with_shapes(model: Model, keys: Frames | Model) -> Model:
     Returns
     -------
     Model
-        In a space of the other mesh, with the times of the model. It has no correction: that is of the first body.
+        In a space of the other mesh, with the times of the model.
 
     Raises
     ------

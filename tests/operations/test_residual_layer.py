@@ -48,6 +48,11 @@ def moved(model: Model, time: float) -> Float:
     return points
 
 
+def swapped(model: Model, key: int) -> Model:
+    """The model with a vertex of a key moved, where the key is a frame."""
+    return operations.swap_key(model, key, moved(model, model.times[model.key_frames[key]]))
+
+
 EDITS: dict[str, Callable[[Model], Model]] = {
     "cut": lambda model: operations.cut(model, 0.1, 0.5),
     "repeat": lambda model: operations.repeat(model, 0.2, 0.6),
@@ -67,7 +72,8 @@ EDITS: dict[str, Callable[[Model], Model]] = {
     "smooth": lambda model: operations.smooth(model, 0.1),
     "sculpt": lambda model: operations.sculpt(model, 0.3, moved(model, 0.3)),
     "drag": lambda model: operations.drag(model, 0.3, model.embedding([0.3])[0] + 0.01),
-    "swap_key": lambda model: operations.swap_key(model, 0, moved(model, model.times[model.key_frames[0]])),
+    "swap_key": lambda model: swapped(model, int(model.key_frames.argmax())),
+    "with_shapes": lambda model: operations.with_shapes(model, operations.key_poses(model)),
     "sketch": lambda model: operations.sketch(model, model.embedding(model.times[:4]), 0.5),
 }
 
@@ -79,7 +85,7 @@ def documented() -> dict[str, str]:
 
 
 def test_the_table_has_all_operations() -> None:
-    assert documented().keys() == EDITS.keys() == OPERATIONS.keys() | {"into"}
+    assert documented().keys() == EDITS.keys() == OPERATIONS.keys() | {"into", "with_shapes"}
 
 
 @pytest.mark.parametrize("name", EDITS)
