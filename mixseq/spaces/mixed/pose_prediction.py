@@ -116,17 +116,18 @@ class PosePrediction:
 
     @cached_property
     def _precisions(self) -> tuple[Float | None, Float | None]:
-        """Precisions ``(p, 4, 4)`` of parts as seen from their bodies, predicted in the world and in the body.
+        """Precisions ``(p, 4, 4)`` of predictions in the world and in the body; None where one is not used.
 
-        None where a prediction is not used.
+        Those in the world are measured there, where a foot that stands is exact. Precisions do not depend on the axes.
         """
-        (left, rows), own, radii = self._left_out, _stacked(self._bodies[1]), self.articulation.radii
-        in_world = _stacked(self._seen_in_world(rows)[1]) - own[left]
+        (left, rows), seen, radii = self._left_out, _stacked(self._bodies[1]), self.articulation.radii
+        world = _precision(_stacked(predicted_alone(rows, self.poses)) - _stacked(self.poses)[left], radii)
         if not self.in_body:
-            return _precision(in_world, radii), None
-        in_body = _stacked(predicted_alone(rows, self._bodies[1])) - own[left]
+            return world, None
+        in_world = _stacked(self._seen_in_world(rows)[1]) - seen[left]
+        in_body = _stacked(predicted_alone(rows, self._bodies[1])) - seen[left]
         useless = np.linalg.norm(in_world) > USELESS * np.linalg.norm(in_body)
-        return None if useless else _precision(in_world, radii), _precision(in_body, radii)
+        return None if useless else world, _precision(in_body, radii)
 
     @cached_property
     def _related(self) -> Poses:

@@ -49,7 +49,7 @@ def at(space: MixedSpace, vectors: Float, operator: Operator, times: Float) -> F
     """Vectors at times, as an exact model has them."""
     size, end = space.shape_dim, space.shape_dim + space.placement_dim
     poses = vectors[:, size - space.pose_dim : size]
-    targets, placed = space.predicted_poses(operator, poses, vectors[:, size:end], times, True)
+    targets, placed = space.predicted_poses(operator, poses, vectors[:, size:end], times, False)
     shapes = operator.at(times).of(vectors[:, :size])
     corrections = space.corrections(shapes[:, size - space.pose_dim :], targets)
     return np.concatenate([shapes, placed, corrections], axis=1)
@@ -459,9 +459,9 @@ def test_half_way_a_joint_bends_by_half() -> None:
     middle = space.decode(at(space, space.encode(points), operator, np.array([1.5])))[0]
     expected = bent(mesh[0], np.radians(45))
     splined = operator.at(np.array([1.5])).of(points)[0]
-    assert np.abs(middle - expected).max() < 0.45 * np.abs(splined - expected).max()
+    assert np.abs(middle - expected).max() < 0.25 * np.abs(splined - expected).max()
     rigid = np.abs(mesh[0][:, 2] - 2) > 1
-    assert np.abs(middle - expected)[rigid].max() < 0.45 * np.abs(splined - expected)[rigid].max()
+    assert np.abs(middle - expected)[rigid].max() < 0.1 * np.abs(splined - expected)[rigid].max()
 
 
 def test_between_frames_a_body_turns_as_evenly_as_at_them() -> None:
@@ -492,8 +492,8 @@ def test_nothing_jumps_when_parts_far_apart_turn_past_half_a_turn(links: int, de
     truth, _ = chain(np.interp(times, frames, bends), links)
     splined = Operator(frames).at(times).of(points)
     steps, true_steps = (np.linalg.norm(np.diff(x, axis=0), axis=2).max() for x in (decoded, truth))
-    assert steps < 1.1 * true_steps
-    assert np.abs(decoded - truth).max() < 0.9 * np.abs(splined - truth).max()
+    assert steps < 1.05 * true_steps
+    assert np.abs(decoded - truth).max() < 0.5 * np.abs(splined - truth).max()
 
 
 def test_signs_go_on_when_a_body_turns_twice() -> None:
