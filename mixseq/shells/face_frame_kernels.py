@@ -14,7 +14,7 @@ from mixseq.compiled import compiled, inlined
 
 
 @inlined
-def _product(p: Float, q: Float, r: Float) -> None:
+def product(p: Float, q: Float, r: Float) -> None:
     """Write the product ``p q`` to r, which is neither of them."""
     r[0] = p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3]
     r[1] = p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2]
@@ -23,7 +23,7 @@ def _product(p: Float, q: Float, r: Float) -> None:
 
 
 @inlined
-def _product_with_inverse(p: Float, q: Float, r: Float) -> None:
+def product_with_inverse(p: Float, q: Float, r: Float) -> None:
     """Write the product ``p conj(q)`` to r, which is neither of them."""
     r[0] = p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3]
     r[1] = -p[0] * q[1] + p[1] * q[0] - p[2] * q[3] + p[3] * q[2]
@@ -130,10 +130,10 @@ def chained(
         for place in range(starts[k], starts[k + 1]):
             pair = links[place]
             if pair >= 0:
-                _product(frames[pairs[pair, 0]], turns[pair], seen)
+                product(frames[pairs[pair, 0]], turns[pair], seen)
             else:
                 pair = -1 - pair
-                _product_with_inverse(frames[pairs[pair, 1]], turns[pair], seen)
+                product_with_inverse(frames[pairs[pair, 1]], turns[pair], seen)
             cosine = total[0] * seen[0] + total[1] * seen[1] + total[2] * seen[2] + total[3] * seen[3]
             square = total[0] ** 2 + total[1] ** 2 + total[2] ** 2 + total[3] ** 2
             # Both signs of a quaternion say the same; what is half a turn off the others says nothing.
@@ -155,8 +155,8 @@ def misfits(frames: Float, pairs: Index, turns: Float, weights: Float, right: Fl
     expected, off = np.empty(4), np.empty(4)
     for k in range(len(pairs)):
         i, j = pairs[k]
-        _product(frames[i], turns[k], expected)
-        _product_with_inverse(expected, frames[j], off)
+        product(frames[i], turns[k], expected)
+        product_with_inverse(expected, frames[j], off)
         scale = 2.0 * weights[k] * off[0]
         for c in range(3):
             right[j, c] += scale * off[1 + c]
@@ -173,7 +173,7 @@ def turned_on(frames: Float, steps: Float) -> None:
         turn[0] = math.cos(0.5 * angle)
         for c in range(3):
             turn[1 + c] = scale * steps[v, c]
-        _product(turn, frames[v], result)
+        product(turn, frames[v], result)
         frames[v] = result / math.sqrt(result[0] ** 2 + result[1] ** 2 + result[2] ** 2 + result[3] ** 2)
 
 

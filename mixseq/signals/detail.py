@@ -28,18 +28,18 @@ from mixseq.signals.modes import Modes, principal_modes
 from mixseq.signals.pose import PoseMap
 from mixseq.spaces.base import ShapeSpace
 
-SAMPLED = 256
-"""So many vertices tell which operator in time predicts a sequence best."""
+OPERATOR_SAMPLES = 256
+"""Number of vertices from which the temporal operator is chosen."""
 
 SMALLEST_SCORE = 1e-200
-"""Scores are rounded as if their largest was this at least."""
+"""Least size of scores of a mode, in diagonals, when they are rounded."""
 
 CORRECTION_STEP = 2.0**-24
-"""Step to which corrections are rounded where they are zero at the frames, in diagonals and radians."""
+"""Rounding step of corrections of exact models, which are zero at the frames, in diagonals and radians."""
 
 
 class Between(NamedTuple):
-    """Frames and times between them, as predicted: cubic splines through all go as the prediction goes."""
+    """Predictions at frames and between them, through which cubic splines go."""
 
     times: Float  # (2T - 1,) frames and the middles between them, in seconds
     rows: Rows  # weights of the frames there
@@ -121,7 +121,7 @@ def encode(
     placed = slice(size, size + space.placement_dim)
     shapes = new_large_array((count, size))
     placement = np.empty((count, space.placement_dim))
-    some = evenly(sequence.header.vertex_count, SAMPLED)
+    some = evenly(sequence.header.vertex_count, OPERATOR_SAMPLES)
     samples = np.empty((count, 3 * len(some)))
     previous, done = None, 0
     for apart, sampled in workers(_encoded, (space, some), blocks_of(sequence.points)):
@@ -244,14 +244,14 @@ def _inner_knots(knots: int | ArrayLike, times: Float) -> Float:
     most = max(len(times) - 4, 0)
     if isinstance(knots, int | np.integer):
         if not 0 <= knots <= most:
-            raise SettingsError(f"knots is {knots}; {len(times)} frames can tell of 0 to {most} inner knots")
+            raise SettingsError(f"knots is {knots}; {len(times)} frames can have 0 to {most} inner knots")
         if knots == most:
             return times[2:-2]
         places = np.linspace(0, len(times) - 1, int(knots) + 2)[1:-1]
         return np.interp(places, np.arange(len(times)), times)
     inner = np.unique(np.asarray(knots, dtype=np.float64).reshape(-1))
     if len(inner) > most:
-        raise SettingsError(f"there are {len(inner)} inner knots; {len(times)} frames can tell of {most}")
+        raise SettingsError(f"there are {len(inner)} inner knots; {len(times)} frames can have {most}")
     if inner.size and not (inner[0] > times[0] and inner[-1] < times[-1]):
         raise SettingsError(
             f"inner knots are from {inner[0]:g} to {inner[-1]:g} s; "
@@ -263,5 +263,5 @@ def _inner_knots(knots: int | ArrayLike, times: Float) -> Float:
     ):  # Schoenberg and Whitney: every basis function needs a frame of its own
         if not ((times > ends[number]) & (times < ends[number + 4])).any() and 0 < number < len(inner) + 3:
             where = ends[number + 2]
-            raise SettingsError(f"there are no frames to tell of the knots near {where:g} s; leave some out")
+            raise SettingsError(f"there are no frames between the knots near {where:g} s; leave some out")
     return inner

@@ -72,7 +72,7 @@ def fit(
     more than 0.0005 of the diagonal, half a pixel where the mesh fills a picture of 1000 pixels.
 
     Between frames that are far apart, as poses of a set are, lengths and angles are made to agree in the anchored
-    placement, unless `rank` or `knots` leave too few numbers to tell them: no face is torn half-way.
+    placement, so that no face is torn half-way; not if `rank` or `knots` are given.
 
     Parameters
     ----------
@@ -146,13 +146,13 @@ def fit(
     _check(exact, tolerance, rank, knots, pose)
     chosen = space_settings(space, placement=placement, parts=parts, joint_width=joint_width, **settings)
     wanted = LOSSLESS_TO_THE_EYE if tolerance is None else float(tolerance)
-    few = rank is not None or knots is not None  # numbers: they do not tell lengths and angles well enough
+    is_reduced = rank is not None or knots is not None
     match chosen:
-        case MixedSettings() if few:
-            chosen = replace(chosen, purpose="few numbers")
+        case MixedSettings() if is_reduced:
+            chosen = replace(chosen, purpose="reduced")
         case EdgeSettings(projection="dso", shell=None):
             chosen = replace(chosen, shell=ShellSettings(accuracy=wanted / _MARGIN))
-    rounds = 1 if exact else 0 if few else ROUNDS
+    rounds = 1 if exact else 0 if is_reduced else ROUNDS
     stages = Stages(progress, STAGES + rounds, sequence.header.frame_count)
     work = workers or on_threads()
     with one_blas_thread():

@@ -1,7 +1,6 @@
-"""Choose how frames between those of a sequence are made, by leaving frames out.
+"""Choose the prediction of poses, and the share of lengths and angles, by leaving frames out.
 
-Inner frames are made from the others, in each way, and held against what they are: positions, lengths of edges and
-angles of hinges.
+Inner frames are predicted from the others, in each way, and compared: positions, edge lengths and hinge angles.
 """
 
 from __future__ import annotations
@@ -22,20 +21,23 @@ from mixseq.signals.detail import Encoded
 from mixseq.spaces.mixed.mixed_space import MixedBlocks, MixedSpace
 from mixseq.spaces.mixed.pose_prediction import PosePrediction
 
-FRAMES = 16
-"""Frames that are left out, one by one, at most."""
+MAX_TRIAL_FRAMES = 16
+"""Largest number of frames that are left out, one by one."""
 
-VERTICES = 2_000_000
-"""Vertices of frames that are left out, at most: of large meshes there are fewer frames."""
+MAX_TRIAL_VERTICES = 2_000_000
+"""Largest number of vertices of all frames that are left out."""
 
-FEWEST_FRAMES = 3
-"""Frames that are left out of large meshes."""
+MIN_TRIAL_FRAMES = 3
+"""Number of frames that are left out, however large the mesh is."""
 
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Shares of lengths and angles to choose from."""
 
-ENOUGH = 0.8
-"""The smallest share with this part of the largest gain is taken."""
+SUFFICIENT_GAIN = 0.8
+"""Fraction of the largest gain that is enough: the smallest share with it is taken."""
+
+ERROR_FLOOR = 1e-12
+"""Errors below this, in diagonals or radians, are rounding."""
 
 
 def tuned(encoded: Encoded, frames: LargeArray) -> Encoded:
@@ -55,7 +57,7 @@ def tuned(encoded: Encoded, frames: LargeArray) -> Encoded:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """Frames that are left out, and what becomes of them."""
+    """Frames that are left out, and their predictions."""
 
     encoded: Encoded  # the sequence, and its space
     space: MixedSpace  # the sequence, and its space
@@ -67,7 +69,7 @@ class Trial:
     def of(cls, encoded: Encoded, space: MixedSpace, frames: LargeArray) -> Trial:
         """Leave some inner frames ``(T, V, 3)`` out."""
         left, rows = encoded.operator.left_out()
-        most = int(np.clip(VERTICES // space.vertex_count, FEWEST_FRAMES, FRAMES))
+        most = int(np.clip(MAX_TRIAL_VERTICES // space.vertex_count, MIN_TRIAL_FRAMES, MAX_TRIAL_FRAMES))
         some = evenly(len(left), most)
         points = (
             np.stack([frames[frame : frame + 1][0].astype(np.float64) for frame in left[some]]) / space.scale
@@ -79,13 +81,13 @@ class Trial:
     def better_in_body(self) -> bool:
         """Whether positions, lengths and angles are on the whole better if parts are predicted in bodies, too."""
         world, body = (self._errors(self.space.posed(self._vectors(way))) for way in (False, True))
-        return bool(np.log(np.maximum(body, TINY) / np.maximum(world, TINY)).sum() < 0.0)
+        return bool(np.log(np.maximum(body, ERROR_FLOOR) / np.maximum(world, ERROR_FLOOR)).sum() < 0.0)
 
     def best_share(self, in_body: bool) -> float:
         """Return the share of lengths and angles that makes the larger of their two errors smallest, nearly."""
         blocks = self.space.split(self._vectors(in_body))
         posed = self.space.posed(self.space.join(blocks))
-        plain = np.maximum(self._errors(posed)[1:], TINY)
+        plain = np.maximum(self._errors(posed)[1:], ERROR_FLOOR)
         scores = []
         for share in SHARES:
             rows = zip(posed, blocks.lengths, blocks.angles, strict=True)
@@ -93,7 +95,9 @@ class Trial:
             scores.append(float((self._errors(moved)[1:] / plain).max()))
         gain = 1.0 - min(scores)
         return next(
-            s for s, score in zip(SHARES, scores, strict=True) if 1.0 - score >= ENOUGH * gain - 1e-12
+            s
+            for s, score in zip(SHARES, scores, strict=True)
+            if 1.0 - score >= SUFFICIENT_GAIN * gain - 1e-12
         )
 
     @cached_property
@@ -133,7 +137,3 @@ class Trial:
                 float(np.square(wrap(angles - expected)).mean()) if len(angles) else 0.0,
             ]
         return np.sqrt(squares / len(points))
-
-
-TINY = 1e-12
-"""Errors below this are rounding."""

@@ -55,7 +55,7 @@ class MixedSettings:
         Largest width of joints, in strips of triangles on each side of a boundary.
     segmentation : {"motion", "silhouettes", "spanning-tree"} or settings of one of these
         How parts are found.
-    purpose : {"sequence", "few numbers", "blends"}
+    purpose : {"sequence", "reduced", "blends"}
         What the space is for, see `mixseq.spaces.mixed_space`.
     """
 

@@ -121,10 +121,10 @@ def test_knots_by_number_and_by_time() -> None:
     ("knots", "message"),
     [
         (-1, "knots is -1"),
-        (27, "30 frames can tell of 0 to 26"),
+        (27, "30 frames can have 0 to 26"),
         ([-1.0, 0.5], "must be between 0 and 2.9"),
-        (np.linspace(0.1, 2.8, 27), "30 frames can tell of 26"),
-        ([0.51, 0.52, 0.53, 0.54, 0.55, 0.56], "no frames to tell of the knots near"),
+        (np.linspace(0.1, 2.8, 27), "30 frames can have 26"),
+        ([0.51, 0.52, 0.53, 0.54, 0.55, 0.56], "no frames between the knots near"),
     ],
 )
 def test_knots_that_frames_cannot_tell_of_are_refused(knots: object, message: str) -> None:

@@ -15,7 +15,7 @@ from mixseq.errors import FormatError
 from mixseq.segmentation.joints import Decomposition, make_joint
 from mixseq.sequence import SequenceHeader
 from mixseq.spaces import MixedSpace, Projection
-from mixseq.spaces.mixed.articulation import STEADINESS, Steadiness
+from mixseq.spaces.mixed.articulation import STEADINESS_RANGE, Steadiness
 from mixseq.topology import Topology
 from mixseq_io.hdf5.contents import Contents
 from mixseq_io.hdf5.datasets import (
@@ -86,7 +86,7 @@ def read_mixed_space(path: Path, file: Contents, header: SequenceHeader) -> Mixe
 
 def _read_steadiness(path: Path, file: Contents, name: str) -> Float:
     values = floats(path, file, f"space/steadiness/{name}", (None,))
-    low, high = STEADINESS
+    low, high = STEADINESS_RANGE
     if ((values < low) | (values > high)).any():
         raise FormatError(
             f"{path}: space/steadiness/{name} has numbers outside {low:g} to {high:g}; it is damaged"

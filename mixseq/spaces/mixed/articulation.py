@@ -1,4 +1,4 @@
-r"""How the parts of bodies stand to each other, wherever the bodies are.
+r"""Part poses relative to their bodies, and relations of neighbouring parts.
 
 Parts that meet are a *body*: across boundaries of parts, and where components of the mesh touch in the reference frame,
 as eyes and shoes do. The pose of a body is the rigid motion from the reference frame that fits its parts best,
@@ -41,18 +41,18 @@ from mixseq.geometry.rotations import (
 from mixseq.prediction.poses import Poses
 from mixseq.segmentation.boundaries import Boundaries
 from mixseq.segmentation.joints import Decomposition
-from mixseq.spaces.mixed import articulation_kernels as kernels
+from mixseq.spaces.mixed import posing_kernels as kernels
 from mixseq.spaces.mixed.complex_step import Numbers
 from mixseq.topology import Topology
 
-TOUCHING = 0.1
-"""Components that are nearer to each other in the reference frame are of one body, in diagonals."""
+CONTACT_DISTANCE = 0.1
+"""Largest distance of components of one body in the reference frame, in diagonals."""
 
-STILL = 1e-2
-"""Motions below this, in diagonals, are all the same."""
+MOTION_FLOOR = 1e-2
+"""Root mean square motion, in diagonals, that is added to all."""
 
-STEADINESS = (1e-8, STILL**-2)
-"""Range of steadiness: motions above 10,000 diagonals are all the same, too."""
+STEADINESS_RANGE = (1e-8, MOTION_FLOOR**-2)
+"""Range of steadiness, in 1 / squared diagonals."""
 
 
 class PartPoses(NamedTuple):
@@ -66,7 +66,7 @@ class PartPoses(NamedTuple):
 
 
 class Steadiness(NamedTuple):
-    """One over the mean squared motion, in squared diagonals: how little poses and relations change over the frames."""
+    """Inverse variances of poses and relations over the frames, in 1 / squared diagonals."""
 
     # (p,) of rotations of parts, times their radii of gyration, and of centres, as seen from the body.
     turns: Float
@@ -83,7 +83,7 @@ class Steadiness(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Articulation:
-    """The parts of a mesh, and which of them are neighbours; make it with `articulation_of`."""
+    """Bodies, and neighbouring parts; make it with `articulation_of`."""
 
     rest_centres: Float  # (p, 3) centres of the parts in the reference frame, in diagonals
     radii: Float  # (p,) radii of gyration in diagonals, and numbers of vertices
@@ -92,7 +92,7 @@ class Articulation:
     bodies: Index  # (p,) the body of every part
     pairs: Index  # (n, 2) neighbours: parts i and j, every pair in both orders
     pivots: Float  # (n, 3) where they meet in the reference frame, as seen from the centre of j
-    steadiness: Steadiness  # how little they move
+    steadiness: Steadiness  # inverse variances of poses and relations
     relation_weight: float = 1.0  # weight of a relation against a pose of its lighter part that moves as much
 
     @property
@@ -120,7 +120,7 @@ class Articulation:
 
     @cached_property
     def parents(self) -> Index:
-        """The part ``(p,)`` that every part hangs on, -1 for roots: the parts of bodies with most area."""
+        """Parents ``(p,)`` in the tree of parts, -1 for roots: the part of each body with most area."""
         result = np.full(self.part_count, -1, dtype=np.int64)
         reached = np.zeros(self.part_count, dtype=bool)
         for root in np.argsort(-self.areas, kind="stable"):
@@ -132,7 +132,7 @@ class Articulation:
 
     @cached_property
     def _tree(self) -> tuple[Index, Index]:
-        """Parts that hang on others, each after what it hangs on, and that part."""
+        """Parts that have a parent, parents first, and their parents."""
         order: list[int] = []
         level = np.flatnonzero(self.parents < 0)
         while len(level):
@@ -143,7 +143,7 @@ class Articulation:
 
     @cached_property
     def _links(self) -> Index:
-        """The relation by which each part of the tree is seen from the part that it hangs on."""
+        """The relation of each part of the tree to its parent."""
         parts, above = self._tree
         number = {(i, j): k for k, (i, j) in enumerate(self.pairs.tolist())}
         return np.array(
@@ -227,7 +227,7 @@ class Articulation:
         return Poses(turns, centres)
 
     def _agreed(self, poses: PartPoses) -> tuple[Numbers, Numbers]:
-        """Poses ``(p, 4)``, ``(p, 3)`` of one frame that agree best."""
+        """Return the poses ``(p, 4)``, ``(p, 3)`` of one frame that agree best."""
         turns, centres, relation_turns, relation_points = map(np.ascontiguousarray, poses)
         own, turn_weights, turn_inverse, place_weights, place_inverse = self._systems
         order, before = self._tree
@@ -249,7 +249,7 @@ class Articulation:
         )
 
     def measured(self, poses: PartPoses) -> Steadiness:
-        """Return how little poses and relations change over frames ``(T, ...)``."""
+        """Return the inverse variances of poses and relations over frames ``(T, ...)``."""
         i, j = self.pairs.T
         radii = self.radii, np.minimum(self.radii[i], self.radii[j])
         found = []
@@ -258,12 +258,12 @@ class Articulation:
             cosines = np.minimum(np.abs(np.einsum("tpi,pi->tp", turns, mean)), 1.0)
             angles = 2.0 * np.arccos(cosines) * radius
             away = np.linalg.norm(places - places.mean(axis=0), axis=2)
-            squares = [np.square(each).mean(axis=0) + STILL**2 for each in (angles, away)]
-            found += [np.clip(1.0 / square, *STEADINESS) for square in squares]
+            squares = [np.square(each).mean(axis=0) + MOTION_FLOOR**2 for each in (angles, away)]
+            found += [np.clip(1.0 / square, *STEADINESS_RANGE) for square in squares]
         return Steadiness(*found)
 
     def corrections(self, poses: Poses, targets: Poses) -> Float:
-        """Return what corrects poses to targets at increasing times: rotation vectors and shifts, ``(T, 6 p)``."""
+        """Return rotation vectors and shifts ``(T, 6 p)`` from poses to targets at increasing times."""
         spins = continuous_vectors(rotations_of(product(inverse(poses.rotations), targets.rotations)))
         shifts = targets.centres - poses.centres
         return np.concatenate([each.reshape(len(each), -1) for each in (spins, shifts)], axis=1)
@@ -288,7 +288,7 @@ def articulation_of(
     steadiness: Steadiness | None = None,
     relation_weight: float = 1.0,
 ) -> Articulation:
-    """Find which parts are neighbours, and what is a body.
+    """Find bodies and neighbouring parts.
 
     Parameters
     ----------
@@ -299,7 +299,7 @@ def articulation_of(
     rest_centres, radii : (p, 3), (p,) float64
         Where its parts are, and their radii of gyration.
     steadiness : Steadiness, optional
-        How little they move; by default all alike.
+        Inverse variances of poses and relations; by default all equal.
     relation_weight : float
         Weight of a relation against a pose.
     """
@@ -320,7 +320,7 @@ def articulation_of(
     ]
     held = attach(pieces, reference, np.arange(len(reference)))
     ends = np.stack([held.own, held.other], axis=1)
-    near = np.linalg.norm(np.diff(reference[ends], axis=1)[:, 0], axis=1) <= TOUCHING
+    near = np.linalg.norm(np.diff(reference[ends], axis=1)[:, 0], axis=1) <= CONTACT_DISTANCE
     pairs = np.concatenate([pairs, part_of_vertex[ends[near]]])
     places = np.concatenate([places, reference[ends[near]].mean(axis=1)])
     pairs, places = np.concatenate([pairs, pairs[:, ::-1]]), np.tile(places, (2, 1))
@@ -338,6 +338,6 @@ def articulation_of(
 
 
 def _connected(count: int, pairs: Index) -> Index:
-    """Number what pairs ``(n, 2)`` connect ``(count,)``."""
+    """Return the connected component ``(count,)`` of each node of a graph with edges ``(n, 2)``."""
     graph = sparse.coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(count, count))
     return csgraph.connected_components(graph, directed=False)[1].astype(np.int64)

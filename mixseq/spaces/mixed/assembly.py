@@ -1,7 +1,7 @@
 r"""The projection P_m of the free placement: where parts and joints go, from lengths, angles and rigid parts alone.
 
-1. *Frames.* Every rigid part, and every other face, is a rotation. Across hinges they differ by what lengths and angles
-   tell. They are chained from one part of every component, and averaged (`mixseq.shells.face_frames`).
+1. *Frames.* Every rigid part, and every other face, is a rotation. Across hinges they differ by rotations from
+   lengths and angles. They are chained from one part of every component, and averaged (`mixseq.shells.face_frames`).
 2. *Vertices*, from the sides of all faces, by one back-substitution.
 3. *Relaxation*: a fixed number of steps makes lengths and angles agree, those of parts and those of joints
    (`mixseq.shells.shell`).
@@ -30,11 +30,11 @@ from mixseq.shells.shell import THIN, Relaxation, Relaxed, Shell
 from mixseq.shells.shell_kernels import lengths_and_angles
 from mixseq.topology import Topology
 
-ROUNDS = 3
-"""Rounds of rotation averaging."""
+AVERAGING_ROUNDS = 3
+"""Rounds of rotation averaging over parts and faces."""
 
-LOWEST = 1e-4
-"""Heights of triangles without area below this share of a side are rounding errors of lengths."""
+NOISE_HEIGHT_RATIO = 1e-4
+"""Least height over side of triangles without area; lower heights are rounding errors of lengths."""
 
 
 class FreeFrame(NamedTuple):
@@ -48,7 +48,7 @@ class FreeFrame(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Assembly(PickledWithoutCaches):
-    """Puts rigid parts and joints of one mesh together."""
+    """The projection of the free placement of one mesh."""
 
     topology: Topology  # the mesh
     part_of_vertex: Index  # (V,) the part whose motion a vertex follows alone, -1 where it follows several
@@ -69,7 +69,7 @@ class Assembly(PickledWithoutCaches):
 
     @cached_property
     def _node(self) -> Index:
-        """What every face ``(F,)`` turns with: its rigid part, or a number of its own after all parts."""
+        """The node ``(F,)`` of every face: its rigid part, or a node of its own after all parts."""
         node = np.empty(len(self.topology.faces), dtype=np.int64)
         number = np.full(self.topology.vertex_count, -1, dtype=np.int64)
         for part, vertices in enumerate(self._parts):
@@ -80,12 +80,12 @@ class Assembly(PickledWithoutCaches):
 
     @cached_property
     def _count(self) -> int:
-        """Number of all that turn by themselves."""
+        """Number of nodes."""
         return len(self._parts) + int(np.count_nonzero(self.joint_faces))
 
     @cached_property
     def _crossing(self) -> Index:
-        """Hinges between two that turn by themselves."""
+        """Hinges between different nodes."""
         pairs, sound = self._node[self.topology.hinge_faces], self.shell.sound
         return np.flatnonzero(bridging(self._count, pairs, sound) & (pairs[:, 0] != pairs[:, 1]))
 
@@ -104,7 +104,7 @@ class Assembly(PickledWithoutCaches):
 
     @cached_property
     def graph(self) -> FrameGraph:
-        """What turns by itself: rigid parts, and faces of joints."""
+        """The graph of nodes: rigid parts, and faces of joints."""
         weights = np.maximum(self.shell.bend[self._crossing], THIN)
         pairs = self._node[self.topology.hinge_faces[self._crossing]]
         known = np.zeros(self._count, dtype=bool)
@@ -118,7 +118,7 @@ class Assembly(PickledWithoutCaches):
 
     @cached_property
     def shell(self) -> Shell:
-        """The mesh, whose lengths and angles are to agree."""
+        """The mesh as a shell, for relaxation."""
         t, ties = self.topology, self._ties
         component = connected(t.vertex_count, np.concatenate([t.edges, ties]))
         position_weights = np.zeros(t.vertex_count)
@@ -146,7 +146,7 @@ class Assembly(PickledWithoutCaches):
 
     @cached_property
     def _bodies(self) -> list[tuple[Index, list[int]]]:
-        """What moves by itself: vertices, and the numbers of the seeds in it."""
+        """Independently moving components: their vertices, and the numbers of their seeds."""
         t = self.topology
         component = connected(t.vertex_count, np.concatenate([t.edges, self._ties]))
         of_seed = [component[vertices[0]] for vertices in self._seed_vertices]
@@ -167,18 +167,18 @@ class Assembly(PickledWithoutCaches):
         return lengths, angles
 
     def assemble(self, frame: FreeFrame) -> Relaxed:
-        """Return the mesh of a point of S_m, and what is left of its energy."""
+        """Return the mesh of a point of S_m, and its remaining energy."""
         lengths, angles = self.targets(frame)
         start = self.start(frame, lengths, angles)
         relaxed = self.shell.relaxed(start, lengths, angles, self.relaxation.steps)
         return relaxed._replace(points=self.placed(frame.posed, relaxed.points))
 
     def start(self, frame: FreeFrame, lengths: Float, angles: Float) -> Float:
-        """Return the vertices ``(V, 3)``, components anywhere, that frames tell."""
+        """Return vertices ``(V, 3)`` from frames of faces, components anywhere."""
         t, loose, crossing, parts = self.topology, self.joint_faces, self._crossing, len(self._parts)
         flat = flat_triangles(lengths[t.face_edges])
         heights = flat[self.shell.thin, 2, 1]
-        noise = heights < LOWEST * lengths[t.face_edges[self.shell.thin]].max(axis=1)
+        noise = heights < NOISE_HEIGHT_RATIO * lengths[t.face_edges[self.shell.thin]].max(axis=1)
         flat[self.shell.thin, 2, 1] = np.where(noise, 0.0, heights)
         own = np.zeros((len(t.faces), 4))
         own[:, 0] = 1.0
@@ -187,7 +187,7 @@ class Assembly(PickledWithoutCaches):
         across = self.hinges.turns(flat, angles)[crossing]
         turns = product(product(first, across), inverse(second))
         frames = self.graph.chained(turns, self._seed_frames(frame))
-        frames = self.graph.averaged(frames, turns, ROUNDS)
+        frames = self.graph.averaged(frames, turns, AVERAGING_ROUNDS)
         sides = np.empty((len(t.faces), 3, 3))
         sides[loose] = turned_sides(frames[self._node[loose]], flat[loose])
         matrices = rotations_of(frames[:parts])

@@ -1,7 +1,7 @@
-"""Make the mixed shape space of a sequence: register parts, and find joints and how P_m treats them.
+"""Make the mixed shape space of a sequence: mean shapes, skinning weights, joint faces and settings of P_m.
 
-Half-way between two frames lengths and angles should be their means. Joints are the faces that are wrong there, however
-parts were found. How much their lengths and angles count is chosen by leaving frames out.
+Half-way between two frames lengths and angles should be their means. Joint faces are those with errors there, however
+parts were found. The share of their lengths and angles is chosen by `mixseq.signals.tuning`.
 """
 
 from __future__ import annotations
@@ -28,56 +28,56 @@ from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
 from mixseq.spaces.mixed.skinning_weights import fitted_skinning_weights
 from mixseq.topology import Topology
 
-Purpose = Literal["sequence", "few numbers", "blends"]
-"""What a space is for: frames in time; models of a given rank or knots; blends of poses that may be far apart."""
+Purpose = Literal["sequence", "reduced", "blends"]
+"""Use of a space: frames in time; models of a given rank or knots; blends of poses that may be far apart."""
 
-STRETCH, BEND = 0.10, 25.0
-"""Faces of sequences are joints if half-way an edge is wrong by this share of its length, or a hinge by degrees."""
+MAX_STRETCH, MAX_BEND_DEGREES = 0.10, 25.0
+"""Largest half-way errors of faces that are no joints of a sequence: of edges, relative, and of hinges, in degrees."""
 
-BLEND_STRETCH, BLEND_BEND = 0.015, 4.0
+MAX_BLEND_STRETCH, MAX_BLEND_BEND_DEGREES = 0.015, 4.0
 """The same for blends of poses."""
 
-FREE_STRETCH, FREE_BEND = 0.06, 15.0
+MAX_FREE_STRETCH, MAX_FREE_BEND_DEGREES = 0.06, 15.0
 """The same for the free placement."""
 
-TORN = 0.1
-"""A face is torn half-way between frames if an edge of it is wrong by more of its length there."""
+TORN_STRETCH = 0.1
+"""Half-way error of an edge, relative to its length, above which its faces are torn."""
 
-FAR = 0.15
-"""Frames are far apart if, half-way to the next, a larger share of faces is torn."""
+FAR_TORN_SHARE = 0.15
+"""Share of torn faces above which frames are far apart."""
 
 FAR_HOLD = 0.003
-"""Weight of posed vertices at joints where frames are far apart."""
+"""`Projection.hold` where frames are far apart."""
 
-GRID = 2.0**-20
-"""Grid of mean shapes and of the reference frame, in diagonals."""
+REFERENCE_STEP = 2.0**-20
+"""Rounding step of mean shapes and of the reference frame, in diagonals."""
 
-SMALLER = 1.3
-"""Vectors of sequences are at least this many times shorter than those of all lengths and angles."""
+SIZE_REDUCTION = 1.3
+"""Least ratio of the number of all lengths and angles to the length of vectors of a sequence."""
 
 FAR_RELATIONS = 3.0
-"""Weight of how neighbours see each other where frames are far apart: they change less than poses."""
+"""`Projection.relations` where frames are far apart: they change less than poses."""
 
-FLATTEST = 1e-3
-"""Faces lower than this share of their longest side, in some frame, are no joints: their angles are noise."""
+MIN_HEIGHT_RATIO = 1e-3
+"""Least height over longest side of joint faces, in all frames; angles of lower ones are noise."""
 
-NEIGHBOUR_PAIRS = 12
-"""Pairs of neighbouring frames of a sequence that are looked at."""
+MAX_NEIGHBOUR_PAIRS = 12
+"""Number of pairs of neighbouring frames from which joint faces of a sequence are found."""
 
 SAMPLED_FACES = 100_000
-"""Faces that tell what share of all is torn."""
+"""Number of faces from which the share of torn faces is estimated."""
 
-ALL_PAIRS = 12
-"""Of at most this many poses all pairs are looked at, else neighbours."""
+MAX_POSES_FOR_ALL_PAIRS = 12
+"""Number of poses up to which all pairs are compared, not only neighbours."""
 
-FEWEST_STEPS, MOST_STEPS = 6, 20
-"""Steps between far poses if hardly any faces are joints, and if all are; in between in proportion."""
+MIN_STEPS, MAX_STEPS = 6, 20
+"""Relaxation steps between far poses with no joint faces and with joint faces only; linear in between."""
 
 FREE_STEPS = 10
-"""Steps of the free placement."""
+"""Relaxation steps of the free placement."""
 
-SHAPE_FRAMES = 64
-"""Mean shapes of parts are means of at most this many frames. Any shapes would do to encode all frames exactly."""
+MAX_SHAPE_FRAMES = 64
+"""Number of frames from which mean shapes are taken. Any shapes encode all frames exactly."""
 
 
 def mixed_space(
@@ -100,8 +100,8 @@ def mixed_space(
         Its parts.
     placement : {"anchored", "free"}
         How parts are placed.
-    purpose : {"sequence", "few numbers", "blends"}
-        What the space is for. Lengths and angles do nothing where few numbers do not know them well enough; blends
+    purpose : {"sequence", "reduced", "blends"}
+        Use of the space. Reduced models ignore lengths and angles, which they do not have accurately enough; blends
         follow them all the way.
     progress : callable, optional
         Told about every stage.
@@ -110,7 +110,7 @@ def mixed_space(
         raise SettingsError(f"placement is {placement!r}; {' or '.join(map(repr, PLACEMENTS))} is expected")
     first = points[:1][0]
     scale = bounding_diagonal(first) or 1.0
-    frames = points[frames_to_look_at(len(points), SHAPE_FRAMES)]
+    frames = points[frames_to_look_at(len(points), MAX_SHAPE_FRAMES)]
     shapes = _rounded(np.concatenate([mean_shape(frames[:, part] / scale) for part in decomposition.parts]))
     reference = _rounded(first.astype(np.float64) / scale)
     progress(1, 2, "registering parts")
@@ -129,13 +129,13 @@ def mixed_space(
         posed = replace(posed, projection=Projection(relations=FAR_RELATIONS))
     posed = replace(posed, steadiness=posed.articulation.measured(posed.split(posed.encode(frames)).parts))
     progress(2, 2, "registering parts")
-    limits = STRETCH, BEND
+    limits = MAX_STRETCH, MAX_BEND_DEGREES
     if placement == "free":
-        limits = FREE_STRETCH, FREE_BEND
+        limits = MAX_FREE_STRETCH, MAX_FREE_BEND_DEGREES
     elif purpose == "blends":
-        limits = BLEND_STRETCH, BLEND_BEND
+        limits = MAX_BLEND_STRETCH, MAX_BLEND_BEND_DEGREES
     pairs = _all_pairs(frames) if purpose == "blends" else _neighbours(points)
-    wrong = wrongness(posed, pairs, *limits)
+    wrong = half_way_errors(posed, pairs, *limits)
     if placement == "free":
         corners = posed.only_part[topology.faces]
         mixed = (corners < 0).any(axis=1) | (corners != corners[:, :1]).any(axis=1)
@@ -149,23 +149,23 @@ def mixed_space(
     if purpose != "blends":
         joint_faces = _within_budget(posed, wrong)
     space = replace(posed, joint_faces=joint_faces)
-    if purpose == "few numbers" or not joint_faces.any():
+    if purpose == "reduced" or not joint_faces.any():
         return space
     if purpose == "blends" or are_far(posed, points):
-        steps = FEWEST_STEPS + round((MOST_STEPS - FEWEST_STEPS) * float(joint_faces.mean()))
+        steps = MIN_STEPS + round((MAX_STEPS - MIN_STEPS) * float(joint_faces.mean()))
         return replace(space, projection=Projection("anchored", 1.0, FAR_HOLD, steps, FAR_RELATIONS))
     return space
 
 
 def _rounded(x: Float) -> Float:
-    """Round positions in diagonals to `GRID`: any shapes and any reference near the first frame do, in few bytes."""
-    return np.asarray(np.round(x / GRID) * GRID)
+    """Round positions in diagonals to `REFERENCE_STEP`, to save bytes."""
+    return np.asarray(np.round(x / REFERENCE_STEP) * REFERENCE_STEP)
 
 
 def _within_budget(posed: MixedSpace, wrong: Float) -> Mask:
-    """Choose the worst of the wrong faces as joints, so that vectors are `SMALLER` than all lengths and angles."""
+    """Mark the faces with the largest errors above 1 as joint faces, at most as many as `SIZE_REDUCTION` allows."""
     topology = posed.topology
-    budget = (len(topology.edges) + len(topology.hinge_faces)) / SMALLER - posed.dim
+    budget = (len(topology.edges) + len(topology.hinge_faces)) / SIZE_REDUCTION - posed.dim
     worst = np.argsort(-wrong, kind="stable")[: int(np.count_nonzero(wrong > 1.0))]
 
     def marked(count: int) -> Mask:
@@ -190,7 +190,7 @@ def flat_in_some_frame(topology: Topology, frames: FloatArray) -> Mask:
     """Mark the faces ``(F,)`` that have no area in some of the frames ``(S, V, 3)``."""
     flat = np.zeros(len(topology.faces), dtype=bool)
     for frame in frames:
-        flat |= flat_faces(frame.astype(np.float64), topology.faces, FLATTEST)
+        flat |= flat_faces(frame.astype(np.float64), topology.faces, MIN_HEIGHT_RATIO)
     return flat
 
 
@@ -206,19 +206,18 @@ def at_winding_hinges(topology: Topology, frames: FloatArray) -> Mask:
 
 
 def are_far(space: MixedSpace, frames: LargeArray) -> bool:
-    """Whether more than the share `FAR` of faces is torn half-way between neighbours among the frames ``(T, V, 3)``."""
+    """Whether more than `FAR_TORN_SHARE` of faces is torn half-way between neighbours of frames ``(T, V, 3)``."""
     pairs = list(_neighbours(frames))
     for middle in (_plain_mean, _middle):  # plain means are quick, and show most animations to be near
-        if not sum(_torn(space, pair, middle) for pair in pairs) > FAR * len(pairs):
+        if not sum(_torn(space, pair, middle) for pair in pairs) > FAR_TORN_SHARE * len(pairs):
             return False
     return bool(pairs)
 
 
-def wrongness(space: MixedSpace, pairs: Iterable[FloatArray], stretch: float, bend: float) -> Float:
-    """Return by how much faces ``(F,)`` are wrong half-way between pairs of frames ``(2, V, 3)``.
+def half_way_errors(space: MixedSpace, pairs: Iterable[FloatArray], stretch: float, bend: float) -> Float:
+    """Return the largest errors of faces ``(F,)`` half-way between pairs of frames ``(2, V, 3)``.
 
-    The largest error of an edge over the limit of stretch (a share of its length), and of a hinge over the limit of
-    bend (in degrees).
+    Errors of edges, relative, are divided by the limit `stretch`, errors of hinges, in degrees, by the limit `bend`.
     """
     topology = space.topology
     wrong = np.zeros(len(topology.faces))
@@ -235,20 +234,20 @@ def wrongness(space: MixedSpace, pairs: Iterable[FloatArray], stretch: float, be
 def _all_pairs(frames: FloatArray) -> Iterator[FloatArray]:
     """Yield all pairs of few frames ``(S, V, 3)``, or neighbours of many."""
     count = len(frames)
-    pairs = combinations(range(count), 2) if count <= ALL_PAIRS else pairwise(range(count))
+    pairs = combinations(range(count), 2) if count <= MAX_POSES_FOR_ALL_PAIRS else pairwise(range(count))
     return (frames[[first, second]] for first, second in pairs)
 
 
 def _neighbours(frames: LargeArray) -> Iterator[FloatArray]:
     """Yield pairs of neighbours among frames ``(T, V, 3)``, evenly spread."""
-    return (frames[first : first + 2] for first in frames_to_look_at(len(frames) - 1, NEIGHBOUR_PAIRS))
+    return (frames[first : first + 2] for first in frames_to_look_at(len(frames) - 1, MAX_NEIGHBOUR_PAIRS))
 
 
 def _torn(space: MixedSpace, pair: FloatArray, between: Callable[[MixedSpace, FloatArray], Float]) -> float:
     """Share of faces, or of `SAMPLED_FACES` of them, that are torn in a mesh between two frames."""
     faces = space.topology.faces[evenly(len(space.topology.faces), SAMPLED_FACES)]
     sides = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
-    torn = _stretched(between(space, pair), pair, sides) > TORN
+    torn = _stretched(between(space, pair), pair, sides) > TORN_STRETCH
     return float(torn.reshape(-1, 3).any(axis=1).mean())
 
 
@@ -258,19 +257,19 @@ def _middle(space: MixedSpace, pair: FloatArray) -> Float:
 
 
 def _plain_mean(space: MixedSpace, pair: FloatArray) -> Float:
-    """Return the mean of the vertices of two frames; the space is not asked."""
+    """Return the mean of the vertices of two frames, in no shape space."""
     return np.asarray(pair.mean(axis=0, dtype=np.float64))
 
 
 def _stretched(middle: Float, pair: FloatArray, edges: NDArray[np.integer]) -> Float:
-    """By how much lengths ``(E,)`` of a mesh are not half-way between two frames; relative."""
+    """Return relative errors of lengths ``(E,)`` against those half-way between two frames."""
     lengths = edge_lengths(pair.astype(np.float64), edges).mean(axis=0)
     off = np.abs(edge_lengths(middle, edges) - lengths)
     return np.asarray(np.divide(off, lengths, out=np.zeros_like(off), where=lengths > 0))
 
 
 def _bent(middle: Float, pair: FloatArray, hinges: NDArray[np.integer]) -> Float:
-    """By how many degrees angles ``(H,)`` of a mesh are not half-way between two frames."""
+    """Return errors of angles ``(H,)``, in degrees, against those half-way between two frames."""
     first, second = dihedral_angles(pair.astype(np.float64), hinges)
     wanted = first + 0.5 * wrap(second - first)
     return np.degrees(np.abs(wrap(dihedral_angles(middle, hinges) - wanted)))

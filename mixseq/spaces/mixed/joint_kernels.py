@@ -1,4 +1,4 @@
-"""The inner loops of `joint_projection`, compiled: what lengths and angles make of the faces of joints.
+"""The inner loops of `joint_projection`, compiled: frames of joint faces from lengths and angles.
 
 Rotations are unit quaternions (w, x, y, z), lengths in diagonals. Arrays are of real or of complex numbers: a complex
 step gives derivatives (`complex_step`).
@@ -11,14 +11,14 @@ import numpy as np
 from mixseq.arrays import Float, Index
 from mixseq.compiled import compiled, inlined
 
-SHORTEST = 1e-12
-"""Sides are at least this long, in diagonals: a triangle has a side 01 that its frame can follow."""
+MIN_SIDE = 1e-12
+"""Least length of sides, in diagonals: side 01 defines the frame of a triangle."""
 
-FLATTEST = 1e-12
-"""A triangle has no area, and any frame, if its height is below this share of its sides."""
+MIN_HEIGHT_RATIO = 1e-12
+"""Least height over side of triangles; lower ones have no area, and the unit quaternion as their frame."""
 
-SLIVER = 1e-4
-"""Lengths and angles of triangles of this area, over squared sides, count half: those of smaller ones are noise."""
+SLIVER_AREA_RATIO = 1e-4
+"""Area over squared sides at which lengths and angles of a triangle count half; of slivers they are noise."""
 
 
 @compiled
@@ -39,10 +39,10 @@ def flatten(lengths: Float, face_edges: Index) -> Float:
     flat = np.empty((len(face_edges), 3), lengths.dtype)
     for f in range(len(face_edges)):
         a, b, c = lengths[face_edges[f, 0]], lengths[face_edges[f, 1]], lengths[face_edges[f, 2]]
-        if a.real < SHORTEST:
-            a = a - a.real + SHORTEST
-        if c.real < SHORTEST:
-            c = c - c.real + SHORTEST
+        if a.real < MIN_SIDE:
+            a = a - a.real + MIN_SIDE
+        if c.real < MIN_SIDE:
+            c = c - c.real + MIN_SIDE
         x = (a * a + c * c - b * b) / (2.0 * a)
         square = c * c - x * x
         if square.real <= 0.0:  # no such triangle: it is laid on a line
@@ -56,13 +56,13 @@ def flatten(lengths: Float, face_edges: Index) -> Float:
 
 @compiled
 def soundness(flat: Float) -> Float:
-    """Return how much lengths and angles of triangles count ``(m,)``: 1, and without area 0."""
+    """Return the weights ``(m,)`` of lengths and angles of triangles, from 0 without area to 1."""
     sound = np.empty(len(flat), flat.dtype)
     for f in range(len(flat)):
         u, v, h = flat[f, 0], flat[f, 1], flat[f, 2]
         area = u * h / (u * u + v * v + (v - u) * (v - u) + 2.0 * h * h)
         power = area * area * area * area
-        sound[f] = power / (power + SLIVER**4)
+        sound[f] = power / (power + SLIVER_AREA_RATIO**4)
     return sound
 
 
@@ -76,7 +76,7 @@ def frames_of(x: Float, faces: Index) -> Float:
         vx, vy, vz = x[c, 0] - x[a, 0], x[c, 1] - x[a, 1], x[c, 2] - x[a, 2]
         nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
         u2, v2, n2 = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, nx * nx + ny * ny + nz * nz
-        if not n2.real > FLATTEST**2 * (u2 * v2).real:
+        if not n2.real > MIN_HEIGHT_RATIO**2 * (u2 * v2).real:
             frames[f, 0] = 1.0
             frames[f, 1] = frames[f, 2] = frames[f, 3] = 0.0
             continue
@@ -139,7 +139,7 @@ def target_turns(
     angles: Float,
     share: float,
 ) -> Float:
-    """Return how the second face of each hinge should be turned, as seen from the first: ``(h, 4)``.
+    """Return target rotations ``(h, 4)`` of the second face of each hinge relative to the first.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def target_turns(
     flat, target_flat : (m, 3)
         The posed triangles in the plane, and those with target lengths, as `flatten` lays them.
     sound : (m,)
-        How much lengths and angles of the posed triangles count.
+        Weights of lengths and angles of the posed triangles, see `soundness`.
     sides, backward : (h, 2) int64
         Which side of both faces the hinge's edge is, and whether it runs against it.
     reversed_normals : (h,) float64
@@ -279,18 +279,18 @@ def side_changes(
     numbers: Index,
     count: int,
 ) -> Float:
-    """Return the right-hand side ``(count, 3)`` of displacements: by how much sides of faces change, weighted.
+    """Return the right-hand side ``(count, 3)`` of displacements, from weighted changes of sides of faces.
 
     Parameters
     ----------
     frames, flat, target_frames, target_flat : (m, 4), (m, 3), (m, 4), (m, 3)
-        Faces as they are, and as they should be.
+        Frames and flat triangles of the posed faces, and the target ones.
     faces, weights : (n, 3) int64, (n, 3) float64
         Corners of the first n of the faces, and weights of sides 01, 12, 20; zero for faces without area.
     numbers : (V,) int64
         Number of every vertex among those that move, -1 for others.
     count : int
-        How many move.
+        Number of moving vertices.
     """
     right = np.zeros((count, 3), frames.dtype)
     for f in range(len(faces)):

@@ -31,19 +31,19 @@ from mixseq.spaces.mixed import joint_kernels as kernels
 from mixseq.spaces.mixed.complex_step import Numbers, solve
 from mixseq.topology import Topology
 
-ROUNDS = 2
-"""Rounds of rotation averaging."""
+AVERAGING_ROUNDS = 2
+"""Rounds of rotation averaging over faces."""
 
-RINGS = 1
-"""Rings of faces around joints that move with them: with none joints would be too stiff."""
+MOVING_RINGS = 1
+"""Rings of faces around joint faces that move with them; with none joints are too stiff."""
 
-BENDING = 0.25
+BENDING_WEIGHT = 0.25
 """Weight of an angle in radians against a relative length."""
 
 
 @dataclass(frozen=True, eq=False)
 class JointProjection(PickledWithoutCaches):
-    """Moves the vertices of joints."""
+    """The projection at the joints of one mesh."""
 
     topology: Topology  # the mesh
     reference: Float  # (V, 3) its reference frame, in diagonals, which the weights are of
@@ -69,12 +69,14 @@ class JointProjection(PickledWithoutCaches):
         """The mesh as a shell, which has the weights of sides and hinges."""
         lengths = edge_lengths(self.reference, self.topology.edges)
         held = np.full(self.topology.vertex_count, self.hold)
-        return Shell(self.topology, self.reference, lengths, np.zeros((0, 2), dtype=np.int64), held, BENDING)
+        return Shell(
+            self.topology, self.reference, lengths, np.zeros((0, 2), dtype=np.int64), held, BENDING_WEIGHT
+        )
 
     @cached_property
     def _moving_faces(self) -> Index:
         moving, faces = self.joint_faces, self.topology.faces
-        for _ in range(RINGS):
+        for _ in range(MOVING_RINGS):
             near = np.zeros(self.topology.vertex_count, dtype=bool)
             near[faces[moving]] = True
             moving = np.asarray(near[faces].any(axis=1))
@@ -89,7 +91,7 @@ class JointProjection(PickledWithoutCaches):
 
     @cached_property
     def _face_ids(self) -> Index:
-        """Moving faces, then those across their hinges, which do not move."""
+        """Moving faces, then their neighbours that do not move."""
         both = np.unique(self.topology.hinge_faces[self._hinges])
         return np.concatenate([self._moving_faces, np.setdiff1d(both, self._moving_faces)]).astype(np.int64)
 
@@ -205,7 +207,7 @@ class JointProjection(PickledWithoutCaches):
             frames, self._pairs, flat, target_flat, sound, *self._hinge_tables, angles, share
         )
         target_frames, moving = frames, len(self._moving_faces)
-        for _ in range(ROUNDS):
+        for _ in range(AVERAGING_ROUNDS):
             right = kernels.misfits(target_frames, self._pairs, turns, self._bend, moving)
             target_frames = kernels.turn_on(target_frames, solve(self.frame_factor, right))
         right = kernels.side_changes(

@@ -50,54 +50,54 @@ from mixseq.segmentation.joints import Decomposition
 from mixseq.shells.shell import Relaxation
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.metric import ANGLE, radii_of_gyration
-from mixseq.spaces.mixed import skinning_kernels as kernels
+from mixseq.spaces.mixed import posing_kernels as kernels
 from mixseq.spaces.mixed.articulation import Articulation, PartPoses, Steadiness, articulation_of
 from mixseq.spaces.mixed.assembly import Assembly, FreeFrame
 from mixseq.spaces.mixed.complex_step import Numbers, values_and_rates, with_rates
-from mixseq.spaces.mixed.joint_projection import BENDING, JointProjection
+from mixseq.spaces.mixed.joint_projection import BENDING_WEIGHT, JointProjection
 from mixseq.spaces.mixed.pose_prediction import PosePrediction
 from mixseq.spaces.registered import registered
 from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
 
 JOINT_WEIGHT = 1e-3
-"""Weight of lengths and angles in the metric, where unposed vertices, which weigh 1, tell of the same shape."""
+"""Weight of lengths and angles in the metric. Unposed vertices weigh 1 and describe the same shape."""
 
 JOINT_EMBEDDING_WEIGHT = 2.0
 """Weight of lengths and angles in embeddings."""
 
-EDIT_ROUNDS, EDIT_ERROR = 12, 1e-11
-"""Largest number of rounds after which an edited frame is met, and the largest error, in diagonals."""
+MAX_EDIT_ROUNDS, EDIT_TOLERANCE = 12, 1e-11
+"""Limit of rounds to meet an edited frame, and the error to stop at, in diagonals."""
 
 ARTICULATION_WEIGHT = 0.2
 """Weight of part poses in the metric, against the vertices that they move."""
 
-WEIGHTS = (1e-6, 1e6)
-"""Range of weights in a projection: beyond it systems of equations are singular."""
+PROJECTION_WEIGHT_RANGE = (1e-6, 1e6)
+"""Range of `hold` and `relations`; beyond it systems of equations are singular."""
 
-LENGTHS_OF_STEPS = 1 / 4
-"""Step of lengths that P_m takes steps to, against that of positions."""
+LENGTH_STEP_RATIO = 1 / 4
+"""Rounding step of lengths over that of positions, where P_m takes relaxation steps."""
 
-MOST_COARSE = 64
-"""Largest step of angles in radians, against that of positions in diagonals."""
+MAX_ANGLE_STEP_RATIO = 64
+"""Largest rounding step of angles in radians over that of positions in diagonals."""
 
 
 @dataclass(frozen=True)
 class Projection:
-    """How P_m turns vectors into meshes.
+    """Settings of the projection P_m.
 
     Attributes
     ----------
     placement : {"anchored", "free"}
-        Whether parts go where their poses say, or where lengths and angles say.
+        Whether parts go where their poses are, or where lengths and angles put them.
     share : float
         How far lengths and angles of joints go from those of posed vertices to those of the vector, from 0 to 1.
     hold : float
         Weight of posed vertices at joints.
     steps : int
-        Steps that make lengths and angles of the whole mesh agree.
+        Relaxation steps over the lengths and angles of the whole mesh.
     relations : float
-        Weight of how neighbours see each other, against poses of parts that move as much.
+        Weight of relations between neighbours against poses of parts that move by the same amount.
 
     Raises
     ------
@@ -112,8 +112,9 @@ class Projection:
     relations: float = 0.1
 
     def __post_init__(self) -> None:
-        ranges = ("number", 0.0, 1.0), ("positive weight", *WEIGHTS), ("positive weight", *WEIGHTS)
-        for name, (kind, low, high) in zip(("share", "hold", "relations"), ranges, strict=True):
+        weight = ("positive weight", *PROJECTION_WEIGHT_RANGE)
+        ranges = {"share": ("number", 0.0, 1.0), "hold": weight, "relations": weight}
+        for name, (kind, low, high) in ranges.items():
             number = getattr(self, name)
             if not (isinstance(number, int | float | np.number) and low <= number <= high):
                 raise SettingsError(f"{name} is {number!r}; a {kind} from {low:g} to {high:g} is expected")
@@ -148,8 +149,8 @@ class MixedBlocks(NamedTuple):
         return PartPoses(*self[3:7])
 
 
-QUATERNIONS = ("turns", "relation_turns", "body_turns")
-"""Blocks of quaternions."""
+QUATERNION_BLOCKS = ("turns", "relation_turns", "body_turns")
+"""Names of the blocks of quaternions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,13 +170,13 @@ class MixedSpace(ShapeSpace):
     reference : (V, 3) float64
         The reference frame, the first, in the space's unit.
     skinning_weights : (V, p) sparse matrix
-        How much vertices follow parts; rows add up to one.
+        Skinning weights of vertices and parts; rows add up to one.
     steadiness : Steadiness
-        How little parts and relations of neighbours move: what P_m trusts where they disagree.
+        Inverse variances of part poses and relations, by which P_m weights them where they disagree.
     joint_faces : (F,) bool
         Faces whose lengths and angles are in the vector.
     projection : Projection
-        How P_m makes meshes.
+        Settings of P_m.
     """
 
     topology: Topology
@@ -201,7 +202,7 @@ class MixedSpace(ShapeSpace):
 
     @property
     def placement(self) -> PlacementName:
-        """How parts are placed."""
+        """The placement of the projection."""
         return self.projection.placement
 
     @property
@@ -216,12 +217,12 @@ class MixedSpace(ShapeSpace):
 
     @cached_property
     def joints(self) -> JointProjection:
-        """What moves the vertices of joints."""
+        """The projection at the joints."""
         return JointProjection(self.topology, self.reference, self.joint_faces, self.projection.hold)
 
     @cached_property
     def assembly(self) -> Assembly:
-        """What puts parts and joints together in the free placement."""
+        """The projection of the free placement."""
         return Assembly(
             self.topology,
             self.only_part,
@@ -229,7 +230,7 @@ class MixedSpace(ShapeSpace):
             self.edge_ids,
             self.hinge_ids,
             self.reference,
-            Relaxation(BENDING, self.projection.steps),
+            Relaxation(BENDING_WEIGHT, self.projection.steps),
         )
 
     @cached_property
@@ -257,7 +258,7 @@ class MixedSpace(ShapeSpace):
 
     @cached_property
     def articulation(self) -> Articulation:
-        """Which parts are neighbours, and what is a body."""
+        """Bodies, and relations of neighbouring parts."""
         return articulation_of(
             self.topology,
             self.decomposition,
@@ -364,15 +365,15 @@ class MixedSpace(ShapeSpace):
         edges, hinges, *_ = self.sizes
         result = np.ones(self.shape_dim)
         if self.projection.steps:
-            result[:edges] = LENGTHS_OF_STEPS
+            result[:edges] = LENGTH_STEP_RATIO
         if self.placement == "anchored":
-            sizes = np.clip(self.angle_weights / ANGLE, 1 / MOST_COARSE, 1.0)
+            sizes = np.clip(self.angle_weights / ANGLE, 1 / MAX_ANGLE_STEP_RATIO, 1.0)
             result[edges : edges + hinges] = 2.0 ** np.floor(-np.log2(sizes))
         return result
 
     @property
     def embedding_weights(self) -> Float:
-        """Implement `ShapeSpace.embedding_weights`: poses are told apart by joints and by how parts stand."""
+        """Implement `ShapeSpace.embedding_weights`: mostly joints and part poses."""
         edges, hinges, *_ = self.sizes
         joints = np.concatenate(
             [np.full(edges, JOINT_EMBEDDING_WEIGHT), JOINT_EMBEDDING_WEIGHT * self.angle_weights]
@@ -436,7 +437,7 @@ class MixedSpace(ShapeSpace):
         start = self.reference_angles if before is None else before.angles[0]
         signed = {
             name: continued(getattr(blocks, name), None if before is None else getattr(before, name)[0])
-            for name in QUATERNIONS
+            for name in QUATERNION_BLOCKS
         }
         return self.join(blocks._replace(angles=unwrap_angles(blocks.angles, start), **signed))
 
@@ -477,7 +478,7 @@ class MixedSpace(ShapeSpace):
         return np.asarray(kernels.pose(*self._skinning, self._duals(row), np.ascontiguousarray(row.unposed)))
 
     def posed(self, vectors: Float) -> Float:
-        """Return posed vertices ``(T, V, 3)`` of vectors ``(T, D)``, in diagonals, joints not looked at."""
+        """Return posed vertices ``(T, V, 3)`` of vectors ``(T, D)``, in diagonals, before the projection at joints."""
         rows = zip(*self.split(vectors), strict=True)
         return np.stack([self._posed(MixedBlocks(*row)) for row in rows])
 
@@ -496,13 +497,13 @@ class MixedSpace(ShapeSpace):
         return points * self.scale, velocities * self.scale
 
     def shape_difference(self, vector: Float, before: Float, after: Float) -> Float:
-        """Implement `ShapeSpace.shape_difference`: parts stay where they are, vertices that did not move too.
+        """Implement `ShapeSpace.shape_difference`: part poses do not change.
 
         Where lengths and angles of joints are not those of posed vertices, between frames, it takes several rounds.
         """
         changed, found, size = vector.copy(), before, self.shape_dim
         rest, offset = np.inf, before - self.decode(vector[None])[0]
-        for _ in range(EDIT_ROUNDS):
+        for _ in range(MAX_EDIT_ROUNDS):
             tried = changed.copy()
             tried[:size] += self._measured_difference(changed, found, after)
             found = self.decode(tried[None])[0] + offset
@@ -510,7 +511,7 @@ class MixedSpace(ShapeSpace):
             if left > 0.5 * rest:
                 break
             changed, rest = tried, left
-            if rest <= EDIT_ERROR * self.scale:
+            if rest <= EDIT_TOLERANCE * self.scale:
                 break
         return changed[:size] - vector[:size]
 

@@ -15,7 +15,7 @@ of errors :math:`\delta`, those with which frames that are left out are predicte
 
 .. math:: P = \Bigl(\frac{\sum \delta \delta^T + n\, S}{3 F + n} + \varepsilon^2\Bigr)^{-1}
 
-over F frames, with an isotropic S of the same size that stands for what so few frames do not tell.
+over F frames, with an isotropic S of the same size, as few frames leave parts of the covariance undetermined.
 """
 
 from __future__ import annotations
@@ -36,27 +36,27 @@ from mixseq.spaces.mixed.articulation import Articulation
 RELATION_WEIGHT = 2.0
 r"""Weight :math:`\lambda` of a relation against a pose; chosen on half of the animations of the benchmarks."""
 
-USELESS = 2.0
-"""Parts are not predicted in the world where errors are larger than those in the body by this factor."""
+MAX_WORLD_ERROR_RATIO = 2.0
+"""Largest error in the world over that in the body; above it, parts are predicted in the body only."""
 
-PRIOR = 6.0
-"""Rows of errors n that the isotropic covariance stands for."""
+PRIOR_ROWS = 6.0
+"""Number n of rows of errors by which the isotropic covariance counts."""
 
-FLOOR = 1e-3
-r"""Errors :math:`\varepsilon` below this, in diagonals, are all the same."""
+POSE_ERROR_FLOOR = 1e-3
+r"""Error :math:`\varepsilon` that is added to all, in diagonals."""
 
-TIMES_AT_ONCE = 64
-"""Times whose systems are in memory at once."""
+TIMES_PER_BLOCK = 64
+"""Number of times whose systems are solved in one block."""
 
 
 @dataclass(frozen=True, eq=False)
 class PosePrediction:
-    """Predicts the poses of all parts of a sequence."""
+    """The prediction of the poses of all parts of a sequence."""
 
     articulation: Articulation  # the parts
     operator: Operator  # the temporal operator of the sequence
     poses: Poses  # poses of the parts in the world at the frames, (T, p): rotations since the reference frame
-    in_body: bool = True  # whether poses are predicted as seen from the body, too
+    in_body: bool  # whether poses are predicted as seen from the body, too
 
     def at(self, times: Float) -> tuple[Poses, Poses]:
         """Predict poses at times ``(N,)``: of the bodies ``(N, B)``, and of parts as seen from them ``(N, p)``.
@@ -126,7 +126,7 @@ class PosePrediction:
             return world, None
         in_world = _stacked(self._seen_in_world(rows)[1]) - seen[left]
         in_body = _stacked(predicted_alone(rows, self._bodies[1])) - seen[left]
-        useless = np.linalg.norm(in_world) > USELESS * np.linalg.norm(in_body)
+        useless = np.linalg.norm(in_world) > MAX_WORLD_ERROR_RATIO * np.linalg.norm(in_body)
         return None if useless else world, _precision(in_body, radii)
 
     @cached_property
@@ -151,9 +151,9 @@ def _kept(frames: Poses, predicted: Poses, known: Mask) -> Poses:
 
 
 def _parts_of(rows: Rows) -> Iterator[Rows]:
-    """Yield rows in blocks of `TIMES_AT_ONCE`."""
-    for start in range(0, len(rows.frames), TIMES_AT_ONCE):
-        block = slice(start, start + TIMES_AT_ONCE)
+    """Yield rows in blocks of `TIMES_PER_BLOCK`."""
+    for start in range(0, len(rows.frames), TIMES_PER_BLOCK):
+        block = slice(start, start + TIMES_PER_BLOCK)
         yield Rows(rows.frames[block], rows.weights[block], rows.count)
 
 
@@ -175,8 +175,8 @@ def _precision(errors: Float, radii: Float) -> Float:
     count = 3 * len(errors)
     turning = np.trace(squares[:, :3, :3], axis1=1, axis2=2) / 3.0
     isotropic = np.concatenate([np.repeat(turning[:, None], 3, axis=1), squares[:, 3:, 3]], axis=1) / count
-    covariance = squares + PRIOR * isotropic[:, :, None] * np.eye(4)
-    inverted = np.linalg.inv(covariance / (count + PRIOR) + FLOOR**2 / 3.0 * np.eye(4))
+    covariance = squares + PRIOR_ROWS * isotropic[:, :, None] * np.eye(4)
+    inverted = np.linalg.inv(covariance / (count + PRIOR_ROWS) + POSE_ERROR_FLOOR**2 / 3.0 * np.eye(4))
     return np.asarray(inverted * lengths[:, :, None] * lengths[:, None, :])
 
 

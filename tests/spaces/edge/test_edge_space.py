@@ -22,7 +22,7 @@ from mixseq.shells.fitting import ShellSettings
 from mixseq.spaces.edge.discrete_shell import volume
 from mixseq.spaces.edge.edge_space import EdgeSettings, EdgeSpace
 from mixseq.spaces.mixed import Projection, mixed_space
-from mixseq.spaces.mixed.joint_projection import BENDING
+from mixseq.spaces.mixed.joint_projection import BENDING_WEIGHT
 from mixseq.topology import Topology
 from tests.meshes import SEQUENCES, bent, rotation, torus, tube
 
@@ -175,7 +175,7 @@ def test_a_mesh_that_is_one_joint_is_the_same_in_the_mixed_space(monkeypatch: py
         joint_faces=np.ones(len(topology.faces), dtype=bool),
         projection=Projection("free", 1.0, steps=400),
     )
-    edge = space_of(sequence, DSO, ShellSettings(bending=BENDING, tolerance=1e-14, accuracy=1e-11))
+    edge = space_of(sequence, DSO, ShellSettings(bending=BENDING_WEIGHT, tolerance=1e-14, accuracy=1e-11))
     space = replace(edge, reference_lengths=edge_lengths(mixed.reference, topology.edges))
     ours, theirs = space.encode(sequence.points), mixed.encode(sequence.points)
     edges = len(topology.edges)

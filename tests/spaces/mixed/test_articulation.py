@@ -15,8 +15,14 @@ from mixseq.prediction.poses import Poses
 from mixseq.segmentation import decompose
 from mixseq.segmentation.boundaries import Boundaries
 from mixseq.spaces.metric import radii_of_gyration
-from mixseq.spaces.mixed import articulation_kernels as kernels
-from mixseq.spaces.mixed.articulation import STILL, Articulation, PartPoses, Steadiness, articulation_of
+from mixseq.spaces.mixed import posing_kernels as kernels
+from mixseq.spaces.mixed.articulation import (
+    MOTION_FLOOR,
+    Articulation,
+    PartPoses,
+    Steadiness,
+    articulation_of,
+)
 from mixseq.spaces.mixed.complex_step import values_and_rates, with_rates
 from tests.meshes import Mesh, joined, rigid_motions, rotation, seeds, topology_of, tube
 from tests.spaces.mixed.made import sliced
@@ -187,10 +193,10 @@ def test_what_moves_less_is_steadier() -> None:
     last, angles = int(np.argmax(CHAIN.rest_centres[:, 2])), np.array([-0.3, -0.1, 0.1, 0.3])
     rest.rotations[:, last] = quaternions(np.stack([rotation(AXIS * angle) for angle in angles]))
     found = CHAIN.measured(CHAIN.with_relations(rest))
-    expected = np.full(4, STILL**2)
+    expected = np.full(4, MOTION_FLOOR**2)
     expected[last] += np.square(angles).mean() * CHAIN.radii[last] ** 2
     np.testing.assert_allclose(found.turns, 1.0 / expected, rtol=1e-9)
-    np.testing.assert_allclose(found.centres, 1.0 / STILL**2)
+    np.testing.assert_allclose(found.centres, 1.0 / MOTION_FLOOR**2)
     sees = (CHAIN.pairs == last).any(axis=1)
     assert found.relation_turns[sees].max() < found.relation_turns[~sees].min()
 
@@ -426,7 +432,7 @@ def test_rates_of_motions_are_difference_quotients(seed: int) -> None:
 
 def test_small_corrections_have_the_rates_of_large_ones() -> None:
     """Their exponential is a power series below an angle, and both sides of it agree."""
-    small = np.sqrt(kernels.SMALL)
+    small = np.sqrt(kernels.SERIES_SQUARED_ANGLE)
     turns, none = np.eye(4)[:1], np.zeros((1, 3))
     found = []
     for size in (0.999999 * small, 1.000001 * small):

@@ -15,15 +15,15 @@ from mixseq.spaces.mixed import MixedSpace, Projection, Purpose, mixed_space
 from mixseq.spaces.mixed.construction import (
     FAR_HOLD,
     FAR_RELATIONS,
-    FEWEST_STEPS,
     FREE_STEPS,
-    GRID,
-    MOST_STEPS,
-    SMALLER,
+    MAX_STEPS,
+    MIN_STEPS,
+    REFERENCE_STEP,
+    SIZE_REDUCTION,
     are_far,
     at_winding_hinges,
     flat_in_some_frame,
-    wrongness,
+    half_way_errors,
 )
 from mixseq.topology import Topology
 from tests.meshes import SEQUENCES, bar, bent, grid, topology_of, tube
@@ -66,19 +66,19 @@ def test_faces_are_wrong_by_how_far_they_are_off_half_way() -> None:
     topology = topology_of(mesh)
     labels = (mesh[0][mesh[1]].mean(axis=1)[:, 1] > 6).astype(int)
     space = mixed_space(frames, topology, decompose(topology, labels, 2))
-    assert wrongness(space, [frames], 0.1, 25.0).max() < 0.06
+    assert half_way_errors(space, [frames], 0.1, 25.0).max() < 0.06
     folded = np.stack([mesh[0], bent(mesh[0][:, [0, 2, 1]], 2.4, 6.0, 1.0)[:, [0, 2, 1]]])
     space = mixed_space(folded, topology, decompose(topology, labels, 2))
-    wrong = wrongness(space, [folded], 0.01, 4.0)
+    wrong = half_way_errors(space, [folded], 0.01, 4.0)
     near = np.abs(mesh[0][mesh[1]].mean(axis=1)[:, 1] - 6.0) < 2.0
     assert wrong[~near].max() < 0.2 < 1.0 < wrong[near].max()
-    np.testing.assert_allclose(wrongness(space, [folded], 0.02, 8.0), wrong / 2, rtol=1e-9)
+    np.testing.assert_allclose(half_way_errors(space, [folded], 0.02, 8.0), wrong / 2, rtol=1e-9)
 
 
 @pytest.mark.parametrize("name", SEQUENCES)
 def test_vectors_of_sequences_are_shorter_than_all_lengths_and_angles(name: str) -> None:
     space = space_of(name)
-    assert share_of_all(space) >= SMALLER * 0.999 or not space.joint_faces.any()
+    assert share_of_all(space) >= SIZE_REDUCTION * 0.999 or not space.joint_faces.any()
 
 
 def test_the_worst_faces_are_joints_within_the_budget() -> None:
@@ -89,42 +89,42 @@ def test_the_worst_faces_are_joints_within_the_budget() -> None:
     decomposition = decompose(topology, sliced(mesh, 2.0), 3)
     small = mixed_space(points, topology, decomposition)
     assert 0 < small.joint_faces.sum() < len(mesh[1])
-    assert SMALLER * 0.999 <= share_of_all(small) < SMALLER * 1.05
+    assert SIZE_REDUCTION * 0.999 <= share_of_all(small) < SIZE_REDUCTION * 1.05
     plain = mixed_space(points, topology, decomposition, purpose="blends")
-    wrong = wrongness(small, (points[k : k + 2] for k in range(2)), 0.1, 25.0)
+    wrong = half_way_errors(small, (points[k : k + 2] for k in range(2)), 0.1, 25.0)
     told, others = (
         small.joint_faces,
         ~small.joint_faces & ~flat_in_some_frame(topology, points) & ~at_winding_hinges(topology, points),
     )
     assert wrong[told].min() >= wrong[others].max() * 0.9
-    assert share_of_all(plain) < SMALLER
+    assert share_of_all(plain) < SIZE_REDUCTION
 
 
 def test_frames_that_are_near_have_no_steps() -> None:
-    for purpose in ("sequence", "few numbers"):
+    for purpose in ("sequence", "reduced"):
         space = space_for(bar(frames=9), 2, purpose)
         assert space.projection == Projection()
 
 
 def test_frames_that_are_far_apart_have_steps() -> None:
-    """But not where few numbers do not tell lengths and angles."""
+    """But not in reduced models."""
     ends = MeshSequence.from_arrays(CURLED.points[[0, 2]], CURLED.faces)
     far = space_for(ends, 1)
     assert are_far(far, ends.points)
     projection = far.projection
-    assert FEWEST_STEPS <= projection.steps <= MOST_STEPS
+    assert MIN_STEPS <= projection.steps <= MAX_STEPS
     assert (projection.share, projection.hold, projection.relations) == (1.0, FAR_HOLD, FAR_RELATIONS)
-    few = space_for(ends, 1, "few numbers")
+    few = space_for(ends, 1, "reduced")
     assert few.projection == Projection() and few.joint_faces.any()
 
 
 def test_blends_follow_lengths_and_angles_all_the_way() -> None:
     space = space_for(bar(frames=2), 2, "blends")
-    assert space.projection.share == 1.0 and space.projection.steps >= FEWEST_STEPS
+    assert space.projection.share == 1.0 and space.projection.steps >= MIN_STEPS
     assert space.joint_faces.sum() > space_for(bar(frames=2), 2).joint_faces.sum()
 
 
-@pytest.mark.parametrize("purpose", ["sequence", "few numbers", "blends"])
+@pytest.mark.parametrize("purpose", ["sequence", "reduced", "blends"])
 def test_what_does_not_move_has_no_joints(purpose: Purpose) -> None:
     for name in ("still", "one frame"):
         space = space_of(name, purpose=purpose)
@@ -171,12 +171,14 @@ def test_mean_shapes_and_reference_are_on_a_grid() -> None:
     space = space_of("bar")
     points = sequence_of("bar").points
     for block in (space.shapes, space.reference):
-        np.testing.assert_array_equal(np.round(block / GRID) * GRID, block)
-    np.testing.assert_allclose(space.reference, points[0] / space.scale, atol=GRID)
+        np.testing.assert_array_equal(np.round(block / REFERENCE_STEP) * REFERENCE_STEP, block)
+    np.testing.assert_allclose(space.reference, points[0] / space.scale, atol=REFERENCE_STEP)
     for start, part in zip(
         np.cumsum([0, *map(len, space.decomposition.parts)]), space.decomposition.parts, strict=False
     ):
-        np.testing.assert_allclose(space.shapes[start : start + len(part)].mean(axis=0), 0.0, atol=GRID)
+        np.testing.assert_allclose(
+            space.shapes[start : start + len(part)].mean(axis=0), 0.0, atol=REFERENCE_STEP
+        )
 
 
 def test_steadiness_is_learned_from_the_frames() -> None:
@@ -228,7 +230,7 @@ def test_single_precision_makes_nearly_the_same_space() -> None:
     labels = segment_by_labels(segment_by_motion(points, topology, 2), topology)
     decomposition = decompose(topology, labels, 3)
     spaces = [mixed_space(x, topology, decomposition) for x in (points, points.astype(np.float32))]
-    np.testing.assert_allclose(spaces[0].shapes, spaces[1].shapes, atol=2 * GRID)
+    np.testing.assert_allclose(spaces[0].shapes, spaces[1].shapes, atol=2 * REFERENCE_STEP)
     double, single = (space.skinning_weights.toarray() for space in spaces)
     np.testing.assert_allclose(double, single, atol=1e-2)
 
@@ -237,4 +239,4 @@ def test_the_walk_is_near_and_its_vectors_are_short() -> None:
     walk = walk_cycle()
     space = space_for(walk, 12)
     assert space.projection.steps == 0
-    assert share_of_all(space) >= SMALLER
+    assert share_of_all(space) >= SIZE_REDUCTION

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mixseq.arrays import Float, Index
 from mixseq.geometry.rotations import normalised, product, quaternions
-from mixseq.spaces.mixed import skinning_kernels as kernels
+from mixseq.spaces.mixed import posing_kernels as kernels
 from mixseq.spaces.mixed.complex_step import values_and_rates, with_rates
 from tests.meshes import rigid_motions, rotation, seeds
 

@@ -1,7 +1,8 @@
-"""The inner loops of `articulation`, compiled: poses that agree with relations, and motions of parts.
+"""The inner loops that pose a mesh, compiled: poses that agree with relations, motions of parts, and skinning.
 
-Quaternions are (w, x, y, z), of any length where they are given, and unit where they are returned. Arrays are of real
-or of complex numbers: a complex step gives derivatives (`complex_step`).
+Vertices follow blended dual quaternions. Quaternions are (w, x, y, z), of any length where they are given, and unit
+where they are returned; positions are in diagonals. Arrays are of real or of complex numbers: a complex step gives
+derivatives (`complex_step`).
 """
 
 from __future__ import annotations
@@ -10,30 +11,13 @@ import numpy as np
 
 from mixseq.arrays import Float, Index
 from mixseq.compiled import compiled, inlined
+from mixseq.shells.face_frame_kernels import product, product_with_inverse
 
-ROUNDS = 2
-"""Rounds of rotation averaging."""
+AVERAGING_ROUNDS = 2
+"""Rounds of rotation averaging over parts."""
 
-SMALL = 1e-6
+SERIES_SQUARED_ANGLE = 1e-6
 """Squared length of a rotation vector below which its exponential is a power series, in squared radians."""
-
-
-@inlined
-def _product(p: Float, q: Float, r: Float) -> None:
-    """Write the product ``p q`` to r, which is neither of them."""
-    r[0] = p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3]
-    r[1] = p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2]
-    r[2] = p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1]
-    r[3] = p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0]
-
-
-@inlined
-def _product_with_inverse(p: Float, q: Float, r: Float) -> None:
-    """Write the product ``p conj(q)`` to r, which is neither of them."""
-    r[0] = p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3]
-    r[1] = -p[0] * q[1] + p[1] * q[0] - p[2] * q[3] + p[3] * q[2]
-    r[2] = -p[0] * q[2] + p[1] * q[3] + p[2] * q[0] - p[3] * q[1]
-    r[3] = -p[0] * q[3] - p[1] * q[2] + p[2] * q[1] + p[3] * q[0]
 
 
 @inlined
@@ -112,22 +96,22 @@ def agree(
         for a in range(4):
             seen[a] = relation_turns[links[k], a]
         _normalise(seen)
-        _product(t[before[k]], seen, expected)
+        product(t[before[k]], seen, expected)
         for a in range(4):
             t[order[k], a] = expected[a]
     right = np.empty((count, 3), t.dtype)
-    for _ in range(ROUNDS):
+    for _ in range(AVERAGING_ROUNDS):
         # Misfits count by their sines, which are smooth: half a turn has no side. A blend of rotations that are far
         # apart is a short quaternion, and counts less.
         for part in range(count):
-            _product_with_inverse(turns[part], t[part], off)
+            product_with_inverse(turns[part], t[part], off)
             scale = 2.0 * own_turns[part] * off[0]
             for a in range(3):
                 right[part, a] = scale * off[1 + a]
         for k in range(len(pairs)):
             i, j = pairs[k, 0], pairs[k, 1]
-            _product(t[i], relation_turns[k], expected)
-            _product_with_inverse(expected, t[j], off)
+            product(t[i], relation_turns[k], expected)
+            product_with_inverse(expected, t[j], off)
             scale = 2.0 * turn_weights[k] * off[0]
             for a in range(3):
                 right[j, a] += scale * off[1 + a]
@@ -138,7 +122,7 @@ def agree(
                 step[1 + a] = 0.0
                 for other in range(count):
                     step[1 + a] += 0.5 * turn_inverse[part, other] * right[other, a]
-            _product(step, t[part], expected)
+            product(step, t[part], expected)
             _normalise(expected)
             for a in range(4):
                 t[part, a] = expected[a]
@@ -166,7 +150,7 @@ def correct(turns: Float, centres: Float, spins: Float, shifts: Float) -> tuple[
     step = np.empty(4, t.dtype)
     for part in range(len(t)):
         square = spins[part, 0] ** 2 + spins[part, 1] ** 2 + spins[part, 2] ** 2
-        if square.real < SMALL:
+        if square.real < SERIES_SQUARED_ANGLE:
             step[0] = 1.0 - square / 8.0 + square * square / 384.0
             scale = 0.5 - square / 48.0 + square * square / 3840.0
         else:
@@ -175,7 +159,7 @@ def correct(turns: Float, centres: Float, spins: Float, shifts: Float) -> tuple[
             scale = np.sin(0.5 * angle) / angle
         for a in range(3):
             step[1 + a] = scale * spins[part, a]
-        _product(turns[part], step, t[part])
+        product(turns[part], step, t[part])
     return t, c
 
 
@@ -216,7 +200,7 @@ def motions(
     shift = np.empty(3, turns.dtype)
     for part in range(count):
         body = bodies[part]
-        _product(frames[body], turns[part], q)
+        product(frames[body], turns[part], q)
         _turn(frames[body], centres[part], point)
         _turn(q, rest_centres[part], rest)
         for a in range(3):
@@ -235,3 +219,66 @@ def motions(
             for a in range(8):
                 duals[part, a] = -duals[part, a]
     return duals
+
+
+@inlined
+def _turned(
+    w: float, p: float, q: float, r: float, x: float, y: float, z: float
+) -> tuple[float, float, float]:
+    """Turn a vector by a unit quaternion: ``v + 2 w (u x v) + 2 u x (u x v)``."""
+    a = 2.0 * (q * z - r * y)
+    b = 2.0 * (r * x - p * z)
+    c = 2.0 * (p * y - q * x)
+    return x + w * a + q * c - r * b, y + w * b + r * a - p * c, z + w * c + p * b - q * a
+
+
+@inlined
+def _blend(starts: Index, parts: Index, weights: Float, duals: Float, v: int, total: Float) -> None:
+    """Write the blended motion of a vertex: a unit quaternion and a translation, seven numbers."""
+    first, end = starts[v], starts[v + 1]
+    if end == first + 1:  # one part's motion is a unit dual quaternion already
+        for i in range(8):
+            total[i] = duals[parts[first], i]
+    else:
+        for i in range(8):
+            total[i] = 0.0
+        for place in range(first, end):
+            for i in range(8):
+                total[i] += weights[place] * duals[parts[place], i]
+        square = total[0] * total[0] + total[1] * total[1] + total[2] * total[2] + total[3] * total[3]
+        inverse = 1.0 / np.sqrt(square) if square.real > 0.0 else 0.0 * square  # of nothing, no motion
+        for i in range(8):
+            total[i] *= inverse
+    w, x, y, z = total[0], total[1], total[2], total[3]
+    d, a, b, c = total[4], total[5], total[6], total[7]
+    # Twice the vector part of dual times conjugate.
+    total[4] = 2.0 * (-d * x + a * w - b * z + c * y)
+    total[5] = 2.0 * (-d * y + b * w - c * x + a * z)
+    total[6] = 2.0 * (-d * z + c * w - a * y + b * x)
+
+
+@compiled
+def pose(starts: Index, parts: Index, weights: Float, duals: Float, unposed: Float) -> Float:
+    """Move vertices ``(V, 3)`` by the blended motions of their parts.
+
+    Shapes: starts, parts, weights ``(V + 1,)``; duals ``(p, 8)``.
+    """
+    x = np.empty_like(unposed)
+    m = np.empty(8, duals.dtype)
+    for v in range(len(x)):
+        _blend(starts, parts, weights, duals, v, m)
+        a, b, c = _turned(m[0], m[1], m[2], m[3], unposed[v, 0], unposed[v, 1], unposed[v, 2])
+        x[v, 0], x[v, 1], x[v, 2] = a + m[4], b + m[5], c + m[6]
+    return x
+
+
+@compiled
+def unpose(starts: Index, parts: Index, weights: Float, duals: Float, x: Float) -> Float:
+    """Move vertices ``(V, 3)`` back by the blended motions of their parts: the inverse of `pose`."""
+    unposed = np.empty_like(x)
+    m = np.empty(8, duals.dtype)
+    for v in range(len(x)):
+        _blend(starts, parts, weights, duals, v, m)
+        a, b, c = _turned(m[0], -m[1], -m[2], -m[3], x[v, 0] - m[4], x[v, 1] - m[5], x[v, 2] - m[6])
+        unposed[v, 0], unposed[v, 1], unposed[v, 2] = a, b, c
+    return unposed
