@@ -15,12 +15,9 @@ PERCENTILE = 0.999
 class Statistics:
     """Statistics of one error over all elements and frames."""
 
-    # Root mean square, 99.9th percentile (the smallest value that 99.9 % do not exceed), largest value.
-    rms: float
-    # Root mean square, 99.9th percentile (the smallest value that 99.9 % do not exceed), largest value.
-    p999: float
-    # Root mean square, 99.9th percentile (the smallest value that 99.9 % do not exceed), largest value.
-    max: float
+    rms: float  # root mean square
+    p999: float  # 99.9th percentile: the smallest value that 99.9 % do not exceed
+    max: float  # largest value
     skipped: int  # how many values are not defined and were left out, counted over all frames
 
 

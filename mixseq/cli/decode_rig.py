@@ -36,10 +36,8 @@ class RigSettings:
     kind: str | None  # what to write; None for a sequence
     bones: int | None  # number of bones
     skeleton: Path | None  # a file with the bones, and mostly with the mesh on them
-    # Largest error of a vertex in diagonals: of a skin by its correctives; of its bones, or of a morph.
-    correctives: float | None
-    # Largest error of a vertex in diagonals: of a skin by its correctives; of its bones, or of a morph.
-    max_error: float | None
+    correctives: float | None  # largest error of a vertex with a skin's correctives, in diagonals
+    max_error: float | None  # largest error of a vertex with a skin's bones alone, or a morph, in diagonals
     kg: float | None  # kG error of a skin's bones, in percent
     max_targets: int | None  # number of morph targets at most
 

@@ -62,8 +62,8 @@ HEAT = 0.2
 class Matched:
     """A pair of extremities, and how sure it is."""
 
-    first: int  # their numbers in either list
-    second: int  # their numbers in either list
+    first: int  # number of the extremity of the first body
+    second: int  # number of the extremity of the second body
     margin: float  # by how much any other matching costs more
 
 

@@ -83,10 +83,10 @@ class Markers:
 class Pairing:
     """Components of a source and of a target that markers join: shoes and shoes, a body and a body."""
 
-    source_faces: Index  # (n,) triangles of these components
-    target_faces: Index  # (n,) triangles of these components
-    source_vertices: Index  # (n,) their vertices
-    target_vertices: Index  # (n,) their vertices
+    source_faces: Index  # (f,) triangles of the source's components
+    target_faces: Index  # (f',) triangles of the target's components
+    source_vertices: Index  # (v,) vertices of the source's components
+    target_vertices: Index  # (v',) vertices of the target's components
 
 
 def pair_components(source: Topology, target: Topology, markers: Markers) -> tuple[Pairing, ...]:
@@ -119,9 +119,9 @@ def pair_components(source: Topology, target: Topology, markers: Markers) -> tup
 class Similarity:
     """The map ``x -> scale * rotation x + translation``."""
 
-    scale: float  #
-    rotation: Float  # (3, 3)
-    translation: Float  # (3,)
+    scale: float  # scale factor
+    rotation: Float  # (3, 3) rotation matrix
+    translation: Float  # (3,) translation vector
 
     def __call__(self, points: Float) -> Float:
         """Move points ``(..., 3)``."""

@@ -40,10 +40,8 @@ class Matches:
     """A correspondence, and what was found without filling in."""
 
     correspondence: Correspondence  # the map
-    found_vertices: (
-        Mask  # (V',), (F',) which found a closest point themselves; others were filled in, or follow
-    )
-    found_faces: Mask  # (V',), (F',) which found a closest point themselves; others were filled in, or follow
+    found_vertices: Mask  # (V',) target vertices with a closest point of their own, not filled in
+    found_faces: Mask  # (F',) target triangles with a closest point of their own, not filled in
     # (V',) distances of vertices from what they found, in the unit of the points; infinite where they found nothing.
     distances: Float
 
@@ -55,20 +53,14 @@ class Quality:
     # Share of the source's area that, registered, lies on the target: within the distance and the angle of matches.
     source_coverage: float
     target_coverage: float  # share of the target's area whose triangles found a match themselves
-    mean: (
-        float  # distances of the target's vertices from the registered source: mean, 99th percentile, maximum
-    )
-    p99: (
-        float  # distances of the target's vertices from the registered source: mean, 99th percentile, maximum
-    )
-    largest: (
-        float  # distances of the target's vertices from the registered source: mean, 99th percentile, maximum
-    )
+    mean: float  # mean distance of the target's vertices from the registered source
+    p99: float  # 99th percentile of these distances
+    largest: float  # largest of these distances
     flipped: (
         int  # triangles of the target whose normal is against that of their triangle of the registered source
     )
-    filled_vertices: int  # how many took over the match of a neighbour
-    filled_faces: int  # how many took over the match of a neighbour
+    filled_vertices: int  # number of target vertices with the match of a neighbour
+    filled_faces: int  # number of target triangles with the match of a neighbour
     followers: int  # components of the target that follow a vertex; vertices that no triangle uses are none
     # (n,) distances of marked vertices of the registered source from the vertices of the target that they should be at.
     marker_distances: Float

@@ -66,12 +66,10 @@ ALIKE = 2.5
 class Exchanges:
     """How well two markers fit as they are and with their targets exchanged, for all pairs of markers."""
 
-    first: Index  # (m,) the markers
-    second: Index  # (m,) the markers
-    # (m,) root mean square distance of both from where the others say that they should be: as they are, and exchanged.
-    straight: Float
-    # (m,) root mean square distance of both from where the others say that they should be: as they are, and exchanged.
-    exchanged: Float
+    first: Index  # (m,) first marker of every pair
+    second: Index  # (m,) second marker of every pair
+    straight: Float  # (m,) root mean square distance of both from their prediction by the others
+    exchanged: Float  # (m,) the same distance with the two targets exchanged
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,18 +35,16 @@ _BEGINNING = 3  # minimisations with markers alone, ours: similarities follow fr
 class RegistrationSettings:
     """How a source is registered. All values are ours, tried on horse to camel and cat to lion; none is critical."""
 
-    stiffest: float = 1.0  # first and last stiffness
-    softest: float = 1e-5  # first and last stiffness
+    stiffest: float = 1.0  # first stiffness
+    softest: float = 1e-5  # last stiffness
     steps: int = 10  # number of stiffnesses, evenly spaced in their logarithm
     rounds: int = 2  # how often closest points are sought at every stiffness
     bending: float = 0.1  # length over which maps are alike, in diagonals of the target
     shear: float = 0.1  # weight of similarities against affine maps
     markers: float = 1.0  # weight of all markers together; that of either surface is 1
     largest_angle: float = 60.0  # closest points whose normals differ by more, in degrees, do not count
-    # Nor those that are farther, in diagonals of the target, at the first and the last stiffness.
-    largest_distance: float = 0.1
-    # Nor those that are farther, in diagonals of the target, at the first and the last stiffness.
-    last_distance: float = 0.02
+    largest_distance: float = 0.1  # search radius at the first stiffness, in diagonals of the target
+    last_distance: float = 0.02  # search radius at the last stiffness, in diagonals of the target
 
     def __post_init__(self) -> None:
         positive = ("softest", "steps", "rounds", "bending", "shear", "markers", "last_distance")

@@ -21,8 +21,8 @@ class Attachments:
 
     root: int  # the piece that holds all others
     pieces: Index  # (n,) the others, each after the piece that holds it
-    own: Index  # (n,) the vertex by which each is held, and the one that holds it
-    other: Index  # (n,) the vertex by which each is held, and the one that holds it
+    own: Index  # (n,) the vertex by which each is held
+    other: Index  # (n,) the vertex that holds it
     holders: Index  # (n,) the piece of that vertex
 
     def __len__(self) -> int:

@@ -23,8 +23,8 @@ from mixseq.signals.model import Model
 class Readers(NamedTuple):
     """How to read files; the core knows no formats."""
 
-    model: Callable[[Path], Model]  # read a file
-    mesh: Callable[[Path], MeshSequence]  # read a file
+    model: Callable[[Path], Model]  # reader of model files
+    mesh: Callable[[Path], MeshSequence]  # reader of mesh files
     folders: tuple[Path, ...] = ()  # where files may be besides the script's folder and those below
 
 

@@ -48,8 +48,8 @@ class Limb:
     """A part of a body and all parts that hang on it."""
 
     space: MixedSpace  # tells of parts and where they meet
-    part: int  # the part, and the one that it hangs on
-    parent: int  # the part, and the one that it hangs on
+    part: int  # root part of the limb
+    parent: int  # neighbouring part of the body, to which the root part is joined
     parts: Mask  # (p,) the part and what hangs on it
 
     @cached_property

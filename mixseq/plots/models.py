@@ -245,8 +245,8 @@ def _picture_height(poses: FloatArray, up_axis: str, near: View, width: float) -
 class Section:
     """A section of a page."""
 
-    width: float  # how large it wants to be, in inches
-    height: float  # how large it wants to be, in inches
+    width: float  # preferred width in inches
+    height: float  # preferred height in inches
     draw: Callable[[FigureBase], None]  # draws it on a matplotlib Figure or SubFigure
 
 

@@ -33,8 +33,8 @@ class GroupReport:
 
     name: str  # the contact
     stances: tuple[Stance, ...]  # when it rests
-    before: float  # length of the way of its middle in all stances, as transferred and as corrected
-    after: float  # length of the way of its middle in all stances, as transferred and as corrected
+    before: float  # path length of its middle in all stances, as transferred
+    after: float  # path length of its middle in all stances, as corrected
     residual: float  # the most that its limb got longer, as turning did not suffice
 
 

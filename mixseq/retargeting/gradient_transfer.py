@@ -40,8 +40,8 @@ from mixseq.topology import Topology
 class GradientTransfer(PickledWithoutCaches):
     """Moves a target by the deformation gradients of its source."""
 
-    source: GradientSpace  # the meshes at rest; both in units of their own
-    target: GradientSpace  # the meshes at rest; both in units of their own
+    source: GradientSpace  # gradient space of the source at rest, in a unit of its own
+    target: GradientSpace  # gradient space of the target at rest, in a unit of its own
     correspondence: Correspondence  # where the target is on the source
     alignment: Alignment  # how the target stands to the source, in the units of the meshes
     parts = None

@@ -50,8 +50,8 @@ class SameEdges:
 
     topology: Topology  # the connectivity
     solved: SolvedJoints  # the joints
-    source: Float  # (V, 3) the meshes at rest, each in the unit of its space
-    target: Float  # (V, 3) the meshes at rest, each in the unit of its space
+    source: Float  # (V, 3) source at rest, in the unit of its space
+    target: Float  # (V, 3) target at rest, in the unit of its space
 
     @cached_property
     def _edges(self) -> Index:

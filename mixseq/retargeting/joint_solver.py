@@ -27,12 +27,12 @@ from mixseq.topology import Topology
 class JointFrame(NamedTuple):
     """A frame as poses and shapes of the parts, lengths and angles of the joints."""
 
-    lengths: Float  # (E',) edge lengths, hinge angles in radians, weights of the lengths
-    angles: Float  # (H',) edge lengths, hinge angles in radians, weights of the lengths
-    weights: Float  # (E',) edge lengths, hinge angles in radians, weights of the lengths
+    lengths: Float  # (E',) edge lengths of the joints
+    angles: Float  # (H',) hinge angles of the joints, in radians
+    weights: Float  # (E',) weights of the edge lengths
     parts: Float  # (N, 3) aligned vertices of all parts
-    rotations: Float  # (p, 3, 3) poses of the parts
-    translations: Float  # (p, 3) poses of the parts
+    rotations: Float  # (p, 3, 3) rotations of the parts
+    translations: Float  # (p, 3) translations of the parts
     offsets: Float  # (F, 3) offsets of the free vertices from where the parts carry them
     offset_weights: Float  # (F,) how much the offsets count: weights of soft position constraints
 

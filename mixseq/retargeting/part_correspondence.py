@@ -60,8 +60,8 @@ class RestShapes:
 class PartCorrespondence:
     """Parts and joints of source and target."""
 
-    source: Decomposition  # parts and joints of the two
-    target: Decomposition  # parts and joints of the two
+    source: Decomposition  # parts and joints of the source
+    target: Decomposition  # parts and joints of the target
     sources: Index  # (p',) the part of the source that moves every part of the target
 
     @property

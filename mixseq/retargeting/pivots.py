@@ -84,10 +84,8 @@ class PivotSolver:
     """Puts the parts of an articulated body together at their pivots."""
 
     body: ArticulatedBody  # the parts at rest, all of them joined to the root, whose place is given
-    # (n,) how long the boundary at every pivot is, and its root mean square distance from the pivot.
-    lengths: Float
-    # (n,) how long the boundary at every pivot is, and its root mean square distance from the pivot.
-    radii: Float
+    lengths: Float  # (n,) length of the boundary at every pivot
+    radii: Float  # (n,) root mean square distance of the boundary from its pivot
 
     @cached_property
     def _incidence(self) -> sparse.csr_array:

@@ -70,18 +70,14 @@ class TransferReport:
     """Measures of a transfer; their formulas are at the head of this module."""
 
     coverage: Coverage  # what has a counterpart, and what follows
-    strain: Statistics  # of the target's edges, of the source's, and of the target's beside the source's
-    # Of the target's edges, of the source's, and of the target's beside the source's.
-    source_strain: Statistics
-    excess: Statistics  # of the target's edges, of the source's, and of the target's beside the source's
+    strain: Statistics  # strain of the target's edges
+    source_strain: Statistics  # strain of the source's edges
+    excess: Statistics  # excess of the target's edges
     smoothness: Smoothness | None  # if there are at least three frames
-    intersections: Counts  # pairs of triangles that go through each other, of the target and of the source
-    # Pairs of triangles that go through each other, of the target and of the source.
-    source_intersections: Counts
-    # Triangles of the target that are turned over, and that are flat though they were not at rest; in all frames.
-    turned_over: Counts
-    # Triangles of the target that are turned over, and that are flat though they were not at rest; in all frames.
-    flat: Counts
+    intersections: Counts  # intersecting pairs of triangles of the target
+    source_intersections: Counts  # intersecting pairs of triangles of the source
+    turned_over: Counts  # turned-over triangles of the target, in all frames
+    flat: Counts  # triangles of the target that are flat in a frame but not at rest, in all frames
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""

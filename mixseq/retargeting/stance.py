@@ -50,8 +50,8 @@ class Stance:
     """A contact at rest."""
 
     group: str  # name of the contact
-    start: int  # its first frame and the one after its last
-    stop: int  # its first frame and the one after its last
+    start: int  # first frame
+    stop: int  # frame after the last
 
     @property
     def frames(self) -> slice:

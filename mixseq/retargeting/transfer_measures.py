@@ -29,8 +29,8 @@ class Expected:
     """What the source expects of the triangles of the target."""
 
     gradients: GradientTransfer  # the two meshes at rest, and how they correspond
-    rest: Float  # (V', 3) the two at rest, in their own units
-    source_rest: Float  # (V, 3) the two at rest, in their own units
+    rest: Float  # (V', 3) target at rest, in its own units
+    source_rest: Float  # (V, 3) source at rest, in its own units
 
     @classmethod
     def of(cls, transfer: Transfer) -> Expected:
@@ -159,10 +159,10 @@ class Acceleration:
 class Smoothness:
     """Accelerations in diagonals of the target per squared frame: root mean square, and the largest of a vertex."""
 
-    rms: float  # of the target
-    max: float  # of the target
-    source_rms: float  # of the source, as large as the target is
-    source_max: float  # of the source, as large as the target is
+    rms: float  # root mean square of the target
+    max: float  # largest of a vertex of the target
+    source_rms: float  # root mean square of the source, scaled to the target
+    source_max: float  # largest of the source, scaled to the target
     worst_frame: int  # frame of the target's largest
 
     @classmethod

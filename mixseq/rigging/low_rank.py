@@ -153,7 +153,7 @@ class _Clusters:
     """Parts of trajectories, and orthonormal vectors of each, as many as the bound takes."""
 
     parts: Index
-    whole: Float  # (R, 3 T)
+    whole: Float  # (R, 3 T) principal directions of all trajectories
     own: list[Float]  # (K_p, R) each
 
     @property

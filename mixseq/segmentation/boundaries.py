@@ -39,11 +39,11 @@ class Rim:
     """What is near the boundaries of patches: less and less, as patches are merged."""
 
     vertex_count: int  # number of vertices of the mesh
-    ends: Index  # (n, 2) vertices of the edges on boundaries, and the two faces there
-    sides: Index  # (n, 2) vertices of the edges on boundaries, and the two faces there
+    ends: Index  # (n, 2) vertices of the boundary edges
+    sides: Index  # (n, 2) faces beside the boundary edges
     edges: Index  # (m, 2) edges with an end on a boundary
-    faces: Index  # (k,) faces with a corner on a boundary or one edge away, and their vertices
-    corners: IntArray  # (k,) faces with a corner on a boundary or one edge away, and their vertices
+    faces: Index  # (k,) faces with a corner on a boundary or one edge away
+    corners: IntArray  # (k, 3) vertices of these faces
 
     @classmethod
     def of(cls, topology: Topology, patches: Index) -> Rim:

@@ -33,8 +33,8 @@ class Passes:
     topology: Topology  # connectivity of the mesh
     face_areas: Float  # (F,) areas of the faces
     hinges: Index  # (n,) hinges of the tree; n is the number of faces less that of components
-    areas: Float  # (n,) areas and depths of these passes
-    depths: Float  # (n,) areas and depths of these passes
+    areas: Float  # (n,) areas of the passes
+    depths: Float  # (n,) depths of the passes
 
     def cut(self, where: Index) -> Index:
         """Cut the tree at some of its n hinges; number the regions ``(F,)`` that are left by decreasing area."""

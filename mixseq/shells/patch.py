@@ -24,8 +24,8 @@ from mixseq.topology import Topology
 class NormalEquations:
     """Lengths and angles around the free vertices of a patch, and the matrix they make."""
 
-    edges: Index  # (e', 2) those with a free vertex
-    hinges: Index  # (h', 4) those with a free vertex
+    edges: Index  # (e', 2) edges with a free vertex
+    hinges: Index  # (h', 4) hinges with a free vertex
     free: Index  # (f,) the free vertices
     number: Index  # (n,) place of every vertex among them, -1 if fixed
     pattern: BlockSparsePattern  # pattern of the matrix, one triple of unknowns for each free vertex

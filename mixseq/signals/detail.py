@@ -44,8 +44,8 @@ class Between(NamedTuple):
     times: Float  # (2T - 1,) frames and the middles between them, in seconds
     rows: Rows  # weights of the frames there
     quarters: Float  # (4T - 3,) frames and the quarters between them, in seconds
-    targets: Float  # (4T - 3, ...) how parts stand to each other at the quarters, and placements
-    placement: Float  # (4T - 3, P) how parts stand to each other at the quarters, and placements
+    targets: Float  # (4T - 3, ...) poses of parts as seen from their bodies, at the quarters
+    placement: Float  # (4T - 3, P) placements at the quarters
 
 
 @dataclass(frozen=True, eq=False)

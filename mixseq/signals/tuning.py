@@ -59,8 +59,8 @@ def tuned(encoded: Encoded, frames: LargeArray) -> Encoded:
 class Trial:
     """Frames that are left out, and their predictions."""
 
-    encoded: Encoded  # the sequence, and its space
-    space: MixedSpace  # the sequence, and its space
+    encoded: Encoded  # the encoded sequence
+    space: MixedSpace  # its mixed shape space
     frames: Index  # (n,) frames that are left out
     rows: Rows  # weights of the others
     points: Float  # (n, V, 3) what they are, in diagonals

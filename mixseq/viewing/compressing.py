@@ -43,8 +43,8 @@ class PageItemReport:
     # No vertex is farther from where it was, in diagonals of the bounding box of the first pose.
     max_error: float
     error: float  # the same in units of the mesh
-    positions: int  # bytes that its mesh and motion, and its colours, take before they are text
-    colours: int  # bytes that its mesh and motion, and its colours, take before they are text
+    positions: int  # size of its mesh and motion in bytes, before conversion to text
+    colours: int  # size of its colours in bytes, before conversion to text
 
 
 @dataclass(frozen=True, eq=False)

@@ -52,8 +52,8 @@ def page_items(
 class Extent:
     """Where a mesh is in all its poses, Y up."""
 
-    low: Float  # (3,) corners of its bounding box
-    high: Float  # (3,) corners of its bounding box
+    low: Float  # (3,) minimum corner of its bounding box
+    high: Float  # (3,) maximum corner of its bounding box
     # (views, 5) left, right, bottom and top on the screen of each view, whose middle is the origin of space, and the
     # bottom of what is at height zero below the mesh.
     seen: Float
@@ -90,12 +90,8 @@ class Gathered:
     """The poses of a mesh."""
 
     poses: LargeArray  # (n, V, 3) as they were given
-    # Where they are, from their own view and from that of the first mesh of the page; and where they are when the
-    # camera goes with them, from the mean of the vertices, on the ground.
-    still: Extent
-    # Where they are, from their own view and from that of the first mesh of the page; and where they are when the
-    # camera goes with them, from the mean of the vertices, on the ground.
-    following: Extent
+    still: Extent  # extent in space, in both views
+    following: Extent  # extent relative to the mean of the vertices, on the ground, in both views
     views: tuple[View, View]  # (View, View) their own view, and that of the first mesh of the page
     # Whether they are seen as the first mesh is: they have its triangles, and about its place and size.
     like_first: bool

@@ -31,8 +31,8 @@ _NEGLIGIBLE = 1e-4
 class Frames:
     """What textures shall show, in float64."""
 
-    points: NDArray[np.float64]  # (T, N, 3) of the N texels of every frame
-    normals: NDArray[np.float64]  # (T, N, 3) of the N texels of every frame
+    points: NDArray[np.float64]  # (T, N, 3) positions of the N texels in every frame
+    normals: NDArray[np.float64]  # (T, N, 3) normals of the N texels in every frame
 
     @classmethod
     def of(cls, points: FloatArray, texels: Texels) -> Frames:

@@ -51,11 +51,11 @@ class VatReport:
 
     kind: str  # see mixseq_io.vat.textures
     rank: int  # number of basis vectors, 0 of plain textures
-    max_error: float  # largest and root mean square distance of a vertex, in diagonals
-    rms_error: float  # largest and root mean square distance of a vertex, in diagonals
+    max_error: float  # largest error of a vertex, in diagonals
+    rms_error: float  # root mean square error of the vertices, in diagonals
     normal_degrees: float  # root mean square angle of the normals
-    file_bytes: int  # of the textures, as files and in the memory of a graphics card
-    memory_bytes: int  # of the textures, as files and in the memory of a graphics card
+    file_bytes: int  # size of the texture files
+    memory_bytes: int  # size of the textures in the memory of a graphics card
 
 
 @public

@@ -21,14 +21,14 @@ HEADING = ("asset", "frames", "vertices", "time", "max error", "KG error", "size
 class Entry:
     """What became of an asset."""
 
-    source: str  # the asset, see Asset
-    target: str  # the asset, see Asset
-    source_bytes: int  # the asset, see Asset
-    source_signature: str  # the asset, see Asset
+    source: str  # absolute path of the sequence, or pattern of its numbered files
+    target: str  # absolute path of the model
+    source_bytes: int  # size of the source, all of its files together
+    source_signature: str  # hash of the names, sizes and modification times of its files
     settings: Mapping[str, Any]  # how it was to be encoded
     state: Literal["done", "failed", "left"] = "left"  # left are those that nobody came to
-    frames: int | None = None  # what was encoded
-    vertices: int | None = None  # what was encoded
+    frames: int | None = None  # number of frames
+    vertices: int | None = None  # number of vertices
     seconds: float | None = None  # time of encoding, without the check
     max_error: float | None = None  # largest error of a vertex in diagonals, decoded
     kg_percent: float | None = None  # karni-Gotsman error

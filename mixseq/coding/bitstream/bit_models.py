@@ -50,10 +50,10 @@ class BitModels(NamedTuple):
     weights: Index  # (kinds, inputs) weights. Kinds are the positions, unless contexts tell these apart
     contexts: Index  # (inputs,) to be set before a bit: what the inputs know
     inputs: Index  # (inputs,) the inputs x of the current bit
-    stretch: Index  # tables of x of p, of p of x, of the rates of frequencies, and of n / (n + 1)
-    squash: Index  # tables of x of p, of p of x, of the rates of frequencies, and of n / (n + 1)
-    steps: Index  # tables of x of p, of p of x, of the rates of frequencies, and of n / (n + 1)
-    trust: Index  # tables of x of p, of p of x, of the rates of frequencies, and of n / (n + 1)
+    stretch: Index  # (4096,) table of x by p, with p in units of 2^-12
+    squash: Index  # (2 _FAR + 1,) table of p by x, from x = -_FAR on
+    steps: Index  # (_PATIENCE + 1,) table of the rates of frequencies by n, in units of 2^-16
+    trust: Index  # (_PATIENCE + 1,) table of n / (n + 1) by n, in units of 2^-8
 
 
 def bit_models(inputs: int, contexts: int, positions: int, kinds: int | None = None) -> BitModels:

@@ -46,8 +46,8 @@ SHORTEST, LONGEST = 0.5, 64.0
 class Chunk:
     """Consecutive frames, which can be decoded without those of other chunks."""
 
-    first: int  # the frames: first to first + count - 1
-    count: int  # the frames: first to first + count - 1
+    first: int  # first frame
+    count: int  # number of frames
     coefficients: bytes  # the coefficients of the spatial basis at these frames
     # The residual layer, which brings vertices below the bound; empty if nothing has to.
     residuals: bytes = b""

@@ -24,12 +24,12 @@ class Corners(NamedTuple):
     """The corners of polygons on nodes: on vertices, or on texture coordinates."""
 
     starts: Index  # (P + 1,) the first corner of every polygon, and the number C of corners
-    polygon: Index  # (C,) the polygon and the node of every corner
-    node: Index  # (C,) the polygon and the node of every corner
+    polygon: Index  # (C,) the polygon of every corner
+    node: Index  # (C,) the node of every corner
     # (C,) a half-edge runs from a corner to the next one of its polygon. The corner from which one runs the other way,
     # -1 if there is none. Of several between the same nodes, the first is the twin of the first, and so on.
     twin: Index
-    around_starts: Index  # (N + 1,)
+    around_starts: Index  # (N + 1,) row offsets of around
     around: Index  # (C,) the corners at node n, ascending: around[around_starts[n] : around_starts[n + 1]]
 
 

@@ -34,14 +34,12 @@ Frozen: breaks old files."""
 class HalfEdges(NamedTuple):
     """The mesh so far. A half-edge has the number of the corner that it starts from."""
 
-    tails: Small  # (C,) where half-edges start and end
-    heads: Small  # (C,) where half-edges start and end
+    tails: Small  # (C,) start vertex of every half-edge that was opened
+    heads: Small  # (C,) end vertex of every half-edge that was opened
     # (2, V) the newest open half-edge into (0) and out of (1) every vertex, -1 if there is none.
     newest: Small
-    # (2, C) the next older and newer ones, into the head and out of the tail, -1 if there are none.
-    older: Small
-    # (2, C) the next older and newer ones, into the head and out of the tail, -1 if there are none.
-    newer: Small
+    older: Small  # (2, C) next older open half-edge into the head (0) and out of the tail (1), -1 for none
+    newer: Small  # (2, C) next newer open half-edge into the head (0) and out of the tail (1), -1 for none
     open_edges: Small  # (V,) how many open half-edges end or start at a vertex
     degrees: Small  # (V,) how many corners a vertex has
     states: NDArray[np.uint8]  # (V,) UNUSED, OPEN, or CLOSED

@@ -53,9 +53,9 @@ Contexts = tuple[int, Small, Small, Index, Index, Index]
 class Signal(NamedTuple):
     """A signal that is rounded, and not yet coded. Nothing of it is changed later."""
 
-    known: int  # as of Contexts
-    neighbours: Small  # as of Contexts
-    counts: Small  # as of Contexts
+    known: int  # number of signals before
+    neighbours: Small  # (N, n) nodes before, from which every node is predicted
+    counts: Small  # (N,) number of neighbours of every node
     # Activity, its mean around, and numbers of the signal before: what else signal_kernels.code_numbers needs.
     sizes: tuple[IntArray, IntArray, IntArray]
     numbers: IntArray  # (N,) its numbers in nodes' order

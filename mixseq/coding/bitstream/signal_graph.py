@@ -46,9 +46,8 @@ class SignalGraph:
     neighbours: Index  # (N, n) for every node, nodes before it
     counts: Index  # (N,) how many of them there are
     weights: Float  # (N, n) their weights as long as nothing is known of the signals; rows add up to one
-    ring: Index  # (R,)
-    # (N + 1,) all nodes beside node i, before or after it: ring[ring_starts[i] : ring_starts[i + 1]].
-    ring_starts: Index
+    ring: Index  # (R,) all nodes beside every node, before or after it, node by node
+    ring_starts: Index  # (N + 1,) row offsets of ring: ring[ring_starts[i] : ring_starts[i + 1]] of node i
     over_time: bool = False  # whether nodes are frames, not vertices
 
     def __post_init__(self) -> None:
@@ -97,11 +96,11 @@ class Level(NamedTuple):
     """Nodes that go at once, and the graphs before and after; of N nodes, but those that are gone have no edges."""
 
     gone: Index  # (n,) nodes that go
-    starts: Index  # (N + 1,) neighbours of all nodes before, as signal_graph_kernels.adjacency lists them
-    beside: Index  # (2 E,) neighbours of all nodes before, as signal_graph_kernels.adjacency lists them
+    starts: Index  # (N + 1,) row offsets of the graph before, see signal_graph_kernels.adjacency
+    beside: Index  # (2 E,) neighbours in the graph before, row by row
     new: Index  # (n', 2) edges that close the holes; some twice, or there already
-    new_starts: Index  # (N + 1,) neighbours of all nodes after
-    new_beside: Index  # (2 E',) neighbours of all nodes after
+    new_starts: Index  # (N + 1,) row offsets of the graph after
+    new_beside: Index  # (2 E',) neighbours in the graph after, row by row
 
 
 def mesh_neighbours(faces: NDArray[np.integer], vertex_count: int) -> tuple[Index, Index]:

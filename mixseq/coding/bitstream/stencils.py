@@ -37,7 +37,7 @@ class Stencils(NamedTuple):
     """What every node is predicted from, as long as nothing is known of the signals."""
 
     neighbours: Index  # (N, WIDEST) nodes before every node; the first counts[node] of a row count
-    counts: Index  # (N,)
+    counts: Index  # (N,) number of neighbours of every node
     weights: Float  # (N, WIDEST) rows add up to one
 
 

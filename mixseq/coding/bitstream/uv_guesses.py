@@ -43,8 +43,8 @@ class Guess(NamedTuple):
     back: Index  # (2,) how far it is drawn back where such guesses are too far out
     # (3,) what it is made of (AROUND, ...); of how many guesses it is the mean; how far these are apart, u and v added.
     facts: Index
-    low: Index  # (2,) the least and largest of these
-    high: Index  # (2,) the least and largest of these
+    low: Index  # (2,) least u and v of the guesses in the mean
+    high: Index  # (2,) largest u and v of the guesses in the mean
 
 
 class Known(NamedTuple):

@@ -47,9 +47,9 @@ DIGITS = 1e-10
 class Candidate:
     """A way to code a sequence: with its components, of one kind, and with these parts."""
 
-    components: PrincipalComponents  # of the whole mesh
-    parts: tuple[PartComponents, ...]  # of every part
-    graph: SignalGraph  # of the whole mesh
+    components: PrincipalComponents  # principal components of the whole mesh
+    parts: tuple[PartComponents, ...]  # principal components of every part
+    graph: SignalGraph  # prediction graph of the whole mesh
     labels: Index  # (V,) part of every vertex
     share: float = 1.0  # share of a larger mesh that these vertices are
 

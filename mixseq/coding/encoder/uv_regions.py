@@ -43,8 +43,8 @@ class _Search(NamedTuple):
     values: Index  # (N, 2) coordinates
     bits: Float  # (N,) what the miss of a node takes without a copy
     covered: NDArray[np.bool_]  # (P,) which polygons are copies already
-    polygons: Index  # (P,) the number of the last try that met them
-    nodes: Index  # (N,) the number of the last try that met them
+    polygons: Index  # (P,) number of the last try that reached a polygon
+    nodes: Index  # (N,) number of the last try that reached a node
 
 
 def encode_uvs(polygons: Polygons, vertex_count: int, numbers: Index) -> bytes:

@@ -15,15 +15,11 @@ from mixseq.shells.fitting import ShellReport, ShellSettings
 class Wanted(NamedTuple):
     """What a mesh should have, and how much of it counts."""
 
-    lengths: Float  # (E,) lengths of all edges, and their weights: one over the typical length
-    weights: Float  # (E,) lengths of all edges, and their weights: one over the typical length
+    lengths: Float  # (E,) edge lengths
+    weights: Float  # (E,) weights of the lengths: one over the typical length
     angles: Float  # (H,) dihedral angles of all hinges in radians, whole turns do not matter
-    # (p,) volumes of all pieces, and their weights: over the typical volume, 0 where it does not count. Empty for no
-    # volume term at all.
-    volumes: Float
-    # (p,) volumes of all pieces, and their weights: over the typical volume, 0 where it does not count. Empty for no
-    # volume term at all.
-    volume_weights: Float
+    volumes: Float  # (p,) volumes of the pieces; empty without a volume term
+    volume_weights: Float  # (p,) weights of the volumes, over the typical volume; 0 for sheets
 
 
 class EdgeProjection(Protocol):

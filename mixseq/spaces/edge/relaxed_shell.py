@@ -44,8 +44,8 @@ class _Rows(NamedTuple):
     """The mesh with pieces that share no vertices; its faces are those of the mesh."""
 
     topology: Topology  # connectivity of the rows
-    edge_ids: Index  # (E,) which of the mesh its edges and hinges are
-    hinge_ids: Index  # (H,) which of the mesh its edges and hinges are
+    edge_ids: Index  # (E,) the mesh edge of every edge of the rows
+    hinge_ids: Index  # (H,) the mesh hinge of every hinge of the rows
 
 
 @dataclass(frozen=True, eq=False)

@@ -68,12 +68,10 @@ class PartPoses(NamedTuple):
 class Steadiness(NamedTuple):
     """Inverse variances of poses and relations over the frames, in 1 / squared diagonals."""
 
-    # (p,) of rotations of parts, times their radii of gyration, and of centres, as seen from the body.
-    turns: Float
-    # (p,) of rotations of parts, times their radii of gyration, and of centres, as seen from the body.
-    centres: Float
-    relation_turns: Float  # (n,) the same of how neighbours see each other, by the smaller of their radii
-    relation_points: Float  # (n,) the same of how neighbours see each other, by the smaller of their radii
+    turns: Float  # (p,) of rotations of parts as seen from the body, times their radii of gyration
+    centres: Float  # (p,) of centres of parts as seen from the body
+    relation_turns: Float  # (n,) of rotations between neighbours, times the smaller radius of gyration
+    relation_points: Float  # (n,) of pivots as seen from neighbours
 
     @classmethod
     def equal(cls, parts: int, relations: int) -> Steadiness:
@@ -86,8 +84,8 @@ class Articulation:
     """Bodies, and neighbouring parts; make it with `articulation_of`."""
 
     rest_centres: Float  # (p, 3) centres of the parts in the reference frame, in diagonals
-    radii: Float  # (p,) radii of gyration in diagonals, and numbers of vertices
-    masses: Float  # (p,) radii of gyration in diagonals, and numbers of vertices
+    radii: Float  # (p,) radii of gyration of the parts, in diagonals
+    masses: Float  # (p,) numbers of vertices of the parts
     areas: Float  # (p,) areas of the parts in the reference frame, in squared diagonals
     bodies: Index  # (p,) the body of every part
     pairs: Index  # (n, 2) neighbours: parts i and j, every pair in both orders

@@ -40,8 +40,8 @@ NOISE_HEIGHT_RATIO = 1e-4
 class FreeFrame(NamedTuple):
     """One point of S_m."""
 
-    lengths: Float  # (E',) edge lengths and hinge angles of joints
-    angles: Float  # (H',) edge lengths and hinge angles of joints
+    lengths: Float  # (E',) edge lengths of joint faces, in diagonals
+    angles: Float  # (H',) hinge angles of joint faces, in radians
     unposed: Float  # (V, 3) vertices as seen from their frames: those of a rigid part have its shape
     posed: Float  # (V, 3) posed vertices, which tell where components are
 
@@ -54,8 +54,8 @@ class Assembly(PickledWithoutCaches):
     part_of_vertex: Index  # (V,) the part whose motion a vertex follows alone, -1 where it follows several
     # (F,) faces whose lengths and angles are known; all of those whose corners do not follow one part alone.
     joint_faces: Mask
-    edge_ids: Index  # (E',) their edges and hinges
-    hinge_ids: Index  # (H',) their edges and hinges
+    edge_ids: Index  # (E',) edges of joint faces
+    hinge_ids: Index  # (H',) hinges of joint faces
     reference: Float  # (V, 3) a frame of the sequence
     relaxation: Relaxation  # how lengths and angles are made to agree
 

@@ -125,21 +125,15 @@ class Projection:
 class MixedBlocks(NamedTuple):
     """The blocks of T vectors: p parts with n relations, and B bodies."""
 
-    # (T, E') edge lengths in diagonals and hinge angles in radians of joint faces; angles are unwrapped.
-    lengths: Numbers
-    # (T, H') edge lengths in diagonals and hinge angles in radians of joint faces; angles are unwrapped.
-    angles: Numbers
+    lengths: Numbers  # (T, E') edge lengths of joint faces, in diagonals
+    angles: Numbers  # (T, H') hinge angles of joint faces, in radians, unwrapped
     unposed: Numbers  # (T, V, 3) vertices as seen from their frames
-    # (T, p, 4) poses of parts as seen from their bodies: quaternions since the reference frame, and centres.
-    turns: Numbers
-    # (T, p, 3) poses of parts as seen from their bodies: quaternions since the reference frame, and centres.
-    centres: Numbers
-    # (T, n, 4) how a part sees its neighbour: the rotation since the reference frame, and the pivot.
-    relation_turns: Numbers
-    # (T, n, 3) how a part sees its neighbour: the rotation since the reference frame, and the pivot.
-    relation_points: Numbers
-    body_turns: Numbers  # (T, B, 4) poses of the bodies: quaternions since the reference frame, and centres
-    body_centres: Numbers  # (T, B, 3) poses of the bodies: quaternions since the reference frame, and centres
+    turns: Numbers  # (T, p, 4) quaternions of parts since the reference frame, seen from their bodies
+    centres: Numbers  # (T, p, 3) centres of parts, seen from their bodies
+    relation_turns: Numbers  # (T, n, 4) quaternions of parts since the reference frame, seen from neighbours
+    relation_points: Numbers  # (T, n, 3) pivots of parts, seen from neighbours
+    body_turns: Numbers  # (T, B, 4) quaternions of the bodies since the reference frame
+    body_centres: Numbers  # (T, B, 3) centres of the bodies
     # (T, 6 p) rotation vectors of parts in their own axes, and shifts as seen from the body.
     corrections: Numbers
 

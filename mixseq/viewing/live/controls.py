@@ -35,10 +35,10 @@ ROW, PLACE = "side by side", "in one place"
 class TimeBase:
     """The times that are shown: those of one mesh of a scene, in seconds and by the numbers of its frames."""
 
-    start: float  # first time of the mesh in seconds, and its frames per second
-    fps: float  # first time of the mesh in seconds, and its frames per second
-    last: float  # time of the scene's last frame since the first one, and frames of the scene per second
-    rate: float  # time of the scene's last frame since the first one, and frames of the scene per second
+    start: float  # time of the mesh's first frame, in seconds
+    fps: float  # frames per second of the mesh
+    last: float  # time of the scene's last frame since its first one, in seconds
+    rate: float  # frames per second of the scene
 
     @classmethod
     def of(cls, scene: Scene, index: int) -> TimeBase:

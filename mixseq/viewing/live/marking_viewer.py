@@ -45,8 +45,8 @@ SaveMarkers = Callable[[Markers], str]
 class MarkedMeshes:
     """What markers are set on."""
 
-    source: MeshSequence  # the meshes at rest, in their first frames
-    target: MeshSequence  # the meshes at rest, in their first frames
+    source: MeshSequence  # source at rest, in its first frame
+    target: MeshSequence  # target at rest, in its first frame
     names: tuple[str, str]  # what they are called
     markers: Markers  # those that are set at first
     file: str  # what the file is called that they are saved to
