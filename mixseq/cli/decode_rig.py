@@ -38,7 +38,7 @@ class RigSettings:
     skeleton: Path | None  # a file with the bones, and mostly with the mesh on them
     correctives: float | None  # largest error of a vertex with a skin's correctives, in diagonals
     max_error: float | None  # largest error of a vertex with a skin's bones alone, or a morph, in diagonals
-    kg: float | None  # kG error of a skin's bones, in percent
+    kg: float | None  # KG error of a skin's bones, in percent
     max_targets: int | None  # number of morph targets at most
 
     def check(self, velocities: bool, writing: Mapping[str, Any], texture: str | None = None) -> None:

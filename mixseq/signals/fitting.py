@@ -161,7 +161,7 @@ def fit(
         encoded = tuned(encode(frames, shape_space, pose, work, stages.at(1 + MAKING)), frames.points)
         if exact:
             return made_sure(build(encoded, Detail(step=EXACT_STEP)), frames, EXACT, work, stages.at(STAGES))
-        if few:
+        if is_reduced:
             return build(encoded, Detail(rank=rank, knots=knots))
         return within(encoded, frames, wanted, stages.at(STAGES, ROUNDS), work)
 
