@@ -18,7 +18,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from mixseq.forwarding import forwarded
+from mixseq.forwarding import Facade, connect, forwarded
 from mixseq.version import __version__
 
 if TYPE_CHECKING:
@@ -132,6 +132,9 @@ _home = forwarded(__name__, _HOME)
 
 def __getattr__(name: str) -> Any:
     return import_module("mixseq.operations") if name == "operations" else _home(name)
+
+
+connect(Facade(__getattr__, lambda name, types: import_module("mixseq_io.given").reader_of(name, types)))
 
 
 def __dir__() -> list[str]:

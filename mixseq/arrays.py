@@ -1,13 +1,14 @@
-"""Names of the arrays that the code is about, so that signatures say what they hold, and a choice of their rows."""
+"""Types of arrays and paths for signatures, and evenly spaced row numbers."""
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Float", "FloatArray", "Index", "IntArray", "Mask", "Single", "evenly"]
+__all__ = ["Float", "FloatArray", "Index", "IntArray", "Mask", "PathLike", "Single", "evenly"]
 
 Float = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -19,6 +20,9 @@ FloatArray = NDArray[np.floating[Any]]
 
 IntArray = NDArray[np.integer[Any]]
 """Whole numbers of any width."""
+
+PathLike = str | os.PathLike[str]
+"""A file, as text or as a path."""
 
 
 def evenly(count: int, at_most: int) -> Index:

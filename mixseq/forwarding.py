@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
 
 
 def forwarded(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
@@ -30,3 +30,25 @@ def forwarded(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
         return found
 
     return find
+
+
+class Facade(NamedTuple):
+    """The package above all others: its public names, and its readers of files in the place of arguments."""
+
+    find: Callable[[str], Any]
+    """Return a public object by its name; raises AttributeError."""
+    reader_of: Callable[[str, Collection[str]], Callable[[str, Mapping[str, Any]], Any] | None]
+    """Return the reader for an argument, by its name and its types' names: from path and other arguments to value."""
+
+
+_facade: list[Facade] = []
+
+
+def connect(facade: Facade) -> None:
+    """Set the facade that `connected` returns."""
+    _facade[:] = [facade]
+
+
+def connected() -> Facade:
+    """Return the facade, which the package `mixseq` sets: modules below it do not import it."""
+    return _facade[0]

@@ -10,12 +10,13 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, wraps
-from importlib import import_module
 from inspect import Parameter, signature
 from types import NoneType, UnionType
 from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
+
+from mixseq.forwarding import connected
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -93,17 +94,17 @@ class _Names(dict[str, Any]):
     """Names of annotations that are only imported for type checking: the public ones."""
 
     def __missing__(self, name: str) -> Any:
-        mixseq = import_module("mixseq")
-        if name not in mixseq.__all__:
-            raise KeyError(name)
-        return getattr(mixseq, name)
+        try:
+            return connected().find(name)
+        except AttributeError as error:
+            raise KeyError(name) from error
 
 
 def _taken(name: str, value: Any, wanted: tuple[Any, ...], arguments: Mapping[str, Any]) -> Any:
     """Read what a path stands for, and sample a model; else the value as it is. Arguments before it are taken."""
     names = {getattr(choice, "__name__", "") for choice in wanted}
     if isinstance(value, str | os.PathLike) and not any(_fits(value, choice) for choice in wanted):
-        read = import_module("mixseq_io.given").reader_of(name, names)
+        read = connected().reader_of(name, names)
         return value if read is None else read(os.fspath(value), arguments)
     if names & _SEQUENCES and "Model" not in names and type(value).__name__ == "Model":
         return value.sample()

@@ -22,8 +22,7 @@ from mixseq_io.labels.faces import Labels
 from mixseq_io.labels.reading import read_labels
 from mixseq_io.reader import SequenceReader
 from mixseq_io.registry import open_sequence, read, write, write_blocks
-from mixseq_io.rig_files import write_rig
-from mixseq_io.skeleton_files import read_bind_pose, read_skeleton
+from mixseq_io.rig_files import read_bind_pose, read_skeleton, write_rig
 
 __all__ = [
     "FORMATS",

@@ -47,7 +47,7 @@ FORMATS: tuple[Format, ...] = (
         holds=Holds(
             animation="point samples, models", points="float32, float64", units=True, velocities=True
         ),
-        reader="mixseq_io.hdf5.sequence_files:open_h5",
+        reader="mixseq_io.model_reader:open_h5",
         writer="mixseq_io.hdf5.sequence_files:write_h5",
         signatures=(b"\x89HDF\r\n\x1a\n",),
     ),
@@ -71,7 +71,7 @@ FORMATS: tuple[Format, ...] = (
             times="float32, from 0 on",
             materials="carried along",
         ),
-        reader="mixseq_io.gltf.reader:open_gltf",
+        reader="mixseq_io.model_reader:open_gltf",
         writer="mixseq_io.gltf.writer:write_gltf",
         read_options={
             "prim": _PRIM,

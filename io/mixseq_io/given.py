@@ -71,13 +71,13 @@ def _contacts(path: str, _: Given) -> Any:
 
 
 def _skeleton(path: str, _: Given) -> Any:
-    from mixseq_io.skeleton_files import read_skeleton
+    from mixseq_io.rig_files import read_skeleton
 
     return read_skeleton(path)
 
 
 def _bind_pose(path: str, _: Given) -> Any:
-    from mixseq_io.skeleton_files import read_bind_pose
+    from mixseq_io.rig_files import read_bind_pose
 
     return read_bind_pose(path)
 

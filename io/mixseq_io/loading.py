@@ -10,12 +10,12 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from mixseq.arrays import PathLike
 from mixseq.errors import FormatError
 from mixseq.public import public
 from mixseq_io.hdf5.contents import read_attributes, read_contents, reading_h5
 from mixseq_io.hdf5.h5_files import MODEL_FORMAT
 from mixseq_io.memory import check_memory, memory_limit
-from mixseq_io.registry import PathLike
 
 if TYPE_CHECKING:
     from mixseq.signals.model import Model

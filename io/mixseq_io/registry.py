@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mixseq.arrays import FloatArray
+from mixseq.arrays import FloatArray, PathLike
 from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, OutputError, SettingsError
 from mixseq.public import public
 from mixseq.sequence import MeshSequence, SequenceHeader, collect
@@ -21,9 +20,6 @@ from mixseq_io.reader import SequenceReader, check_regular, naming
 
 if TYPE_CHECKING:
     from mixseq.signals import Model
-
-PathLike = str | os.PathLike[str]
-
 
 # What else users may have under a wrong name; only for messages.
 _FOREIGN_SIGNATURES = {

@@ -1,16 +1,19 @@
-"""Skins and morphs in files for engines."""
+"""Skins, morphs and skeletons in the files that engines and animators exchange."""
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mixseq.errors import OutputError
+from mixseq.arrays import PathLike
+from mixseq.errors import FormatError, OutputError
 from mixseq.public import public
+from mixseq_io.reader import check_regular, naming
 
 if TYPE_CHECKING:
     from mixseq.rigging.rigs import Morph, Skin
+    from mixseq.rigging.skeletons import Skeleton
+    from mixseq.sequence import MeshSequence
 
 GLTF = (".glb", ".gltf")
 USD = (".usd", ".usda", ".usdc", ".usdz")
@@ -19,7 +22,7 @@ RIG_EXTENSIONS = (*GLTF, *USD)
 
 
 @public
-def write_rig(path: str | os.PathLike[str], rig: Skin | Morph) -> None:
+def write_rig(path: PathLike, rig: Skin | Morph) -> None:
     """Write a skin or a morph, for engines and for animators.
 
     glTF: ``.glb`` is binary, ``.gltf`` text with everything in it. USD: ``.usd`` and ``.usdc`` are binary, ``.usda``
@@ -83,4 +86,87 @@ def check_rig_target(path: Path) -> None:
         raise OutputError(
             f"{path}: skins and morphs are written as glTF or USD; end the name in {', '.join(RIG_EXTENSIONS[:-1])} "
             f"or {RIG_EXTENSIONS[-1]}"
+        )
+
+
+@public
+def read_skeleton(path: PathLike, name: str | None = None) -> Skeleton:
+    """Read a skeleton: the joints of a glTF skin, or of a UsdSkel skeleton.
+
+    Joints stand where the mesh was bound to them, in the space of the world, as points of `mixseq_io.read` do. Joints
+    that have no name are called ``joint_000`` and so on, and those whose name occurs twice get a number, too.
+
+    Parameters
+    ----------
+    path : path-like
+        A ``.glb``, ``.gltf``, ``.usd``, ``.usda``, ``.usdc`` or ``.usdz`` file. Nothing of its meshes is read.
+    name : str, optional
+        Which one, where there are several: name of the skin, ``skin 0`` and so on if it has none; path or name of the
+        skeleton's prim. Skins of the same joints are one skeleton.
+
+    Returns
+    -------
+    Skeleton
+        Pivots and axes of the bind pose; scales of joints are left out. Bones that files list after their children
+        stand before them.
+
+    Raises
+    ------
+    FormatError
+        If the file is missing, damaged, of another type, or has no skeleton of that name.
+    AmbiguousError
+        If there are several skeletons; the message names them.
+    """
+    file = Path(path)
+    _check_skeleton_file(file)
+    with naming(file):
+        if file.suffix.lower() in GLTF:
+            from mixseq_io.gltf.joints import read_joints
+
+            return read_joints(file, name)
+        from mixseq_io.usd.joints import read_skel_joints
+
+        return read_skel_joints(file, name)
+
+
+@public
+def read_bind_pose(path: PathLike, name: str | None = None) -> MeshSequence:
+    """Read the meshes of a skeleton as they were when they were bound to it, as a sequence of one frame.
+
+    They have the vertices of `mixseq_io.read`, and stand around the joints of `read_skeleton`. What hangs on joints of
+    glTF is among them. Morph targets of glTF are mixed as the file has them without animations, those of USD are not.
+
+    Parameters
+    ----------
+    path, name
+        See `read_skeleton`.
+
+    Raises
+    ------
+    FormatError
+        If the file is missing, damaged, of another type, or has no skeleton of that name.
+    NoMeshError
+        If there is no mesh on the skeleton.
+    AmbiguousError
+        If there are several skeletons; the message names them.
+    """
+    from mixseq.sequence import collect
+
+    file = Path(path)
+    _check_skeleton_file(file)
+    if file.suffix.lower() in GLTF:
+        from mixseq_io.gltf.reader import open_gltf_bind_pose as open_bind_pose
+    else:
+        from mixseq_io.usd.reader import open_usd_bind_pose as open_bind_pose
+    with open_bind_pose(file, name) as reader:
+        return collect(reader.header, reader.blocks())
+
+
+def _check_skeleton_file(file: Path) -> None:
+    """Refuse what is no file with skeletons."""
+    check_regular(file, "a file")
+    if file.suffix.lower() not in RIG_EXTENSIONS:
+        raise FormatError(
+            f"{file}: skeletons are read from glTF and USD; a file that ends in {', '.join(RIG_EXTENSIONS[:-1])} or "
+            f"{RIG_EXTENSIONS[-1]} is expected"
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from pathlib import Path
 
+from mixseq.arrays import PathLike
 from mixseq.choices import STILLS, StillName
 from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
@@ -14,7 +15,6 @@ from mixseq_io.coded.packing import pack
 from mixseq_io.hdf5.coded_files import write_container
 from mixseq_io.hdf5.h5_writing import creating_h5
 from mixseq_io.hdf5.model_files import write_model
-from mixseq_io.registry import PathLike
 
 SUFFIXES = (".h5", ".hdf5", ".glb")
 

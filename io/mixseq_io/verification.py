@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from mixseq.arrays import FloatArray
+from mixseq.arrays import FloatArray, PathLike
 from mixseq.coding.renumbering import Renumbering
 from mixseq.diagonal import Diagonal
 from mixseq.errors import FormatError
@@ -31,7 +31,6 @@ from mixseq.signals.decoding import FRAMES
 from mixseq.signals.model import Model
 from mixseq_io.coded.reading import decoded
 from mixseq_io.compressed_files import read_compressed
-from mixseq_io.registry import PathLike
 
 _ROUNDING = 1e-9
 """A largest error that was only measured, and not asked for, may differ by so much of itself."""

@@ -25,7 +25,7 @@ from mixseq.arrays import Float
 from mixseq.geometry.rigid import nearest_rotations
 from mixseq.rigging import Skin
 from mixseq.rigging.rigs import rotation_matrices
-from mixseq_io.skeleton_files import parents_first
+from mixseq_io.skeletons import parents_first
 
 FILES = (
     "gltf/CesiumMan.glb",

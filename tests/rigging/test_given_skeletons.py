@@ -17,7 +17,7 @@ from mixseq.rigging import Skeleton, Skin, fit_skin
 from mixseq.rigging.given_skeletons import bone_distances
 from mixseq.rigging.rigs import rotation_matrices
 from mixseq.sequence import MeshSequence
-from mixseq_io.skeleton_files import parents_first
+from mixseq_io.skeletons import parents_first
 from tests.formats.conftest import lossy
 from tests.formats.rig_maker import carried, hinge
 

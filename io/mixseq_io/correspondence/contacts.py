@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from mixseq.arrays import PathLike
 from mixseq.errors import FormatError
 from mixseq_io.correspondence.text_files import parse_json, read_text
-from mixseq_io.registry import PathLike
 
 
 def read_contacts(path: PathLike) -> dict[str, list[int]]:

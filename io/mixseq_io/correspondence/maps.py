@@ -34,14 +34,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.arrays import IntArray
+from mixseq.arrays import IntArray, PathLike
 from mixseq.correspondence.dense import Correspondence
 from mixseq.correspondence.map_completion import Mesh, from_barycentric, from_triangles, from_vertices
 from mixseq.errors import FormatError, OutputError, SettingsError
 from mixseq_io.archives import opened_archive
 from mixseq_io.atomic import replacing
 from mixseq_io.correspondence.text_files import Kind, read_rows
-from mixseq_io.registry import PathLike
 
 VERSION = 1
 

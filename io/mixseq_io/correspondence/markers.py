@@ -24,13 +24,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from mixseq.arrays import PathLike
 from mixseq.correspondence.markers import Markers
 from mixseq.errors import FormatError, MissingExtraError
 from mixseq.public import public
 from mixseq_io.atomic import replacing
 from mixseq_io.correspondence.text_files import parse_json, read_text
 from mixseq_io.reader import brief
-from mixseq_io.registry import PathLike
 
 YAML = (".yml", ".yaml")
 

@@ -27,7 +27,7 @@ from mixseq_io.gltf.json_fields import Fields
 from mixseq_io.gltf.node_meshes import chosen_nodes
 from mixseq_io.gltf.node_tree import Scene, read_scene
 from mixseq_io.gltf.world_points import Shape, Skin, inverse_binds_of, joints_of
-from mixseq_io.skeleton_files import choose_skeleton, skeleton_of
+from mixseq_io.skeletons import choose_skeleton, skeleton_of
 
 if TYPE_CHECKING:
     from mixseq.rigging.skeletons import Skeleton

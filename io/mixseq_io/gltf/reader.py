@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Float, FloatArray
-from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
+from mixseq.errors import FormatError, InvalidSequenceError
 from mixseq.sequence import SequenceHeader
 from mixseq.sequence_header import DEFAULT_FPS
 from mixseq.surface import Origin
@@ -35,12 +35,10 @@ from mixseq_io.gltf.joints import bound, nodes_on
 from mixseq_io.gltf.node_meshes import chosen_nodes, moving_nodes, scene_mesh_of, skinning_of
 from mixseq_io.gltf.node_tree import Pose, Scene, read_scene
 from mixseq_io.gltf.primitives import primitives_of
-from mixseq_io.gltf.sequence_extension import has_sequence, is_glb
 from mixseq_io.gltf.welding import Weld, weld
 from mixseq_io.gltf.world_points import Shape, bearers, read_shape
 from mixseq_io.key_times import on_grid
 from mixseq_io.labels.markings import Markings
-from mixseq_io.model_reader import ModelReader
 from mixseq_io.reader import SequenceReader, naming
 from mixseq_io.scene_meshes import join
 
@@ -49,8 +47,6 @@ def open_gltf(
     path: Path, prim: str | None = None, animation: str | int | None = None, fps: float | None = None
 ) -> SequenceReader:
     """Open a glTF file."""
-    if is_glb(path) and has_sequence(path):
-        return _frames_of_model(path, {"prim": prim, "animation": animation, "fps": fps})
     # What is not finite is reported with its vertex, when points are read.
     with naming(path), np.errstate(all="ignore"):
         document = plain(load_document(path))
@@ -76,15 +72,6 @@ def open_gltf_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
         shapes = _shapes(document, scene, nodes_on(document, scene, skeleton), ())
         shapes = [bound(document, shape, skeleton) for shape in shapes]
         return _GltfReader(document, shapes, (), np.zeros(1), DEFAULT_FPS, 0.0)
-
-
-def _frames_of_model(path: Path, options: Mapping[str, object]) -> SequenceReader:
-    given = [name for name, value in options.items() if value is not None]
-    if given:
-        raise SettingsError(
-            f"{path} holds a compressed model, which has no {given[0]} to choose; leave it out"
-        )
-    return ModelReader(path)
 
 
 def _frames(

@@ -11,7 +11,7 @@
     /polygons/indices    (sum of counts,) int32
     /surface/...         texture coordinates and the like, see `mixseq_io.surface_arrays`; optional
 
-A file of `format` "mixseq-model" holds a shape space instead; it is sampled at the times it was made from.
+A file of `format` "mixseq-model" holds a model instead, see `mixseq_io.model_reader`.
 """
 
 from __future__ import annotations
@@ -28,11 +28,10 @@ from mixseq.errors import FormatError
 from mixseq.sequence import SequenceHeader
 from mixseq_io.blocks import checked
 from mixseq_io.hdf5.contents import read_attributes, reading_h5
-from mixseq_io.hdf5.h5_files import MODEL_FORMAT, check_version, read_header
+from mixseq_io.hdf5.h5_files import check_version, read_header
 from mixseq_io.hdf5.h5_writing import CHECKED, Store, creating_h5, put_array, put_text, write_header
 from mixseq_io.hdf5.unpacking import contents_of, opened_h5
 from mixseq_io.isolation import open_isolated
-from mixseq_io.model_reader import ModelReader
 from mixseq_io.reader import SequenceReader, brief, naming
 
 FORMAT = "mixseq-sequence"
@@ -46,10 +45,8 @@ _CHUNK_BYTES = 1 << 20
 
 
 def open_h5(path: Path) -> SequenceReader:
-    """Open a sequence, or sample a model, that mixseq stored in HDF5."""
+    """Open a sequence that mixseq stored in HDF5."""
     found = read_attributes(path)
-    if found.kind == MODEL_FORMAT:
-        return ModelReader(path)  # decoded here, where nobody limits how long it takes
     if found.kind != FORMAT:
         raise FormatError(f"{path} is an HDF5 file, but not one of mixseq's (format = {found.kind!r})")
     with reading_h5(path):

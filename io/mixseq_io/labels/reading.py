@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.arrays import FloatArray, Index, IntArray
+from mixseq.arrays import FloatArray, Index, IntArray, PathLike
 from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, SettingsError
 from mixseq.polygon_matching import match_triangles
 from mixseq.polygons import Polygons
@@ -36,7 +36,7 @@ from mixseq_io.archives import opened_archive
 from mixseq_io.labels.faces import Labels, triangle_labels
 from mixseq_io.labels.markings import COLOURS, FAMILY, LABELS, SKELETON, SMALLEST_JOINT
 from mixseq_io.reader import SequenceReader
-from mixseq_io.registry import PathLike, open_sequence
+from mixseq_io.registry import open_sequence
 
 Sources = dict[str, Callable[[], Labels]]
 

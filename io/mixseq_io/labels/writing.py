@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mixseq.arrays import FloatArray, IntArray
+from mixseq.arrays import FloatArray, IntArray, PathLike
 from mixseq.errors import OutputError
 from mixseq.sequence import MeshSequence, SequenceHeader
 from mixseq.surface import FaceSet
@@ -22,7 +22,7 @@ from mixseq_io.formats import FORMATS
 from mixseq_io.labels.faces import Labels, polygon_labels, triangle_labels
 from mixseq_io.labels.markings import LABELS
 from mixseq_io.reader import SequenceReader
-from mixseq_io.registry import PathLike, write_blocks
+from mixseq_io.registry import write_blocks
 
 ARRAYS, SUBSETS, SETS = "npz", "USD", ("OBJ", "Alembic", "HDF5 sequence")
 """Names of the formats that hold parts: as arrays, as subsets, as face sets."""

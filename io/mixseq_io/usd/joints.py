@@ -15,7 +15,7 @@ import numpy as np
 from pxr import Sdf, Usd, UsdSkel
 
 from mixseq.errors import FormatError
-from mixseq_io.skeleton_files import choose_skeleton, skeleton_of
+from mixseq_io.skeletons import choose_skeleton, skeleton_of
 from mixseq_io.usd.diagnostics import quiet, reading_usd
 from mixseq_io.usd.prims import open_stage, prims_of
 from mixseq_io.usd.transforms import Placement
@@ -48,7 +48,7 @@ def read_skel_joints(path: Path, name: str | None) -> Skeleton:
 
 
 def skeleton_prim(path: Path, stage: Usd.Stage, name: str | None) -> Usd.Prim:
-    """Return the skeleton that is meant; see `mixseq_io.skeleton_files.choose_skeleton`."""
+    """Return the skeleton that is meant; see `mixseq_io.skeletons.choose_skeleton`."""
     prims = [prim for prim in prims_of(path, stage) if UsdSkel.Skeleton(prim)]
     names = [(str(prim.GetPath()), prim.GetName(), prim.GetDisplayName()) for prim in prims]
     return prims[choose_skeleton(path, names, name)]
