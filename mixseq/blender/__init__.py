@@ -1,6 +1,6 @@
-"""Models that live in Blender: an add-on, and the extension in which it is installed.
+"""Models in Blender: an add-on, and the extension that installs it.
 
-The folder `addon` is what Blender runs, and the only one that imports its module ``bpy``. What can be told without
-Blender is here: `motion` (vertices in Blender's axes at any time), `frames` (those that are kept), `surfaces` (what a
-mesh is made of), and `extension` with `wheels`, which pack it all.
+The folder `addon` runs in Blender, and alone imports its module ``bpy``. The rest works without Blender: `motion`
+(vertices in Blender's axes at any time), `frames` (cached ones), `surfaces` (polygons and their attributes), and
+`extension` with `wheels`, which pack it all.
 """

@@ -1,8 +1,6 @@
-"""The add-on as Blender installs it: an archive with a manifest, modules and wheels [1]_.
+"""The extension that Blender installs: an archive with a manifest, modules and wheels.
 
-References
-----------
-.. [1] https://docs.blender.org/manual/en/latest/advanced/extensions/getting_started.html
+https://docs.blender.org/manual/en/latest/advanced/extensions/getting_started.html
 """
 
 from __future__ import annotations
@@ -33,12 +31,12 @@ PLATFORMS = {
     "macos-arm64": ("macosx_14_0_arm64",),
     "windows-x64": ("win_amd64",),
 }
-"""Platforms as Blender names them, those for which there are wheels of all libraries, and how wheels name them."""
+"""Platforms by Blender's names, those with wheels of all libraries, and the names in wheels."""
 
 
 @dataclass(frozen=True)
 class Release:
-    """What versions of Blender have in common."""
+    """Properties shared by a range of Blender versions."""
 
     first: str
     end: str | None
@@ -65,7 +63,7 @@ def this_platform() -> str:
 
 
 def archive_name(platform: str, release: Release) -> str:
-    """Return what the archive of a platform is called: ``mixseq-0.1.0-blender4.2-linux_x64.zip``."""
+    """Return the name of a platform's archive: ``mixseq-0.1.0-blender4.2-linux_x64.zip``."""
     short = release.first.removesuffix(".0")
     return f"mixseq-{mixseq.__version__}-blender{short}-{platform.replace('-', '_')}.zip"
 
@@ -90,7 +88,7 @@ def write_extension(path: Path, platform: str, release: Release) -> None:
 
 
 def manifest(platform: str, release: Release, wheels: Sequence[str]) -> str:
-    """Return what Blender is told of the extension, in TOML: `wheels` are names of files in the folder ``wheels``."""
+    """Return the manifest of the extension in TOML; `wheels` are names of files in the folder ``wheels``."""
     return "".join(f"{line}\n" for line in _lines(platform, release, wheels))
 
 

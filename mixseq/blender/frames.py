@@ -1,4 +1,4 @@
-"""What was read and decoded, kept so that scrubbing back and forth costs nothing: models, and frames up to a limit.
+"""Caches of models and decoded frames, up to a limit, for fast scrubbing.
 
 Blender draws on one thread and renders on another, so both are behind a lock.
 """
@@ -15,11 +15,11 @@ from mixseq.errors import FormatError, MixseqError
 from mixseq.signals.model import Model
 
 MEMORY = 512 << 20
-"""Bytes of frames that are kept."""
+"""Bytes of cached frames by default."""
 
 
 class Frames:
-    """Arrays that were made, as many as there is memory for; those used last."""
+    """A cache of arrays, limited by memory; the least recently used are dropped."""
 
     def __init__(self, memory: int = MEMORY) -> None:
         self.memory = memory
@@ -29,16 +29,16 @@ class Frames:
 
     @property
     def size(self) -> int:
-        """Bytes that are taken."""
+        """Bytes in use."""
         return self._size
 
     def get(self, key: Hashable, make: Callable[[], Single]) -> Single:
-        """Return what is kept under a key, or else what `make` returns."""
+        """Return the cached array of a key, or else the result of `make`."""
         with self._lock:
             if key in self._kept:
                 self._kept.move_to_end(key)
                 return self._kept[key]
-        made = make()  # without the lock: whoever else wants a frame that is kept need not wait
+        made = make()  # without the lock, so that cached frames stay available
         made.setflags(write=False)
         with self._lock:
             if key not in self._kept:
@@ -49,14 +49,14 @@ class Frames:
         return made
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Empty the cache."""
         with self._lock:
             self._kept.clear()
             self._size = 0
 
 
 class Models:
-    """Models by the files they are in, read again when these change."""
+    """A cache of models by their files, read again when these change."""
 
     def __init__(self, load: Callable[[Path], Model]) -> None:
         self._load = load
@@ -64,7 +64,7 @@ class Models:
         self._lock = Lock()
 
     def get(self, path: Path) -> Model:
-        """Return the model in a file: the same one until the file changes."""
+        """Return the model in a file, the same object until the file changes."""
         try:
             told = path.stat()
         except OSError as error:
@@ -83,6 +83,6 @@ class Models:
         return found
 
     def clear(self) -> None:
-        """Forget all of them."""
+        """Empty the cache."""
         with self._lock:
             self._read.clear()

@@ -1,4 +1,4 @@
-"""A model as Blender shows it: in its axes and units, at any time, the first and the last pose held beyond the ends."""
+"""A model in Blender's axes and units, at any time; the first and the last pose are held beyond the ends."""
 
 from __future__ import annotations
 
@@ -18,39 +18,31 @@ BLENDERS_UP = "Z"
 
 
 def seconds(frame: float, frame_offset: float, fps: float) -> float:
-    """Return the time of a model that a frame of a scene shows, as caches in Blender are timed.
-
-    A frame's number is its time times the rate; sub-frames are fractions.
-
-    Examples
-    --------
-    >>> seconds(1013.5, 1001, 25)
-    0.5
-    """
+    """Return the time of a model at a frame (or sub-frame) of a scene, ``(frame - frame_offset) / fps``."""
     return (frame - frame_offset) / fps
 
 
 @dataclass(frozen=True)
 class Placing:
-    """How a model stands in a scene."""
+    """The placing of a model in a scene."""
 
     up_axis: str
     scale: float
 
     @classmethod
     def as_told(cls, header: SequenceHeader) -> Placing:
-        """Return how a model says that it stands, in metres."""
+        """Return the placing given by a model's header, in metres."""
         return cls(header.up_axis, header.metres_per_unit)
 
     def conversion(self, header: SequenceHeader) -> UnitConversion:
-        """Return how points are turned and scaled."""
+        """Return the rotation and scale of points."""
         placed = replace(header, up_axis=self.up_axis, metres_per_unit=self.scale)
         return UnitConversion.of(placed, BLENDERS_UP, 1.0)
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A model that stands in a scene. Two of the same model that stand alike are equal."""
+    """A placed model. Two are equal if model and placing are."""
 
     model: Model
     placing: Placing
@@ -60,7 +52,7 @@ class Motion:
         return self.placing.conversion(self.model.header)
 
     def held(self, time: float) -> float:
-        """Return the time in seconds that is shown at a time: that of an end beyond it."""
+        """Return a time in seconds, clamped to the ends of the model."""
         return float(np.clip(time, self.model.start, self.model.end))
 
     def points(self, time: float) -> Single:
@@ -72,7 +64,7 @@ class Motion:
 
 
 def part_of(header: SequenceHeader, name: str) -> tuple[slice, slice]:
-    """Return the vertices and the polygons of one of the meshes that a model joins."""
+    """Return the vertices and the polygons of a part of a model."""
     if not name:
         return slice(0, header.vertex_count), slice(0, len(header.polygons.counts))
     vertex = polygon = 0
@@ -85,17 +77,12 @@ def part_of(header: SequenceHeader, name: str) -> tuple[slice, slice]:
 
 
 def part_names(header: SequenceHeader) -> list[str]:
-    """Return what the meshes that a model joins are called, [""] if it is one."""
+    """Return the names of a model's parts, [""] if it has one."""
     return [each.path or each.name for each in header.objects] if len(header.objects) > 1 else [""]
 
 
 def fitting(model: Model, points: Float, frames: int = 9) -> tuple[str, Placing]:
-    """Return which mesh of a model a mesh in Blender is, and how the model has to stand to lie on it.
-
-    Importers turn and scale points, or leave that to the object: the placing is that with which some frame is nearest.
-
-    Shapes: points ``(V, 3)``.
-    """
+    """Return the part of a model with a mesh's points ``(V, 3)``, and the placing that moves some frame onto them."""
     header = model.header
     names = ["", *part_names(header)]
     vertices = {name: part_of(header, name)[0] for name in names}

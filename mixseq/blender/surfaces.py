@@ -1,4 +1,4 @@
-"""What a mesh in Blender is made of, from what a model tells of its surface."""
+"""Polygons of a mesh in Blender and their attributes, from a model's header."""
 
 from __future__ import annotations
 
@@ -15,22 +15,9 @@ from mixseq.sequence_header import SequenceHeader
 class MeshParts:
     """One of the meshes of a model.
 
-    Parameters
-    ----------
-    counts : (P,) int32
-        Corners of every polygon.
-    corners : (sum of counts,) int32
-        Vertex of every corner, the first of the mesh's own being 0.
-    uvs : (sum of counts, 2) float32, optional
-        Texture coordinates of every corner.
-    colours : (sum of counts, 4) float32, optional
-        Linear red, green, blue and alpha of every corner.
-    groups : (sum of counts,) int32, optional
-        Corners of a vertex with the same number share a normal.
-    materials : tuple of str
-        Names of materials.
-    material_of_polygon : (P,) int32
-        Which of them a polygon has.
+    Of P polygons: `counts` (P,) int32 of corners; `corners` (C,) int32, vertices numbered from the mesh's first. Per
+    corner, or None: `uvs` (C, 2) and linear `colours` (C, 4) RGBA float32; `groups` (C,) int32, equal for corners of a
+    vertex with one normal. Names of `materials`, and `material_of_polygon` (P,) int32.
     """
 
     counts: IntArray
@@ -43,7 +30,7 @@ class MeshParts:
 
     @classmethod
     def of(cls, header: SequenceHeader, name: str) -> MeshParts:
-        """Return those of a mesh by its name, as in `part_of`, whose errors it has."""
+        """Return the mesh of a name, with the errors of `part_of`."""
         vertices, polygons = part_of(header, name)
         ends = np.concatenate([[0], np.cumsum(header.polygons.counts)])
         corners = slice(ends[polygons.start], ends[polygons.stop])
@@ -66,10 +53,7 @@ class MeshParts:
         return np.cumsum(self.counts) - self.counts
 
     def sharp(self, edges: IntArray) -> Mask:
-        """Return which edges ``(E,)`` are hard: at one of their ends, corners beside them do not share a normal.
-
-        Shapes: edges ``(sum of counts,)``.
-        """
+        """Return which edges are hard: adjacent corners at an end have separate normals; edges ``(sum of counts,)``."""
         hard = np.zeros(int(edges.max(initial=-1)) + 1, dtype=bool)
         if self.groups is None:
             return hard
@@ -86,7 +70,7 @@ class MeshParts:
 
 
 def _materials(header: SequenceHeader) -> tuple[list[str], IntArray]:
-    """Return names of materials, and which of them every polygon has; of polygons in no face set it is that of none."""
+    """Return names of materials, and the material of every polygon; of polygons in no face set that of none."""
     names = [""]
     of_polygon = np.zeros(len(header.polygons.counts), dtype=np.int32)
     for face_set in header.surface.face_sets:

@@ -1,4 +1,4 @@
-"""The wheels of an extension: mixseq's own, of what is installed here, and those of the libraries that decode models.
+"""The wheels of an extension: mixseq's own, of the installed package, and those of the libraries that decode models.
 
 NumPy is left to Blender, which has it and would not run with two.
 """
@@ -19,16 +19,16 @@ import mixseq
 from mixseq.errors import OutputError
 
 LIBRARIES = ("h5py", "numba", "scipy", "threadpoolctl")
-"""What reading a model and decoding it imports, besides NumPy; without those for other files, as usd-core."""
+"""Imports of reading and decoding a model, besides NumPy; without those for other files, as usd-core."""
 
 _PACKAGES = ("mixseq", "mixseq_io")
 _WHEEL = "Wheel-Version: 1.0\nGenerator: mixseq\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
 _DATE = (1980, 1, 1, 0, 0, 0)
-"""Of everything in archives, so that the same files make the same archive."""
+"""Date of all files in archives, so that equal files make equal archives."""
 
 
 def own_wheel(folder: Path) -> Path:
-    """Write mixseq as it is installed here into a wheel, in a folder, and return its path."""
+    """Write the installed mixseq as a wheel in a folder, and return its path."""
     name = f"mixseq-{mixseq.__version__}"
     path = folder / f"{name}-py3-none-any.whl"
     records = []
@@ -43,7 +43,7 @@ def own_wheel(folder: Path) -> Path:
 
 
 def add(archive: ZipFile, inside: str, content: bytes, compression: int = ZIP_DEFLATED) -> None:
-    """Add a file to an archive, without the time of day."""
+    """Add a file to an archive, with a fixed date."""
     archive.writestr(ZipInfo(inside, _DATE), content, compression)
 
 
@@ -62,7 +62,7 @@ def _modules() -> Iterator[tuple[str, bytes]]:
 
 
 def _information(folder: str) -> Iterator[tuple[str, bytes]]:
-    """Yield what a wheel tells of itself: the metadata and the licence that mixseq was installed with."""
+    """Yield the metadata and the licence of the installed mixseq, for a wheel."""
     yield f"{folder}/WHEEL", _WHEEL.encode()
     for file in _distribution().files or ():
         if file.name in ("METADATA", "LICENSE"):
@@ -80,7 +80,7 @@ def _distribution() -> metadata.Distribution:
 
 
 def requirements() -> list[str]:
-    """Return which versions of `LIBRARIES` mixseq needs, as pip is told."""
+    """Return the requirements of `LIBRARIES` in mixseq, in pip's format."""
     needed = {
         re.split(r"[^\w.-]", line)[0]: line
         for line in _distribution().requires or ()
@@ -90,7 +90,7 @@ def requirements() -> list[str]:
 
 
 def download(folder: Path, python: str, numpy: str, tags: Sequence[str]) -> list[Path]:
-    """Have pip download the wheels of `LIBRARIES`, and return their paths."""
+    """Download the wheels of `LIBRARIES` with pip, and return their paths."""
     words = ["download", "--quiet", "--only-binary=:all:", "--dest", str(folder), "--python-version", python]
     words += [word for tag in tags for word in ("--platform", tag)]
     command = [sys.executable, "-m", "pip", "--disable-pip-version-check", *words, numpy, *requirements()]

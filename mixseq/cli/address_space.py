@@ -1,8 +1,8 @@
-"""Little address space, as after ``ulimit -v``: one thread then, and a floor.
+"""Limited address space, as after ``ulimit -v``: one thread, and a minimum.
 
-The libraries in C that mixseq works with, and the stacks and arenas of their threads, take address space by the hundred
-megabytes before any work begins. Where they do not get it they crash, abort or never end, none of which Python can
-catch. So they are not even loaded below a floor, and start no threads of their own where there is a limit.
+C libraries, with the stacks and arenas of their threads, take address space by the hundred megabytes before any work
+begins. Without it they crash, abort or hang, none of which Python can catch. So they are not loaded below a minimum,
+and start no threads under a limit.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ import os
 from mixseq.errors import SettingsError
 
 FLOOR = 2000 << 20
-"""Bytes: small files take up to 1.8 GB with one thread, measured, of which libraries use a sixth."""
+"""Smallest address space in bytes: small files take up to 1.8 GB on one thread (measured), libraries a sixth of it."""
 
 _THREADS = ("MIXSEQ_THREADS", "OPENBLAS_NUM_THREADS", "RAYON_NUM_THREADS")
 
 _SIGNS = ("can't start new thread", "failed to map segment", "Cannot allocate memory", "libllvmlite")
-"""What errors say that are for want of memory, whatever they are called."""
+"""Parts of error messages that signal a lack of memory."""
 
 
 def make_do() -> None:
-    """Ask libraries that are not loaded yet for one thread, if the address space is limited."""
+    """Set libraries that are not loaded yet to one thread, if the address space is limited."""
     limit = _limit()
     if limit is None:
         return
@@ -35,7 +35,7 @@ def make_do() -> None:
 
 
 def is_short_of_memory(error: Exception) -> bool:
-    """Whether an error of another kind is for want of memory, where that is limited."""
+    """Return whether an error of another kind is due to limited memory."""
     return _limit() is not None and any(sign in str(error) for sign in _SIGNS)
 
 

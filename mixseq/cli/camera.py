@@ -1,4 +1,4 @@
-"""From where meshes are seen: one option for films, pages and the viewer."""
+"""The camera option of films, pages and the viewer."""
 
 from __future__ import annotations
 
@@ -25,4 +25,4 @@ camera_option = setting(
     metavar="ANGLE,HEIGHT",
     help="Degrees from the body's front, to its left, and above the horizon.  [default: front and a side]",
 )
-"""The command gets ``camera``, a pair of numbers or None."""
+"""Option ``--camera``; the command gets ``camera``, a pair of numbers or None."""

@@ -88,25 +88,25 @@ class _Some:
 
     @property
     def header(self) -> SequenceHeader:
-        """Everything but the points."""
+        """Mesh and times."""
         whole = self.frames.header
         return whole.with_times(whole.times[self.indices])
 
     def blocks(self, size: int = 16) -> Iterator[FloatArray]:
-        """Iterate over the frames that were chosen."""
+        """Iterate over the chosen frames."""
         return chosen_blocks(self.frames.blocks(size), self.indices)
 
 
 @dataclass(frozen=True)
 class _Counted:
-    """A sequence that tells how many of its frames were asked for."""
+    """A sequence that reports the number of frames read."""
 
     frames: Frames
     progress: Progress
 
     @property
     def header(self) -> SequenceHeader:
-        """Everything but the points."""
+        """Mesh and times."""
         return self.frames.header
 
     def blocks(self, size: int = 16) -> Iterator[FloatArray]:
@@ -116,7 +116,7 @@ class _Counted:
 
 
 def _warn_of_axes(reference: Path, a: SequenceHeader, other: Path, b: SequenceHeader) -> None:
-    """Tell of up axes and units that differ: points are compared as they are."""
+    """Warn of different up axes and units: points are compared as they are."""
     if a.up_axis != b.up_axis or not math.isclose(a.metres_per_unit, b.metres_per_unit, rel_tol=1e-6):
         first, second = (f"{each.up_axis} up and units of {each.metres_per_unit:g} m" for each in (a, b))
         warnings.warn(

@@ -1,4 +1,4 @@
-"""What commands have in common about compressed models: how small or how good, and what became of it."""
+"""Options and reports of compressed models, shared by commands: size or error, and the result."""
 
 from __future__ import annotations
 
@@ -38,19 +38,19 @@ _OF_FITTING = (
     ),
     *("projection", "volume", "labels", "label_source", "knots", "pose"),
 )
-"""Options of ``mixseq encode`` that are about models that are not compressed."""
+"""Options of ``mixseq encode`` for models that are not compressed."""
 
 _RENUMBERED = {
     "vertices": "faces have other numbers than the original's",
     "free": "vertices and faces have other numbers than the original's",
 }
-"""What is told of orders in which not all numbers are kept."""
+"""Messages about orders in which not all numbers are kept."""
 
 
 def aim_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Add what a compressed model can aim at; the command gets ``aim``: one of the three by name, or nothing.
+    """Add the targets of compression; the command gets ``aim``: one of the three by name, or nothing.
 
-    Options of fitting beside them are refused.
+    Options of fitting beside them raise an error.
     """
 
     @click.option(
@@ -115,7 +115,7 @@ def aim_options(command: Callable[..., None]) -> Callable[..., None]:
 def compressed(
     frames: Frames, aim: Mapping[str, Any], progress: Progress, still: StillName | None = None
 ) -> CompressedSequence:
-    """Compress a sequence to an aim, of which a size is that of the file: a .glb if a `still` is given."""
+    """Compress a sequence to an aim; a size is that of the file, a .glb if a `still` is given."""
     from mixseq_io.coded.packing import room_for_signals
 
     if "size" in aim:
@@ -142,7 +142,7 @@ def _check_aim(context: click.Context, names: list[str]) -> None:
 
 
 def coding_facts(path: Path, coded: CompressedSequence) -> dict[str, Any]:
-    """Return bytes, rates and errors of a compressed model that is in a file."""
+    """Return bytes, rates and errors of a compressed model in a file."""
     from dataclasses import asdict
 
     from mixseq_io.compressed_files import compressed_sizes
@@ -167,7 +167,7 @@ def bits(size: int, header: SequenceHeader) -> float:
 
 
 def coding_rows(facts: dict[str, Any]) -> Rows:
-    """Rows of a table about what `coding_facts` returned."""
+    """Return table rows of the result of `coding_facts`."""
     sizes, coding = facts["bytes"], facts["coding"]
     stated = "at most " if coding["promised"] else ""
     others = [

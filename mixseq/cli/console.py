@@ -1,7 +1,7 @@
-"""What commands print: tables and finished files on stdout, progress on stderr.
+"""Output of commands: tables and finished files on stdout, progress on stderr.
 
-Names in files are data: whatever they say, they must not move the cursor, colour or rename the terminal, or turn the
-rest of a line around. So all that is printed goes through `printable`; JSON has escapes of its own.
+Names in files are untrusted: they must not move the cursor, colour or rename the terminal, or reverse the rest of a
+line. So all output goes through `printable`; JSON has escapes of its own.
 """
 
 from __future__ import annotations
@@ -26,13 +26,7 @@ _CONTROLS = re.compile(
 
 
 def printable(text: str) -> str:
-    r"""Return text with everything escaped that a terminal would obey instead of showing it.
-
-    Examples
-    --------
-    >>> printable("café \x1b[31m\n\u202egpj.exe")
-    'café \\x1b[31m\\n\\u202egpj.exe'
-    """
+    """Return text with all control and formatting characters escaped."""
     return _CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
 
 
@@ -65,7 +59,7 @@ def _print_rich(rows: list[list[str]], heading: Sequence[str] | None) -> None:
         table.add_column(name, style="cyan" if number == 0 else None, overflow="fold")
     for row in rows:
         table.add_row(*row)
-    # Names in files are data: their brackets and colons are no markup.
+    # Names in files are data: brackets and colons in them are not markup.
     Console(markup=False, emoji=False, highlight=False).print(table)
 
 
@@ -81,7 +75,7 @@ def announce(path: Path) -> None:
 
 
 def needed(path: Path) -> str:
-    """Return what a USD file is not complete without, "" if it is."""
+    """Return the files that a USD file depends on, "" if there are none."""
     if path.suffix.lower() not in (".usd", ".usda", ".usdc"):
         return ""
     from mixseq_io.usd.paths import clips_of, sublayer_of
@@ -95,10 +89,8 @@ def needed(path: Path) -> str:
 
 
 def format_bytes(count: float) -> str:
-    """Write a size in the largest fitting unit.
+    """Format a size in the largest fitting unit.
 
-    Examples
-    --------
     >>> format_bytes(999), format_bytes(1_234_567)
     ('999 bytes', '1.23 MB')
     """
@@ -110,7 +102,7 @@ def format_bytes(count: float) -> str:
 
 @contextmanager
 def progress_bar(quiet: bool) -> Iterator[Progress]:
-    """Show how far work is, if anybody is watching stderr."""
+    """Show the progress of work, if stderr is a terminal."""
     if quiet or not sys.stderr.isatty():
         yield silent
         return

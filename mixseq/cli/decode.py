@@ -214,7 +214,7 @@ def _sequence(
 
 @dataclass(frozen=True)
 class Chosen:
-    """Which frames are decoded, as the options tell; by default those of the model."""
+    """Frames to decode, by the options; by default those of the model."""
 
     times: tuple[float, ...] | None = None
     frames: FrameChoice | None = None
@@ -223,7 +223,7 @@ class Chosen:
     end: float | None = None
 
     def of(self, model: Model) -> SequenceHeader:
-        """Return the header of what is decoded."""
+        """Return the header of the decoded frames."""
         if self.frames is not None:
             for name in ("times", "start", "end"):
                 if getattr(self, name) is not None:
@@ -253,7 +253,7 @@ def _range(model: Model, fps: float | None, start: float | None, end: float | No
         return model.header_at(fps=fps)
     if fps is not None:
         for time in (first, last):
-            model.header_at([time], fps)  # refuses what could not be counted
+            model.header_at([time], fps)  # raises an error if frames cannot be counted
         rate = exact_rate(fps, model.header.fps)
         return model.header_at(frame_times(first, last, rate), rate)
     model.inside([first, last])

@@ -1,4 +1,4 @@
-"""Skins and morphs on the command line: fitted, written, and measured as they were written."""
+"""Skins and morphs on the command line: fit and write them, and measure the written file."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ _USELESS = {"velocities": "velocities", "onto": "other files to build on", "clip
 
 @dataclass(frozen=True)
 class RigSettings:
-    """What is asked of a skin or a morph; None is the default of the fit."""
+    """Settings of a skin or a morph; None is the default of the fit."""
 
-    kind: str | None  # what to write; None for a sequence
+    kind: str | None  # kind of the rig; None for a sequence
     bones: int | None  # number of bones
     skeleton: Path | None  # a file with the bones, and mostly with the mesh on them
     correctives: float | None  # largest error of a vertex with a skin's correctives, in diagonals
@@ -42,7 +42,7 @@ class RigSettings:
     max_targets: int | None  # number of morph targets at most
 
     def check(self, velocities: bool, writing: Mapping[str, Any], texture: str | None = None) -> None:
-        """Refuse options that exclude each other."""
+        """Raise an error for options that exclude each other."""
         if texture is not None:
             raise SettingsError(
                 "texture is for vertex animation textures; leave it out, or end the target in .vat"
@@ -63,10 +63,7 @@ class RigSettings:
                     )
 
     def fit(self, sequence: MeshSequence, progress: Progress) -> Skin | Morph:
-        """Fit the skin or the morph to a sequence.
-
-        The mesh that is bound to a skeleton tells its bind pose if it has the vertices of the sequence.
-        """
+        """Fit the rig to a sequence; a mesh on the skeleton with the same vertices is the bind pose."""
         targets = {} if self.max_targets is None else {"max_targets": self.max_targets}
         if self.kind == "morph":
             return mixseq.fit_morph(sequence, self.max_error, **targets, progress=progress)
@@ -92,7 +89,7 @@ def _option(name: str) -> str:
 
 
 def _bind_pose(path: Path, sequence: MeshSequence) -> MeshSequence | None:
-    """Return the mesh on the skeleton of a file, None if there is none, or another one than that of a sequence."""
+    """Return the mesh on the skeleton of a file, None if there is none, or if it differs from that of a sequence."""
     try:
         found = mixseq.read_bind_pose(path)
     except NoMeshError:  # a skeleton alone
@@ -116,7 +113,7 @@ def _bind_pose(path: Path, sequence: MeshSequence) -> MeshSequence | None:
 
 
 def rows(path: Path, rig: Skin | Morph, sequence: MeshSequence) -> list[tuple[str, str]]:
-    """Read a file back and tell what is in it, and how far it is from the sequence."""
+    """Return table rows of a written file's contents and its distance from the sequence."""
     from mixseq.cli.console import format_bytes
     from mixseq.rigging.rigs import Skin
     from mixseq_io.rig_files import GLTF

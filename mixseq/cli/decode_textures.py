@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def check_textures(others: Mapping[str, Any]) -> None:
-    """Refuse options that textures have no place for, by name; those that are None or False are not given."""
+    """Raise an error for options, by name, that textures do not support; None and False are not given."""
     for name, value in others.items():
         if value is not None and value is not False:
             option = f"--{name.replace('_', '-')}"
@@ -20,7 +20,7 @@ def check_textures(others: Mapping[str, Any]) -> None:
 
 
 def texture_rows(report: VatReport) -> list[tuple[str, str]]:
-    """Tell what textures take, and how far they are off."""
+    """Return table rows of the textures' sizes and errors."""
     from mixseq.cli.console import format_bytes
 
     kind = report.kind if not report.rank else f"{report.kind}, {report.rank} basis vectors"

@@ -97,7 +97,7 @@ def _draw(path: Path, original: MeshSequence, decoded: MeshSequence, model: Mode
 
 
 class _Clock:
-    """Measures how long each step takes."""
+    """A stopwatch for the steps."""
 
     def __init__(self) -> None:
         self._seconds: dict[str, float] = {}

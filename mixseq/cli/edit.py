@@ -156,7 +156,7 @@ def command(
 
 
 def _write_travel(path: Path, model: Model, edit: Edit) -> None:
-    """Write how far a body has got at every frame, before an edit takes it away."""
+    """Write the distance that a body has travelled at every frame, before an edit removes it."""
     from mixseq.operations import travel_of
     from mixseq_io.atomic import replacing
 

@@ -1,4 +1,4 @@
-"""Reading with progress, and checks of files before long work starts."""
+"""Read with progress, and check files before long work starts."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ if TYPE_CHECKING:
 
 MODEL_EXTENSIONS, GLB = (".h5", ".hdf5"), ".glb"
 VAT = ".vat"
-"""Of folders with vertex animation textures, the only folders that are written as targets."""
+"""Extension of folders with vertex animation textures, the only folders that are written as targets."""
 
 
 def is_model(path: Path) -> bool:
-    """Whether a file is a model, see `mixseq_io.loading.is_model`."""
+    """Return whether a file is a model, see `mixseq_io.loading.is_model`."""
     from mixseq_io.loading import is_model
 
     return is_model(path)
 
 
 def read_sequence(path: Path, reading: Mapping[str, Any], progress: Progress) -> MeshSequence:
-    """Read a sequence into memory, telling how far it is."""
+    """Read a sequence into memory, reporting progress."""
     from mixseq.sequence import collect
 
     with mixseq.open_sequence(path, **reading) as reader:
@@ -46,7 +46,7 @@ def read_sequence(path: Path, reading: Mapping[str, Any], progress: Progress) ->
 
 
 def counted(blocks: Iterable[FloatArray], frames: int, what: str, progress: Progress) -> Iterator[FloatArray]:
-    """Pass on blocks of frames, telling how many there were."""
+    """Pass on blocks of frames, reporting their number as progress."""
     done = 0
     for block in blocks:
         yield block
@@ -64,7 +64,7 @@ def write_frames(
     workers: Executor,
     sources: ArrayLike | None = None,
 ) -> None:
-    """Decode the frames of a header and write them as they come, with velocities or without."""
+    """Decode the frames of a header and write them block by block, with velocities or without."""
     from mixseq_io import in_step
 
     if velocities:
@@ -83,9 +83,9 @@ def write_sequence(
     writing: Mapping[str, Any],
     sources: ArrayLike | None = None,
 ) -> None:
-    """Write frames as they come, turned and scaled if asked for, but never over the file that they once came from.
+    """Write frames block by block, rotated and scaled on request, but never over the file of their origin.
 
-    Formats that ask for `sources` are told them: the times (T,) of the original that the frames show, in seconds.
+    Formats with `sources` get the times (T,) of the original for the frames, in seconds.
     """
     from mixseq.unit_conversion import UnitConversion
     from mixseq_io import FORMATS
@@ -109,7 +109,7 @@ def write_sequence(
 
 
 def check_origin(path: Path, header: SequenceHeader) -> None:
-    """Refuse to write over the file that a sequence once came from."""
+    """Raise an error if a path is the file from which a sequence was read."""
     origin = header.surface.origin
     if origin is not None and _replaces(path, Path(origin.path)):
         lost = origin.path if path.is_dir() else path
@@ -119,7 +119,7 @@ def check_origin(path: Path, header: SequenceHeader) -> None:
 
 
 def check_target(path: Path, source: Path) -> None:
-    """Refuse a file that could not be written or would replace the source, before the work and not after it."""
+    """Raise an error, before the work, for a file that cannot be written or would replace the source."""
     if _replaces(path, source) or _share_files(path, source):
         lost = source if path.is_dir() else path
         raise OutputError(f"{lost} is the source itself and would be lost; give another name")
@@ -127,7 +127,7 @@ def check_target(path: Path, source: Path) -> None:
 
 
 def check_place(path: Path) -> None:
-    """Refuse a file that could not be written where it shall be, before the work and not after it."""
+    """Raise an error, before the work, for a file that cannot be written at its path."""
     folder = path.parent
     if path.is_dir() and path.suffix.lower() != VAT:
         raise OutputError(f"{path} is a folder; give the name of a file")
@@ -138,7 +138,7 @@ def check_place(path: Path) -> None:
 
 
 def _replaces(target: Path, source: Path) -> bool:
-    """Whether a target is a source that exists, or a folder of textures of which the source is one of the files."""
+    """Return whether a target is an existing source, or a folder of textures that contains the source."""
     if not (target.exists() and source.exists()):
         return False
     if not (target.is_dir() and target.suffix.lower() == VAT):
@@ -151,7 +151,7 @@ def _replaces(target: Path, source: Path) -> bool:
 
 
 def _share_files(target: Path, source: Path) -> bool:
-    """Whether files of a numbered target are files of a numbered source."""
+    """Return whether files of a numbered target are files of a numbered source."""
     from mixseq_io.numbered.names import files_of_pattern
 
     if target.suffix.lower() != source.suffix.lower() and not source.is_dir():
@@ -164,7 +164,7 @@ def _share_files(target: Path, source: Path) -> bool:
 
 
 def check_model_name(path: Path, compressed: bool) -> None:
-    """Refuse what is no name of a model; a model named .usdc would only confuse."""
+    """Raise an error for a path without a model's extension."""
     suffix = path.suffix.lower()
     if suffix == GLB and not compressed:
         raise OutputError(f"{path}: a .glb holds compressed models; give --max-error, --kg or --size, too")
@@ -175,13 +175,13 @@ def check_model_name(path: Path, compressed: bool) -> None:
 
 
 def free_name(path: Path) -> Path:
-    """Return the path, with a number if there is such a file."""
+    """Return the path, with a number appended if the file exists."""
     tries = (path, *(path.with_stem(f"{path.stem}-{number}") for number in range(2, 10_000)))
     return next(each for each in tries if not each.exists())
 
 
 def options_of(path: Path, reading: Mapping[str, Any]) -> dict[str, Any]:
-    """Return those of the options that the file's format knows: several files may differ in format."""
+    """Return the options that the file's format supports: several files may differ in format."""
     from mixseq_io import FORMATS
 
     extension = path.suffix.lower()
@@ -193,7 +193,7 @@ def options_of(path: Path, reading: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def check_options(files: Sequence[Path], reading: Mapping[str, Any]) -> None:
-    """Refuse options that none of the files is read with."""
+    """Raise an error for options that no format of the files supports."""
     for name in reading.keys() - set().union(*(options_of(file, reading) for file in files)):
         raise SettingsError(f"none of the files is read with an option {name!r}")
 
@@ -205,10 +205,7 @@ def scene_items(
     reading: Mapping[str, Any],
     stack: ExitStack,
 ) -> tuple[list[SceneItem], SequenceReader | None]:
-    """Open models and sequences that are shown together, and the original that errors are measured against.
-
-    Frames of sequences are not read yet; the stack closes them.
-    """
+    """Open models, sequences (frames are read later) and the original for errors; the stack closes them."""
     from mixseq.scene import SceneItem
 
     check_options([*files, *([against] if against else [])], reading)
@@ -225,7 +222,7 @@ def scene_items(
 
 @dataclass(frozen=True)
 class Decoded:
-    """The frames of a model, decoded as they are asked for."""
+    """The frames of a model, decoded on demand."""
 
     model: Model
     progress: Progress
@@ -233,7 +230,7 @@ class Decoded:
 
     @property
     def header(self) -> SequenceHeader:
-        """Everything but the points."""
+        """Mesh and times."""
         return self.model.header
 
     def blocks(self, size: int = 16) -> Iterator[FloatArray]:

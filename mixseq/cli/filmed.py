@@ -25,7 +25,7 @@ Command = Callable[..., None]
 
 @dataclass(frozen=True)
 class FilmOptions:
-    """The options of films as they were given; None is what was not."""
+    """Options of films as given; None if not."""
 
     video: Path | None
     size: tuple[int, int] | None
@@ -39,7 +39,7 @@ class FilmOptions:
     names: tuple[str, ...] | None
 
     def refuse(self) -> None:
-        """Refuse all of them but the camera where no film is made."""
+        """Raise an error for any of them but the camera where no film is made."""
         for name, value in vars(self).items():
             if value is not None and name != "camera":
                 raise SettingsError(f"--{name} is about films; give --video as well, or leave it out")
@@ -132,7 +132,7 @@ def make_film(
     claim: Claim,
     quiet: bool,
 ) -> None:
-    """Make the film of `files` that the options ask for."""
+    """Make the film of `files`."""
     from mixseq.plots.video import FilmSettings, check_film, film, film_format
     from mixseq_io.atomic import replacing
 
@@ -154,7 +154,7 @@ def make_film(
 
 
 def _names(files: Sequence[Path], names: tuple[str, ...] | None) -> Sequence[str]:
-    """Return what stands above the files: their names, if nothing else is asked for and there are several."""
+    """Return the captions of the files: by default their names, if there are several."""
     if names is None:
         return [file.name for file in files] if len(files) > 1 else [""]
     if len(names) != len(files):

@@ -31,15 +31,7 @@ def command(markdown: bool) -> None:
 
 
 def as_markdown(table: Table) -> str:
-    """Return a table, whose first row are titles, in Markdown.
-
-    Examples
-    --------
-    >>> print(as_markdown([("format", "reads"), ("OBJ", ".obj")]))
-    | format | reads |
-    |---|---|
-    | OBJ | .obj |
-    """
+    """Return a table, whose first row has the titles, in Markdown."""
     titles, *rows = table
     lines = [titles, ["---"] * len(titles), *rows]
     return "\n".join(

@@ -1,4 +1,4 @@
-"""Frames that a command is given, by the numbers that people call them by: ``1005-1010``, ``1001,1005-1010``."""
+"""Frames chosen by their numbers in the time line: ``1005-1010``, ``1001,1005-1010``."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class FrameChoice:
     ranges: tuple[tuple[int, int], ...]  # first and last number of every range; equal for a single frame
 
     def indices(self, header: SequenceHeader) -> list[int]:
-        """Return which frames of a sequence are chosen, in order."""
+        """Return the indices of the chosen frames of a sequence, in order."""
         import numpy as np
 
         numbers = header.times * header.fps
@@ -42,7 +42,7 @@ class FrameChoice:
         return [int(index) for index in np.flatnonzero(chosen)]
 
     def span(self, header: SequenceHeader) -> tuple[float, float]:
-        """Return from when to when the frames are, in seconds."""
+        """Return the times of the first and last chosen frame, in seconds."""
         if len(self.ranges) > 1:
             raise SettingsError("--frames is one range here, such as 1005-1010")
         ((first, last),) = self.ranges
@@ -74,7 +74,7 @@ def frames_option(help_text: str, metavar: str = "A-B") -> Callable[[Command], C
 
 
 def chosen_blocks(blocks: Iterable[FloatArray], indices: Iterable[int]) -> Iterator[FloatArray]:
-    """Yield those frames of a sequence's blocks that are chosen, in order; what comes after them is not read."""
+    """Yield the chosen frames of a sequence's blocks, in order; later ones are not read."""
     left, first = sorted(indices), 0
     for block in blocks:
         here = [index - first for index in left if index < first + len(block)]
@@ -86,7 +86,7 @@ def chosen_blocks(blocks: Iterable[FloatArray], indices: Iterable[int]) -> Itera
 
 
 def time_rows(header: SequenceHeader) -> list[tuple[str, str]]:
-    """Return the rows of a table about the frames that were written."""
+    """Return table rows about the written frames."""
     first, last = (float(time) for time in header.times[[0, -1]])
     numbers = (number_at(time, header.fps) for time in (first, last))
     return [

@@ -1,11 +1,11 @@
-"""A group of commands that loads each one when it is needed, and fails in one line, never with a traceback.
+"""A command group that imports commands on demand, and reports errors in one line, without a traceback.
 
 Exit codes:
 
 ====  ======================================================================
-0     all is well
+0     success
 1     the reader of a pipe went away; an asset of a batch failed; or a bound does not hold
-2     an error that the user can do something about
+2     an error that the user can fix
 130   interrupted by Ctrl-C
 129   its terminal was closed
 143   terminated by a signal
@@ -34,7 +34,7 @@ from mixseq.warned import warnings_heard
 
 
 class LazyGroup(click.Group):
-    """Commands in modules of a package, each of which calls its own ``command``."""
+    """Commands in modules of a package, each in its own ``command``."""
 
     def __init__(
         self,
@@ -63,7 +63,7 @@ class LazyGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find a command, or suggest the one that is spelled most alike."""
+        """Find a command, or suggest the one of most similar spelling."""
         name, commands = args[0], self.list_commands(ctx)
         if name not in commands and not ctx.resilient_parsing:
             from difflib import get_close_matches
@@ -73,7 +73,7 @@ class LazyGroup(click.Group):
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the commands, by what they are for."""
+        """Write the commands, grouped by purpose."""
         width = formatter.width - 6 - max(map(len, self.list_commands(ctx)))
         for title, names in self._sections.items():
             commands = ((name, self.get_command(ctx, name)) for name in names)
@@ -83,13 +83,13 @@ class LazyGroup(click.Group):
                 )
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run a command; help takes no memory."""
+        """Run a command; help needs no memory."""
         if not set(ctx.help_option_names) & set(ctx.args):
             make_do()
         return super().invoke(ctx)
 
     def main(self, *args: Any, standalone_mode: bool = True, **settings: Any) -> Any:
-        """Run the command line, as `click.Group.main` does, with our own messages."""
+        """Run the command line as `click.Group.main` does, with mixseq's messages."""
         run = partial(super().main, *args, standalone_mode=False, **settings)
         if not standalone_mode:
             return run()

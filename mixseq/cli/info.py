@@ -59,7 +59,7 @@ def command(path: Path, as_json: bool, reading: dict[str, Any], quiet: bool) -> 
 
 
 def dimension_rows(model: Model) -> Rows:
-    """Rows of a table about the shape space of a model."""
+    """Return table rows about the shape space of a model."""
     return _dimension_rows(_dimensions(model), len(model.header.faces))
 
 
@@ -110,19 +110,19 @@ def _surface(header: SequenceHeader) -> dict[str, Any]:
 
 
 def _coding(path: Path) -> dict[str, Any]:
-    """Return what is to say of a compressed model, nothing of others."""
+    """Return the facts about a compressed model, empty for others."""
     from mixseq_io.compressed_files import is_compressed, read_compressed
 
     return coding_facts(path, read_compressed(path)) if is_compressed(path) else {}
 
 
 def bytes_of_frames(header: SequenceHeader) -> int:
-    """Return how many bytes the frames take in single precision."""
+    """Return the bytes of the frames in single precision."""
     return 12 * header.frame_count * header.vertex_count
 
 
 def size_row(total: int, frames: int) -> tuple[str, str]:
-    """Row of a table about the bytes of a model, beside those of its frames."""
+    """Return the table row of the bytes of a model, beside those of its frames."""
     return "size", f"{format_bytes(total)}, {total / frames:.2f} times the frames in single precision"
 
 

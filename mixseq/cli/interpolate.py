@@ -43,13 +43,7 @@ class Pose(NamedTuple):
 
 
 def pose_of(text: str) -> Pose:
-    """Parse ``FRAME=WEIGHT`` or ``FRAME``; weights may be fractions.
-
-    Examples
-    --------
-    >>> pose_of("2=1/4"), pose_of("5")
-    (Pose(frame=2, weight=0.25), Pose(frame=5, weight=None))
-    """
+    """Parse ``FRAME=WEIGHT`` or ``FRAME``; weights may be fractions, such as ``2=1/4``."""
     frame, given, weight = text.partition("=")
     above, divided, below = weight.partition("/")
     try:
@@ -147,7 +141,7 @@ def command(
 
 
 def _check(poses: Sequence[Pose], steps: int | None) -> None:
-    """Refuse poses that make no sense before the sequence is read."""
+    """Raise an error for unusable poses, before the sequence is read."""
     frames = [pose.frame for pose in poses]
     for pose in poses:
         if frames.count(pose.frame) > 1:
@@ -171,7 +165,7 @@ def _used(weights: NDArray[np.float64]) -> list[int]:
 
 
 def _weights(poses: Sequence[Pose], steps: int | None, count: int) -> NDArray[np.float64]:
-    """Weights ``(m, n)`` of all frames of a sequence, for every frame of the result."""
+    """Return weights ``(m, n)`` of all frames of a sequence, for every frame of the result."""
     import numpy as np
 
     from mixseq.operations.interpolation import checked_weights

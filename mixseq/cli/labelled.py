@@ -1,4 +1,4 @@
-"""Labels that ``--labels`` and ``--source`` choose, and the connected parts that they make."""
+"""Labels chosen by ``--labels`` and ``--source``, and their connected parts."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 def chosen_labels(
     reader: SequenceReader, labels: Path | None, source: str | None, reading: Mapping[str, Any]
 ) -> Labels:
-    """Read labels of an open sequence from a file, or from the sequence's own."""
+    """Read labels of an open sequence from a file, or from the sequence itself."""
     from mixseq_io.labels.reading import labels_of, read_labels
 
     if labels is None:
@@ -36,14 +36,14 @@ def parts_given(
     source: str | None,
     reading: Mapping[str, Any],
 ) -> NDArray[np.int64]:
-    """Return the part of every triangle ``(F,)`` that labels tell, unless a number of parts contradicts them."""
+    """Return the part of every triangle ``(F,)`` from labels; raises an error if a number of parts contradicts them."""
     if parts is not None:
         raise SettingsError("--labels and --source tell the parts; leave out --parts, or them")
     return chosen_labels(reader, labels, source, reading).part_of_face
 
 
 def connected(header: SequenceHeader, labels: Labels) -> Labels:
-    """Split labels into connected parts; the second part of a label "arm" is "arm_1", if no label is."""
+    """Split labels into connected parts; the second part of a label "arm" is "arm_1", unless that is a label."""
     import numpy as np
 
     from mixseq.segmentation import segment_by_labels
@@ -57,13 +57,7 @@ def connected(header: SequenceHeader, labels: Labels) -> Labels:
 
 
 def numbered(names: Sequence[str]) -> tuple[str, ...]:
-    """Number names that come again, around names that are there.
-
-    Examples
-    --------
-    >>> numbered(["arm", "arm", "arm_1", "arm", "leg"])
-    ('arm', 'arm_2', 'arm_1', 'arm_3', 'leg')
-    """
+    """Append numbers to repeated names, skipping existing ones: arm, arm, arm_1 become arm, arm_2, arm_1."""
     used, result = set(names), []
     counts: dict[str, count[int]] = {}
     for name in names:

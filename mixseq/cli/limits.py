@@ -1,4 +1,4 @@
-"""Sizes that users type, and the limit of memory that every command has."""
+"""Parse sizes, and limit the memory of every command."""
 
 from __future__ import annotations
 
@@ -12,13 +12,7 @@ _SIZE = re.compile(r"(\d+\.?\d*|\.\d+)\s*([kmg]?i?b|)", re.IGNORECASE)
 
 
 def as_bytes(context: click.Context, option: click.Parameter, value: str | None) -> int | None:
-    """Read a size such as 2MB, 500kB or 1.5MiB.
-
-    Examples
-    --------
-    >>> [as_bytes(None, None, text) for text in ("2MB", "500 kB", "1.5MiB", "800")]
-    [2000000, 500000, 1572864, 800]
-    """
+    """Parse a size such as 2MB, 500kB or 1.5MiB; without a unit, bytes."""
     if value is None:
         return None
     found = _SIZE.fullmatch(value.strip())
@@ -34,7 +28,7 @@ def _limit_memory(context: click.Context, option: click.Parameter, value: str | 
         return
     from mixseq_io.memory import VARIABLE
 
-    # What threads and processes that are started here see, too.
+    # Inherited by threads and processes started here.
     before = os.environ.get(VARIABLE)
     os.environ[VARIABLE] = str(size / (1 << 30))
 
@@ -54,4 +48,4 @@ max_memory = click.Option(
     metavar="SIZE",
     help="Memory that reading a file may take: 12GB, 500MB, ...  [default: 8GB, or half of the machine's]",
 )
-"""Option of all commands."""
+"""Option ``--max-memory`` of all commands."""

@@ -1,4 +1,4 @@
-"""Arguments and options that several commands share."""
+"""Arguments and options shared by several commands."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON i
 
 
 def examples(*lines: str) -> str:
-    """Make the end of a help text, marked so that click does not reflow it."""
+    """Return the end of a help text, marked so that click does not reflow it."""
     return "\b\nExamples:\n" + "\n".join(f"  {line}" for line in lines)
 
 
 def reader_options(command: Command) -> Command:
-    """Add the options of the formats' readers; the command gets those that are given as ``reading``."""
+    """Add the options of the formats' readers; the command gets the given ones as ``reading``."""
 
     @click.option(
         "--prim",
@@ -106,7 +106,7 @@ def _unit(context: click.Context, option: click.Parameter, value: str | None) ->
 
 
 def writer_options(command: Command) -> Command:
-    """Add the options of writing sequences; the command gets those that are given as ``writing``."""
+    """Add the options of writing sequences; the command gets the given ones as ``writing``."""
 
     @click.option(
         "--flatten", is_flag=True, help="Write USD, Alembic or glTF that does not build on the original file."
@@ -169,7 +169,7 @@ def writer_options(command: Command) -> Command:
 
 
 def fit_options(command: Command) -> Command:
-    """Add the options of fitting that a file and a batch share; the command gets all of them as ``fitting``."""
+    """Add the options of fitting shared by files and batches; the command gets all of them as ``fitting``."""
 
     @click.option("--exact", is_flag=True, help="Keep everything; frames come back up to rounding.")
     @click.option(
@@ -275,7 +275,7 @@ def labels_options(command: Command) -> Command:
 
 
 def workers_options(command: Command) -> Command:
-    """Add the options that say who works; the command gets ``workers``, a context that yields an `Executor`."""
+    """Add the options of parallel work; the command gets ``workers``, a context that yields an `Executor`."""
 
     @click.option(
         "--threads", type=click.IntRange(min=1), metavar="N", help="Threads to work on.  [default: all cores]"
@@ -304,7 +304,7 @@ def _workers(threads: int | None, address: str | None) -> AbstractContextManager
 
 @contextmanager
 def threads_held(count: int | None) -> Iterator[Executor]:
-    """Work on so many threads meanwhile, also where nobody is told of the executor."""
+    """Set the number of threads meanwhile, also for code without the executor."""
     from mixseq.mapping import on_threads
 
     before = os.environ.get("MIXSEQ_THREADS")

@@ -1,8 +1,7 @@
-"""Files that a command is about to write: none that it reads is among them, and none is replaced unasked.
+"""Protect files from being overwritten: no input is an output, and no file is replaced without consent.
 
-What is asked for by name is replaced after a question on a terminal, which comes before the work. Without a terminal
-nobody can answer: then it is replaced, as the tools beside which mixseq stands in scripts do, so that a script may run
-twice. ``--overwrite`` says yes and ``--no-overwrite`` says no before anybody is asked.
+On a terminal, replacing a named target needs an answer, before the work. Without a terminal it is replaced, as other
+tools in scripts do, so that a script may run twice. ``--overwrite`` and ``--no-overwrite`` answer in advance.
 """
 
 from __future__ import annotations
@@ -22,26 +21,26 @@ from mixseq.errors import OutputError
 
 _CACHES = (".pc2", ".mdd")
 _FOLDERS = ("folders", "pack_from")
-"""Parameters that say where a command may read, not what."""
+"""Parameters with folders that may be read, as opposed to files."""
 
 
 @dataclass(frozen=True)
 class Claim:
-    """What claims files for writing."""
+    """Claim files for writing."""
 
-    overwrite: bool | None  # what the user said; None for nothing
-    given: tuple[Path, ...] = ()  # all files that the command was given, to read or to write
+    overwrite: bool | None  # the option; None if not given
+    given: tuple[Path, ...] = ()  # all files given to the command, to read or to write
     clips: bool = False  # whether USD is written with value clips
 
     def __call__(self, *targets: Path | None, read: Iterable[Path | None] = ()) -> None:
-        """Claim targets, `None` is none of them; `read` are more files that they must not be."""
+        """Claim targets, ignoring `None`; `read` are more files that they must not be."""
         written = [target for target in targets if target is not None]
         sources = [*self.given, *(path for path in read if path is not None)]
         for number, target in enumerate(written):
             if target.resolve() in (other.resolve() for other in written[:number]):
                 raise OutputError(f"{target} is to be written twice; give another name")
             if target in sources:
-                sources.remove(target)  # once: whoever is given twice is read, too
+                sources.remove(target)  # once: a file given twice is read, too
         for path in (file for target in written for file in (target, *_beside(target))):
             check_place(path)
             for source in sources:
@@ -49,7 +48,7 @@ class Claim:
         self.permit([file for target in written for file in files_in_the_way(target, self.clips)])
 
     def permit(self, files: Sequence[Path], unasked: bool = True) -> None:
-        """See that files may be replaced; `unasked` says what holds if nothing was said and nobody can be asked."""
+        """Check that files may be replaced; `unasked` is the answer without an option and without a terminal."""
         if not files or self.overwrite:
             return
         asked = self.overwrite is None and on_terminal()
@@ -80,12 +79,12 @@ def overwrite_option(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def on_terminal() -> bool:
-    """Whether somebody can be asked."""
+    """Return whether a user can answer."""
     return sys.stdin.isatty() and sys.stderr.isatty()
 
 
 def files_in_the_way(target: Path, clips: bool = False) -> list[Path]:
-    """Return what exists of the files that writing to a target replaces: numbered files, and those beside it, too."""
+    """Return the existing files that writing to a target replaces, with numbered files, and those beside it."""
     from mixseq_io import FORMATS
     from mixseq_io.numbered.names import files_of_pattern
 
@@ -96,7 +95,7 @@ def files_in_the_way(target: Path, clips: bool = False) -> list[Path]:
 
 
 def _beside(target: Path) -> list[Path]:
-    """Return what is written beside a target: the mesh of a point cache."""
+    """Return the files written beside a target: the mesh of a point cache."""
     return [target.with_suffix(".obj")] if target.suffix.lower() in _CACHES else []
 
 
@@ -109,7 +108,7 @@ def _paths(values: Iterable[Any]) -> Iterator[Path]:
 
 
 def _named(files: Sequence[Path]) -> str:
-    """Name files for a message: all of a few, the ends of many."""
+    """Format files for a message: all of a few, the first and last of many."""
     names = [click.format_filename(file) for file in files]
     if len(names) > 4:
         return f"{names[0]} ... {names[-1]} ({len(names)} files)"

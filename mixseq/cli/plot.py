@@ -108,7 +108,7 @@ def command(
 
 
 def _model_and_target(files: tuple[Path, ...]) -> tuple[Path, Path]:
-    """Return the two arguments that there are without --video."""
+    """Return the two arguments of pictures, without --video."""
     if len(files) < 2:
         raise click.UsageError(
             f"Missing argument '{'TARGET' if files else 'MODEL'}'.", click.get_current_context()
@@ -123,7 +123,7 @@ def _model_and_target(files: tuple[Path, ...]) -> tuple[Path, Path]:
 def _refuse_in_films(
     files: tuple[Path, ...], kind: PictureKind | None, frames: FrameChoice | None, tolerance: float | None
 ) -> None:
-    """Refuse what only pictures have."""
+    """Raise an error for options that only pictures have."""
     for name, value in (("kind", kind), ("frames", frames), ("tolerance", tolerance)):
         if value is not None:
             raise SettingsError(f"--{name} is about pictures; leave it out, or --video")

@@ -168,7 +168,7 @@ def command(
 def _model(
     source: Path, tolerance: float | None, reading: dict[str, Any], progress: Progress, workers: Executor
 ) -> Model:
-    """Load a model, or fit one to a sequence as it is read."""
+    """Load a model, or fit one to a sequence while reading."""
     if not is_model(source):
         with mixseq.open_sequence(source, **reading) as reader:
             return mixseq.fit(
@@ -181,7 +181,7 @@ def _model(
 
 
 def _span(sources: NDArray[np.float64], fps: float) -> str:
-    """Where playing starts and ends, and how far it goes in between."""
+    """Format the first and last source time, and the range in between."""
     first, last, low, high = sources[0], sources[-1], sources.min(), sources.max()
     beyond = f", between {low:g} and {high:g} s" if low < min(first, last) or high > max(first, last) else ""
     return f"{span_text(first, last, fps)}{beyond}"
@@ -191,7 +191,7 @@ def _rows(planned: Resampling) -> list[tuple[str, str]]:
     header, retiming = planned.header, planned.retiming
     first, last = header.times[[0, -1]]
     rows = [*time_rows(header), ("source", _span(planned.sources, planned.model.header.fps))]
-    rest = 1e-3 / header.fps  # less is a matter of rounding
+    rest = 1e-3 / header.fps  # smaller ones are rounding errors
     why = f"; frames are at whole multiples of 1/{header.fps:g} s"
     if first - retiming.start > rest:
         rows.append(

@@ -140,7 +140,7 @@ def command(
 
 @dataclass(frozen=True)
 class _Measured:
-    """What there is to tell about parts: names, numbers of triangles, shares of the area, errors in percent."""
+    """Measures of parts: names, numbers of triangles, shares of the area, errors in percent."""
 
     names: Sequence[str]
     faces: Sequence[int]
@@ -150,7 +150,7 @@ class _Measured:
 
     @property
     def rows(self) -> list[tuple[str, ...]]:
-        """The rows of a table, the whole mesh last."""
+        """Table rows, the whole mesh last."""
         columns = zip(self.names, self.faces, self.areas, self.errors, strict=True)
         rows = [(name, f"{faces}", f"{area:.1%}", f"{error:.2g} %") for name, faces, area, error in columns]
         total = (
@@ -172,7 +172,7 @@ class _Measured:
 
 
 def _method(method: str | None, parts: int | None, labels: Path | None, source: str | None) -> str:
-    """Return the method that is meant."""
+    """Return the method chosen by the options."""
     told = labels is not None or source is not None
     how = method or ("labels" if told else "motion")
     if told and how not in _GIVEN:
@@ -185,13 +185,13 @@ def _method(method: str | None, parts: int | None, labels: Path | None, source: 
 
 
 def _picture_beside(target: Path) -> Path:
-    """Return a name for the picture; that of numbered files has no number."""
+    """Return the path of the picture; that of numbered files has no number."""
     stem = re.sub(r"[-_. ]*(#+|\*+|%\d*d)", "", target.stem)
     return target.with_name(f"{stem}-parts.png" if stem else "parts.png")
 
 
 def _check_picture(picture: Path) -> None:
-    """Refuse what is no picture, and say before the work if what draws them is not installed."""
+    """Raise an error, before the work, for other extensions, or if the drawing library is missing."""
     from mixseq.plots.sheet_layout import matplotlib_module
 
     if picture.suffix.lower() != ".png":
@@ -222,7 +222,7 @@ def _with_seed(method: str, seed: int) -> MethodSettings:
 
 
 def _areas(points: FloatArray, header: SequenceHeader) -> NDArray[np.float64]:
-    """Twice the area of every triangle in a pose ``(V, 3)``."""
+    """Return twice the area of every triangle in a pose ``(V, 3)``."""
     import numpy as np
 
     a, b, c = (points[header.faces[:, corner]].astype(np.float64) for corner in range(3))
@@ -248,7 +248,7 @@ def _measured(header: SequenceHeader, points: FloatArray, labels: Labels) -> _Me
 
 @dataclass(frozen=True)
 class _Agreement:
-    """Adjusted Rand indices against other labels: every triangle counts the same, or its area does."""
+    """Adjusted Rand indices against other labels: by triangles, and weighted by area."""
 
     against: str
     labels: int

@@ -1,7 +1,6 @@
-"""Settings: options that few need, given as ``--set NAME=VALUE``, so that the list of options stays short.
+"""Settings: rare options, given as ``--set NAME=VALUE``, to keep the list of options short.
 
-A setting is an option like any other, ``joint_width`` is ``--joint-width``, and may be written that way too. Help
-lists settings apart from options.
+The setting ``joint_width`` is also the option ``--joint-width``. Help lists settings apart from options.
 """
 
 from __future__ import annotations
@@ -17,19 +16,19 @@ OFF = ("no", "false", "off", "0")
 
 
 class Setting(click.Option):
-    """An option that is listed among the settings."""
+    """An option listed among the settings."""
 
     @property
     def key(self) -> str:
-        """Name by which it is set."""
+        """Name of the setting."""
         return self.opts[-1].removeprefix("--").replace("-", "_")
 
     def usage(self, ctx: click.Context) -> str:
-        """Return how it is set, as help shows it."""
+        """Return the usage of the setting in help."""
         return f"{self.key}={'yes' if self.is_flag else self.make_metavar(ctx)}"
 
     def spelled(self, value: str) -> list[str]:
-        """Return the arguments that give it a value."""
+        """Return the arguments of a value."""
         if not self.is_flag:
             return [self.opts[-1], value]
         if value.lower() in ON:
@@ -40,11 +39,11 @@ class Setting(click.Option):
 
 
 setting = partial(click.option, cls=Setting)
-"""Like `click.option`, for a setting."""
+"""Decorator like `click.option`, for a setting."""
 
 
 class CommandWithSettings(click.Command):
-    """A command whose settings are listed after its options; those that have any get the option ``--set``."""
+    """A command with settings listed after its options; if it has any, it gets the option ``--set``."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
@@ -60,7 +59,7 @@ class CommandWithSettings(click.Command):
         return {each.key: each for each in self.params if isinstance(each, Setting)}
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse arguments, after what is set is spelled as options."""
+        """Parse arguments, with settings expanded to options."""
         return super().parse_args(ctx, list(self._spelled(ctx, args)) if self.settings else args)
 
     def _spelled(self, ctx: click.Context, args: list[str]) -> Iterator[str]:

@@ -229,7 +229,7 @@ def command(
 
 
 def _check_models(source: Path, out: Path, contacts: Path | None) -> None:
-    """Refuse what a transfer from model to model cannot do, before anything is read."""
+    """Raise an error for options that a transfer between models does not support, before anything is read."""
     if not (is_model(source) and out.suffix.lower() == ".h5"):
         raise SettingsError(
             "--as-model makes a model of a model: SOURCE and OUT are .h5 files; see mixseq encode"
@@ -266,7 +266,7 @@ def _check_settings(
     picture: Path | None,
     no_picture: bool,
 ) -> None:
-    """Refuse options that contradict each other, before anything is read."""
+    """Raise an error for options that contradict each other, before anything is read."""
     if markers is not None and map_file is not None:
         raise SettingsError("--markers and --map are two ways to say the same; give one of them")
     if reverse and markers is None:

@@ -1,4 +1,4 @@
-"""Files of a transfer: what it reads and writes, refused where it cannot be, before the work."""
+"""Read and write the files of a transfer, checked before the work."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ READ_OF_ALL = ("up_axis", "metres_per_unit")  # reader options that hold for eve
 
 
 def chosen_rest(text: str | None, source: Path) -> tuple[int, Path | None]:
-    """Return the frame that is meant, by its number or from the end, or a file."""
+    """Return the rest frame, by its number or from the end, or a file."""
     if text is None:
         return 0, source if source.suffix.lower() in _ANIMATED else None
     return (int(text), None) if re.fullmatch(r"-?\d+", text) else (0, Path(text))
@@ -38,7 +38,7 @@ def chosen_rest(text: str | None, source: Path) -> tuple[int, Path | None]:
 def mesh_at_rest(
     path: Path, reading: Mapping[str, Any], opened: SequenceReader | Model, unasked: bool
 ) -> MeshSequence | int:
-    """Read the source's mesh at rest; frame 0 instead, if nobody asked for a file that has other meshes."""
+    """Read the source's mesh at rest; frame 0 instead, if a file that was not asked for has other meshes."""
     shape = first_frame(path, {name: reading[name] for name in (*READ_OF_ALL, "prim") if name in reading})
     header = opened.header
     if not unasked or (shape.vertex_count, len(shape.faces)) == (header.vertex_count, len(header.faces)):
@@ -53,13 +53,13 @@ def mesh_at_rest(
 
 
 def picture_beside(out: Path) -> Path:
-    """Return a name for the picture; that of numbered files has no number."""
+    """Return the path of the picture; that of numbered files has no number."""
     stem = re.sub(r"[-_. ]*(#+|\*+|%\d*d)", "", out.stem)
     return out.with_name(f"{stem}-transfer.png" if stem else "transfer.png")
 
 
 def check_formats(out: Path, picture: Path | None, save_map: Path | None) -> None:
-    """Refuse extensions that nothing can write, before the work."""
+    """Raise an error for unsupported extensions, before the work."""
     from mixseq_io import FORMATS
 
     known = [extension for each in FORMATS for extension in each.extensions]
@@ -90,7 +90,7 @@ def opened_source(source: Path, reading: Mapping[str, Any]) -> AbstractContextMa
 
 
 def first_frame(path: Path, reading: Mapping[str, Any]) -> MeshSequence:
-    """Read the first frame of a file; of glTF, whose animations rarely begin at rest, the pose without any."""
+    """Read the first frame of a file; of glTF, whose animations rarely begin at rest, the pose without animation."""
     from mixseq.sequence import MeshSequence
 
     still = {"animation": "none"} if path.suffix.lower() in _ANIMATED else {}
@@ -119,7 +119,7 @@ def chosen_parts(
 
 
 def chosen_markers(path: Path | None, reverse: bool) -> Markers | None:
-    """Read the markers of a file, if there is one."""
+    """Read the markers of a file, None without one."""
     if path is None:
         return None
     from mixseq_io.correspondence.markers import read_markers
@@ -128,7 +128,7 @@ def chosen_markers(path: Path | None, reverse: bool) -> Markers | None:
 
 
 def chosen_contacts(path: Path | None) -> dict[str, list[int]] | None:
-    """Read the contacts of a file, if there is one."""
+    """Read the contacts of a file, None without one."""
     if path is None:
         return None
     from mixseq_io.correspondence.contacts import read_contacts
@@ -137,7 +137,7 @@ def chosen_contacts(path: Path | None) -> dict[str, list[int]] | None:
 
 
 def chosen_map(path: Path | None, motion: SourceMotion, shape: MeshSequence) -> Correspondence | None:
-    """Read the correspondence of two meshes from a file, if there is one."""
+    """Read the correspondence of two meshes from a file, None without one."""
     if path is None:
         return None
     from mixseq_io.correspondence.maps import read_map, to_correspondence
@@ -148,7 +148,7 @@ def chosen_map(path: Path | None, motion: SourceMotion, shape: MeshSequence) -> 
 
 
 def save_correspondence(path: Path, made: Transfer) -> None:
-    """Write the correspondence of a transfer, for the next one."""
+    """Write the correspondence of a transfer, for reuse."""
     from mixseq_io.correspondence.maps import write_map
 
     write_map(path, made.correspondence, made.source.header.faces, made.header.faces)

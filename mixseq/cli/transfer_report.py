@@ -1,4 +1,4 @@
-"""What ``mixseq transfer`` tells, as a table, as JSON and as a picture."""
+"""The report of ``mixseq transfer``, as a table, as JSON and as a picture."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from mixseq.statistics import Statistics
 
 NAMED = 4
-"""So many followers and markers at most have names in the table."""
+"""Largest number of followers and markers named in the table."""
 
 COLUMNS = 5
-"""Frames in the picture, beside the rest."""
+"""Number of frames in the picture, beside the rest."""
 
 
 def facts(made: Transfer, method: str, report: TransferReport) -> dict[str, Any]:
-    """Plain values for JSON."""
+    """Return plain values for JSON."""
     quality = made.quality
     reported = {"method": method, "frames": made.header.frame_count, "vertices": made.header.vertex_count}
     return (
@@ -38,7 +38,7 @@ def facts(made: Transfer, method: str, report: TransferReport) -> dict[str, Any]
 
 
 def rows(made: Transfer, method: str, report: TransferReport) -> list[tuple[str, str]]:
-    """The rows of the table."""
+    """Return the table rows."""
     header, parts = made.header, _part_counts(made)
     by = ", ".join(_number(count, what[:-1]) for what, count in parts.items()) or "deformation gradients"
     frames = _number(header.frame_count, "frame")
@@ -58,7 +58,7 @@ def rows(made: Transfer, method: str, report: TransferReport) -> list[tuple[str,
 
 
 def _part_counts(made: Transfer) -> dict[str, int]:
-    """Parts and joints of the target, if there are any."""
+    """Return the numbers of parts and joints of the target, if there are any."""
     parts = made.method.parts
     return {} if parts is None else {"parts": len(parts.target.parts), "joints": len(parts.target.joints)}
 
@@ -75,7 +75,7 @@ def _coverage_rows(covered: Coverage) -> list[tuple[str, str]]:
 
 
 def _quality_facts(quality: Quality) -> dict[str, Any]:
-    """The attributes that are numbers, and all markers by name."""
+    """Return the numeric attributes, and all markers by name."""
     names = [quality.markers.name(number) for number in range(len(quality.markers))]
     missed = zip(names, quality.marker_distances.tolist(), strict=True)
     return {
@@ -137,7 +137,7 @@ def _triangles(counts: Counts, header: SequenceHeader) -> str:
 
 
 def _contact_rows(contacts: ContactReport) -> list[tuple[str, str]]:
-    """How far every contact slides, and what keeping it cost."""
+    """Return table rows of the sliding of every contact, and the cost of keeping it."""
     result = []
     for group in contacts.groups:
         stances = _number(len(group.stances), "stance")
@@ -169,7 +169,7 @@ def _percent(share: float) -> str:
 
 
 def frames_to_draw(made: Transfer, frame: int, rest_file: Path | None) -> list[int]:
-    """Choose frames for the picture; the one that is the rest is drawn anyway."""
+    """Choose frames for the picture, without the rest, which is always drawn."""
     from mixseq.arrays import evenly
 
     count = made.header.frame_count
@@ -178,7 +178,7 @@ def frames_to_draw(made: Transfer, frame: int, rest_file: Path | None) -> list[i
 
 
 class PassingFrames:
-    """Keeps some frames ``(V', 3)`` while blocks pass by."""
+    """Record some frames ``(V', 3)`` of passing blocks."""
 
     def __init__(self, frames: Sequence[int]) -> None:
         self.frames = frames

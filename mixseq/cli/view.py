@@ -228,7 +228,7 @@ def _opened(
 
 
 def _names(files: Sequence[Path]) -> list[str]:
-    """Return what files are called: their names, with as many folders as tell them apart, or else a number."""
+    """Return the names of files, with enough folders to be unique, or else a number."""
     for parts in range(1, max(len(file.parts) for file in files) + 1):
         names = ["/".join(file.parts[-parts:]) for file in files]
         if len(set(names)) == len(files):
@@ -260,7 +260,7 @@ def _run(
         try:
             _wait(running.address, browser)
         finally:
-            answered()  # what is saved from here on is meant
+            answered()  # later saves are intentional
             for name, model in running.session.unsaved.items():
                 kept = free_name(Path(f"{Path(name).stem}-unsaved.h5"))
                 mixseq.save(kept, model)
@@ -270,7 +270,7 @@ def _run(
 
 
 def _settings(given: Mapping[str, Any], shading: str | None) -> ViewSettings:
-    """Return how the viewer runs, as far as it was told."""
+    """Return the settings of the viewer, from the given options."""
     from mixseq.viewing.live import ViewSettings
 
     material = "toon5" if shading == "simple" else "standard"
@@ -280,7 +280,7 @@ def _settings(given: Mapping[str, Any], shading: str | None) -> ViewSettings:
 
 
 def _wait(address: str, browser: bool | None) -> None:
-    """Tell the address, open it where there is a screen, and wait for Ctrl-C."""
+    """Print the address, open it if there is a screen, and wait for Ctrl-C."""
     say(f"mixseq view: {address} (Ctrl-C ends it)")
     if browser or (browser is None and _has_screen()):
         webbrowser.open(address)
@@ -291,14 +291,14 @@ def _wait(address: str, browser: bool | None) -> None:
 
 
 def _has_screen() -> bool:
-    """Whether a browser would be seen: not at the other end of a line, and not in a console."""
+    """Return whether a browser would be visible: not in a remote session, and not in a console."""
     if "SSH_CONNECTION" in os.environ:
         return False
     return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def _save(sources: Sequence[Path], path: Path, model: Model, replace: bool) -> str:
-    """Write an edited model, as a model or as a sequence, and tell which file it is and which others it needs."""
+    """Write an edited model, as a model or as a sequence; return a message with its name and the files it needs."""
     from mixseq.mapping import on_threads
     from mixseq_io.numbered.names import files_of_pattern
 

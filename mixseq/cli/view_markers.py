@@ -1,4 +1,4 @@
-"""``mixseq view --markers``: markers of two meshes are set in a browser."""
+"""``mixseq view --markers``: set the markers of two meshes in a browser."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def set_markers(
     settings: ViewSettings,
     wait: Callable[[str], None],
 ) -> None:
-    """Run a viewer in which markers are set, as long as it is waited for; what is not saved then is kept beside."""
+    """Run a viewer for setting markers until `wait` returns; unsaved ones are then written beside the file."""
     from mixseq.viewing.live import marking_viewer
     from mixseq_io.correspondence.markers import write_markers
 
@@ -46,7 +46,7 @@ def set_markers(
         try:
             wait(running.address)
         finally:
-            answered()  # what is saved from here on is meant
+            answered()  # later saves are intentional
             if running.session.unsaved:
                 kept = free_name(path.with_stem(f"{path.stem}-unsaved"))
                 write_markers(kept, running.session.marking.markers)
@@ -80,7 +80,7 @@ def _opened(files: Sequence[Path], path: Path, reading: Mapping[str, Any]) -> Ma
 
 
 def _still(path: Path, reading: Mapping[str, Any]) -> MeshSequence:
-    """Read a mesh at rest, as a transfer does."""
+    """Read a mesh at rest, as in a transfer."""
     if not is_model(path):
         return first_frame(path, reading)
     model = mixseq.load(path)

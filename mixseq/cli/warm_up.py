@@ -42,7 +42,7 @@ def command(quiet: bool) -> None:
 
 @contextmanager
 def _work() -> Iterator[list[tuple[str, Callable[[], object]]]]:
-    """Yield what to do, and what it is called."""
+    """Yield named tasks."""
     from dataclasses import replace
 
     import numpy as np

@@ -1,1 +1,1 @@
-"""Compression: signals as few bytes, with an error that is guaranteed."""
+"""Compress mesh sequences with guaranteed error bounds."""

@@ -1,12 +1,12 @@
-"""Meshes with other numbers of vertices and polygons: what is on vertices, corners and polygons goes along.
+"""Renumber vertices and polygons of meshes, with all attributes of vertices, corners and polygons.
 
-Numbers are worth more than connectivity: where they are random, twenty times as much. So a compressed file may leave
-out the order of polygons, or of vertices, too, and have that of `mixseq.coding.bitstream.polygon_walk`. That is a
-function of the mesh, so nobody has to store it: whoever has the original renumbers it, too.
+Numbers take more bytes than connectivity, twenty times as many if random. So a compressed file may leave out the order
+of polygons, or of vertices, too, and use that of `mixseq.coding.bitstream.polygon_walk`. It is a function of the mesh,
+so it is not stored, and originals can be renumbered in the same way.
 
 Triangles stay triangles with the same winding: a triangle may begin at another corner, a quad at the one opposite, and
-larger polygons begin where they began, so that all of them are cut into the same triangles. All that hard edges say is
-which corners share a normal, so normals are numbered as they come.
+larger polygons keep their first corner, so that all are cut into the same triangles. Hard edges only record which
+corners share a normal, so normals are numbered in order of first use.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ from mixseq.surface import FaceSet, Surface, by_first_use
 
 @dataclass(frozen=True, eq=False)
 class Renumbering:
-    """Which vertices, polygons and corners of a mesh are first, second, ... in another numbering of it."""
+    """A permutation of the vertices, polygons and corners of a mesh: old numbers in their new order."""
 
-    vertices: Index  # (V,) the old number of every vertex
+    vertices: Index  # (V,) old number of every vertex
     polygons: Index  # (P,) the old number of every polygon
     corners: Index  # (sum of counts,) the old place of every corner
 
     @property
     def order(self) -> OrderName:
-        """What keeps its number: vertices and polygons, vertices only, or neither."""
+        """Which numbers are kept: of vertices and polygons, of vertices only, or neither."""
         if not _is_sorted(self.vertices):
             return "free"
         return "keep" if _is_sorted(self.corners) else "vertices"
 
     @property
     def inverse(self) -> Renumbering:
-        """The numbering back."""
+        """The inverse numbering."""
         return Renumbering(*map(_inverse, (self.vertices, self.polygons, self.corners)))
 
     def of_polygons(self, polygons: Polygons) -> Polygons:
@@ -50,7 +50,7 @@ class Renumbering:
         return Polygons(polygons.counts[self.polygons], new[polygons.indices[self.corners]])
 
     def of_header(self, header: SequenceHeader) -> SequenceHeader:
-        """Return the same mesh, with everything that is on it, at the same times."""
+        """Return the same mesh with all its attributes, at the same times."""
         renumbered = {
             "polygons": self.of_polygons(header.polygons),
             "surface": self._of_surface(header.surface),
@@ -58,7 +58,7 @@ class Renumbering:
         return SequenceHeader(**{**header_fields(header), **renumbered})
 
     def of_frames(self, frames: Frames) -> Frames:
-        """Return the same frames of the same mesh: in memory if they are, else read as they are asked for."""
+        """Return the same frames of the same mesh: in memory if they are, else read on demand."""
         if not isinstance(frames, MeshSequence):
             return _Renumbered(frames, self.of_header(frames.header), self._of_points)
         velocities = None if frames.velocities is None else self._of_points(frames.velocities)
@@ -67,7 +67,7 @@ class Renumbering:
         )
 
     def _of_points(self, points: FloatArray) -> FloatArray:
-        """Return points ``(B, V, 3)``, the same if vertices keep their numbers."""
+        """Return points ``(B, V, 3)``; the same array if vertices keep their numbers."""
         return points if _is_sorted(self.vertices) else points[:, self.vertices]
 
     def _of_surface(self, surface: Surface) -> Surface:
@@ -85,7 +85,7 @@ class Renumbering:
 
 
 def as_it_is(polygons: Polygons, vertex_count: int) -> Renumbering:
-    """Return the numbering that a mesh has."""
+    """Return the identity numbering of a mesh."""
     return Renumbering(*map(np.arange, (vertex_count, len(polygons.counts), polygons.indices.size)))
 
 
@@ -108,7 +108,7 @@ def by_walk(polygons: Polygons, sizes: Sequence[int], *, vertices: bool) -> Renu
 
 
 def numbering_of(other: Polygons, polygons: Polygons, sizes: Sequence[int]) -> Renumbering | None:
-    """Return how the vertices of a mesh are numbered in a file of it, None if the file has another mesh."""
+    """Return the numbering of a mesh's vertices in a file of it, None if the file has another mesh."""
     if not np.array_equal(np.sort(polygons.counts), np.sort(other.counts)):
         return None
     if matched(polygons, other) is not None:
@@ -118,13 +118,13 @@ def numbering_of(other: Polygons, polygons: Polygons, sizes: Sequence[int]) -> R
 
 
 def object_sizes(header: SequenceHeader) -> list[int]:
-    """Return how many vertices each of the objects has that a sequence joins."""
+    """Return the number of vertices of every object joined in a sequence."""
     return [each.vertex_count for each in header.objects]
 
 
 @dataclass(frozen=True, eq=False)
 class _Renumbered:
-    """Frames that are renumbered as they are read."""
+    """Frames renumbered as they are read."""
 
     frames: Frames
     header: SequenceHeader

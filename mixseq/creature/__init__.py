@@ -1,8 +1,8 @@
-"""A fox that walks: the sample animation that comes with mixseq, made from nothing but a table of bones.
+"""A walking fox: the sample animation of mixseq, made from a table of bones.
 
-The bones' flesh is melted into one closed surface (`skeleton`), polygonised (`surface`), posed (`gait`) and
-skinned. The middle of a bone moves nearly rigidly and only the joints bend, so that the fox is also a test
-case whose true parts are known (`part_of_vertex`).
+The bones' flesh is blended into one closed surface (`skeleton`), polygonised (`surface_nets`), posed (`gait`) and
+skinned. The middle of a bone moves nearly rigidly and only the joints bend, so the fox is also a test case with known
+parts (`part_of_vertex`).
 """
 
 from __future__ import annotations
@@ -84,13 +84,7 @@ def _rest() -> tuple[Float, Index, Float]:
 
 
 def skin_weights(points: Float, faces: Index) -> Float:
-    """Share every vertex out to the bones.
-
-    A vertex belongs to the nearest bone; diffusion over the mesh softens the borders. It spreads along the
-    surface, so that a leg never feels the other leg, and by `SOFTNESS` edges at most.
-
-    Shapes: points ``(V, 3)``; faces ``(F, 3)``; result ``(V, B)``.
-    """
+    """Return weights ``(V, B)`` of points ``(V, 3)``, faces ``(F, 3)``: nearest bones, diffused `SOFTNESS` edges."""
     weights: Float = np.eye(len(NAMES))[np.argmin(bone_distances(points), axis=1)]
     mean = neighbour_mean(faces, len(points))
     for _ in range(SOFTNESS):

@@ -1,8 +1,8 @@
 """The walk: a pose of the skeleton for every phase of the cycle.
 
-Spine, head and tail swing by a table of harmonics (forward kinematics). Paws follow a path that is planted
-during stance, and the legs reach for them (inverse kinematics of two bones). The fox walks on the spot, as on
-a treadmill: a planted paw moves backwards at constant speed. Everything has period 1 in the phase.
+Spine, head and tail swing by a table of harmonics (forward kinematics). Paws follow a path that is planted during
+stance, and the legs reach for them (inverse kinematics of two bones). The fox walks on the spot, as on a treadmill: a
+planted paw moves backwards at constant speed. Everything has period 1 in the phase.
 """
 
 from __future__ import annotations
@@ -15,18 +15,17 @@ from scipy.spatial.transform import Rotation
 from mixseq.arrays import Float
 from mixseq.creature.skeleton import HEADS, NAMES, PARENTS, TAILS
 
-DUTY = 0.64  # share of the cycle that a paw is on the ground
-STEP = 0.30  # metres that the ground moves past during that time
+DUTY = 0.64  # share of the cycle with a paw on the ground
+STEP = 0.30  # metres that the ground moves during that time
 LIFT = 0.062  # metres that a paw rises in the air
 SIDE = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
 class Swing:
-    """A joint that swings: ``degrees * cos(2 pi (cycles * phase - delay))`` about ``axis``.
+    """A swinging joint: ``degrees * cos(2 pi (cycles * phase - delay))`` about ``axis``.
 
-    About x a bone rolls, about y it yaws (positive turns the nose left), about z it pitches (positive raises
-    the nose).
+    About x a bone rolls, about y it yaws (positive turns the nose left), about z it pitches (positive raises the nose).
     """
 
     bone: str
@@ -38,17 +37,7 @@ class Swing:
 
 @dataclass(frozen=True)
 class Leg:
-    """A leg: names of its bones from hip to paw, when it lands, and how it folds.
-
-    Parameters
-    ----------
-    upper, lower, pastern, paw : str
-        Its four bones.
-    landing : float
-        Phase of the cycle at which its paw touches down.
-    curl : float
-        Degrees that the pastern folds back in mid-air.
-    """
+    """A leg: its four bones, the phase at which its paw lands, and degrees that the pastern curls back in mid-air."""
 
     upper: str
     lower: str
@@ -110,7 +99,7 @@ def pose(phase: Float) -> tuple[Float, Float]:
 
 
 def paw_path(phase: Float) -> tuple[Float, Float, Float]:
-    """Path of a paw that lands at phase 0: phase ``(T,)``; result ``(T,)``, ``(T,)``."""
+    """Return the path of a paw that lands at phase 0: phase ``(T,)``; result ``(T,)``, ``(T,)``."""
     phase = phase % 1.0
     air = np.clip((phase - DUTY) / (1 - DUTY), 0, 1)
     # in the air a cubic that leaves and lands at the speed of the ground
@@ -123,7 +112,7 @@ def paw_path(phase: Float) -> tuple[Float, Float, Float]:
 
 
 def _bob(phase: Float) -> Float:
-    """Offset of the body ``(T, 3)``: sinks at each hind landing, leans over the leg that carries it."""
+    """Return the offset of the body ``(T, 3)``: down at each hind landing, towards the supporting leg."""
     once, twice = 2 * np.pi * phase, 4 * np.pi * phase
     return np.stack(
         [0.006 * np.sin(twice), -0.012 - 0.010 * np.cos(twice - 0.6), -0.010 * np.sin(once)], axis=1
@@ -131,7 +120,7 @@ def _bob(phase: Float) -> Float:
 
 
 def _about(axis: int, angle: Float) -> Float:
-    """Rotations ``(T, 3, 3)`` about a coordinate axis by angles ``(T,)`` in radians."""
+    """Return rotations ``(T, 3, 3)`` about a coordinate axis by angles ``(T,)`` in radians."""
     return Rotation.from_rotvec(angle[:, None] * np.eye(3)[axis]).as_matrix()
 
 
@@ -161,10 +150,7 @@ def _place_leg(leg: Leg, phase: Float, rotations: Float, heads: Float) -> None:
 
 
 def _reach(hip: Float, ankle: Float, rest: Float) -> tuple[Float, Float]:
-    """Find the knee between a hip and an ankle.
-
-    Shapes: hip, ankle ``(T, 3)``; rest ``(3, 3)``; result ``(T, 3)``, ``(T, 3)``.
-    """
+    """Find the knee between hip and ankle ``(T, 3)``: rest ``(3, 3)``; result ``(T, 3)``, ``(T, 3)``."""
     thigh, shank = np.linalg.norm(np.diff(rest, axis=0), axis=1)
     span = np.linalg.norm(ankle - hip, axis=1, keepdims=True)
     down = (ankle - hip) / span
@@ -177,12 +163,12 @@ def _reach(hip: Float, ankle: Float, rest: Float) -> tuple[Float, Float]:
 
 
 def _turn(posed: Float, rest: Float, side: Float) -> Float:
-    """Rotations ``(T, 3, 3)`` that take a bone's rest direction to the posed one, and +z to ``side``."""
+    """Return rotations ``(T, 3, 3)`` that take a bone's rest direction to the posed one, and +z to ``side``."""
     return _frame(posed, side) @ np.swapaxes(_frame(rest[None], SIDE[None]), 1, 2)
 
 
 def _frame(along: Float, side: Float) -> Float:
-    """Orthonormal frames ``(T, 3, 3)``, by columns: along, across, and nearly ``side``."""
+    """Return orthonormal frames ``(T, 3, 3)``, by columns: along, across, and nearly ``side``."""
     along = along / np.linalg.norm(along, axis=1, keepdims=True)
     across = np.cross(side, along)
     across /= np.linalg.norm(across, axis=1, keepdims=True)

@@ -1,7 +1,7 @@
 """The fox as a table: bones, and the tapered flesh around them.
 
-The fox stands in its rest pose on the plane ``y = 0``, faces ``+x``, has its right side at ``+z``, and is
-measured in metres. A row with a ``z`` of its own is the right one of a pair; the left one is its mirror.
+In its rest pose the fox stands on the plane ``y = 0``, faces ``+x``, and has its right side at ``+z``, in metres. A
+row with a ``z`` of its own is the right one of a pair; the left one is its mirror.
 """
 
 from __future__ import annotations
@@ -18,19 +18,10 @@ Vec3 = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Bone:
-    """A bone and its flesh: the hull of a ball at its head and a ball at its tail.
+    """A bone and its flesh, the hull of a ball at its head and a ball at its tail; lengths in metres.
 
-    Parameters
-    ----------
-    name, parent : str
-        Its own name, and the bone it hangs from (empty for the root). Parents come first in the table.
-    head, tail : (3,) float
-        Joint and far end in the rest pose, in metres.
-    head_radius, tail_radius : float
-        Radii of the two balls, in metres.
-    fillet : float
-        Width of the fillet to the bones before it in the table, in metres. It thickens the body by up to a
-        quarter of that, so that it is small where a bone continues its parent.
+    Parents (empty for the root) come first in the table. `head` and `tail` (3,) are joint and far end at rest. `fillet`
+    is the width of the blend with earlier bones, which thickens the body by up to a quarter of that.
     """
 
     name: str
@@ -43,7 +34,7 @@ class Bone:
 
 
 def _pairs(rows: Iterable[Bone]) -> tuple[Bone, ...]:
-    """Add the left one to every right bone; call them ``name.r`` and ``name.l``."""
+    """Mirror every right bone; name the pair ``name.r`` and ``name.l``."""
     bones: list[Bone] = []
     paired: set[str] = set()
     for row in rows:
@@ -100,12 +91,10 @@ AXES: Float = (TAILS - HEADS) / LENGTHS[:, None]
 
 
 def bone_distances(points: Float) -> Float:
-    """Signed distance from points to the flesh of every bone.
+    """Return the signed distance ``(..., B)`` from points ``(..., 3)`` to the flesh of every bone.
 
-    The hull of two balls is a cone with round ends. Of the balls along its axis, the one that is nearest to a
-    point lies off the foot of the perpendicular by the slope of the cone, towards the thicker end.
-
-    Shapes: points ``(..., 3)``; result ``(..., B)``.
+    The hull of two balls is a cone with round ends. Of the balls along its axis, the nearest to a point lies off the
+    foot of the perpendicular by the slope of the cone, towards the thicker end.
     """
     radius = np.array([bone.head_radius for bone in BONES])
     sine = (radius - np.array([bone.tail_radius for bone in BONES])) / LENGTHS
@@ -118,10 +107,7 @@ def bone_distances(points: Float) -> Float:
 
 
 def body_distance(points: Float) -> Float:
-    """Implicit function of the whole fox: the bones' flesh, melted together where it meets.
-
-    Shapes: points ``(..., 3)``; result ``(...)``.
-    """
+    """Return the implicit function ``(...)`` of the fox at points ``(..., 3)``: the bones' flesh, blended."""
     first, *others = np.moveaxis(bone_distances(points), -1, 0)
     body: Float = first
     for bone, other in zip(BONES[1:], others, strict=True):

@@ -1,8 +1,8 @@
 """A triangle mesh of an implicit surface: naive surface nets, then relaxation on the surface.
 
-Surface nets (Gibson 1998) put one vertex into every grid cell that the surface crosses, and one quad around
-every grid edge that it crosses. The result is closed and oriented; it is manifold as long as the shape is
-smooth at the scale of a cell. Relaxation evens the triangles out without leaving the surface.
+Surface nets (Gibson 1998) put one vertex into every grid cell that the surface crosses, and one quad around every grid
+edge that it crosses. The result is closed and oriented; it is manifold if the shape is smooth at the scale of a cell.
+Relaxation evens the triangles out on the surface.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def polygonise(
 
 
 def surface_nets(values: Float) -> tuple[Float, Index]:
-    """Quads of the zero set of grid values: values ``(X, Y, Z)``; result ``(V, 3)``, ``(Q, 4)``."""
+    """Return quads of the zero set of grid values: values ``(X, Y, Z)``; result ``(V, 3)``, ``(Q, 4)``."""
     cuts, rings = [], []
     for axis in range(3):
         u, v = np.eye(3, dtype=np.int64)[[(axis + 1) % 3, (axis + 2) % 3]]
@@ -64,7 +64,7 @@ def triangulate(points: Float, quads: Index) -> Index:
 
 
 def neighbour_mean(faces: Index, vertex_count: int) -> csr_array:
-    """Matrix ``(V, V)`` that replaces a vertex value by the mean of its neighbours' values.
+    """Return the matrix ``(V, V)`` that averages the values of a vertex's neighbours.
 
     The mesh must be closed and oriented: then each neighbour follows the vertex in exactly one face.
     """
@@ -86,6 +86,6 @@ def relax(points: Float, faces: Index, implicit: Implicit, rounds: int) -> Float
 
 
 def _linearise(implicit: Implicit, points: Float, reach: float = 1e-5) -> tuple[Float, Float]:
-    """Value ``(V,)`` and gradient ``(V, 3)`` of the function, by central differences."""
+    """Return value ``(V,)`` and gradient ``(V, 3)`` of the function, by central differences."""
     ahead, behind = (implicit(points[:, None] + sign * reach * np.eye(3)) for sign in (1, -1))
     return (ahead + behind).mean(axis=1) / 2, (ahead - behind) / (2 * reach)

@@ -1,10 +1,9 @@
-"""Skins and morph targets fitted to sequences, for engines.
+"""Fit skins and morph targets to sequences, for engines.
 
-`rigs` says what they are, `skeletons` how bones hang together; `rig_fitting` makes them, of frames that are `centred`:
-`decomposition` alternates `weights` (with `weight_kernels`), how vertices follow bones, and `jointed_motions`, how
-bones move; they start as `bones` tells, and `bone_tree` hangs them together, or all that is told by
-`given_skeletons`. `bone_counts` tells how many an error asks for; `correctives` fits targets. `low_rank` fits basis
-vectors of parts, for textures.
+`rigs` holds skins and morphs, `skeletons` trees of bones, `centred` the frames to fit; `rig_fitting` fits both rigs.
+`decomposition` alternates `weights` (with `weight_kernels`) and `jointed_motions`, starting from `bones` and
+`bone_tree` (`found_bones`), or from `given_skeletons`. `bone_counts` finds the number of bones for an error;
+`correctives` fits targets, `low_rank` basis vectors of parts, for textures.
 """
 
 from __future__ import annotations

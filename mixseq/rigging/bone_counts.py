@@ -1,8 +1,8 @@
-"""As few bones as an error asks for.
+"""Find the smallest number of bones for an error.
 
-Rough fits of free bones, in a few rounds, tell how the error falls with their number, and what is found at one number
-how far all of them are off. So the number that should do is fitted, and then the one that is a tenth less: mostly it
-does not do. Free bones that are clearly too far off are not hung into a tree, which takes them a little nearer at best.
+Rough fits of free bones, in a few rounds, give the error as a function of their number; a full fit at one number
+calibrates them all. The predicted number is fitted, and then one a tenth smaller, which mostly fails. Free bones with
+a clearly too large error are not built into a tree, which reduces it a little at best.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from mixseq.rigging.centred import Centred
 from mixseq.rigging.rigs import Skin
 
 MOST_BONES = 128
-"""What more bones are tried for seldom ends; values here are ours."""
+"""Largest number of bones that is tried; constants here were chosen empirically."""
 
 _FIRST = 8
-_CLOSE = 10  # one in so many bones may be too many
-_CONVERGED = 0.8  # of the error of a rough fit is left when it is done, until one is
-_GUESSED = 4  # numbers are tried that rough fits tell; then those in the middle
-_NEARER = 1.2  # free bones are hung if they are so many times too far off: up to 1.13 has been seen to become enough
+_CLOSE = 10  # the count may be too large by 1 / _CLOSE
+_CONVERGED = 0.8  # assumed ratio of errors of full to rough fits, before the first full one
+_GUESSED = 4  # fits at numbers predicted by rough fits; then bisection
+_NEARER = 1.2  # largest error of free bones, relative to the target, that a tree may reduce enough; 1.13 was observed
 _NONE = 1e-300
 
 
@@ -32,7 +32,7 @@ def fewest_bones(
     wanted: float,
     most: int,
 ) -> tuple[Skin, float]:
-    """Return a skin with the fewest bones that reaches an error, to within a tenth, and the error that it has."""
+    """Return a skin with the fewest bones that reaches an error, to within a tenth, and its error."""
     few, enough, left, tries = 0, most + 1, _CONVERGED, 0
     best: tuple[Skin, float] | None = None
     tried: tuple[Skin, float] | None = None
@@ -62,7 +62,7 @@ def _margin(count: int) -> int:
 
 
 def _promising(roughly: Callable[[int], float], few: int, most: int, wanted: float) -> int:
-    """Return the number of bones above `few` whose rough fit is good enough, to within a tenth; `most` if none is."""
+    """Return the number of bones above `few` with a sufficient rough fit, to within a tenth; `most` if none has."""
     count = min(max(_FIRST, few + 1), most)
     while roughly(count) > wanted:
         if count == most:

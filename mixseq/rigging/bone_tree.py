@@ -1,17 +1,17 @@
-r"""The tree that bones hang together in, found from where they touch and how they move.
+r"""The tree of bones, from their contacts and motions.
 
-*Where two bones would be joined.* Of points p of the rest shape, the one that both move most alike minimises
+*The joint of two bones.* Of points p of the rest shape, the one that both move most alike minimises
 
 .. math:: \sum_t |M_{ta} \tilde p - M_{tb} \tilde p|^2 + \mu T\, |p - p_0|^2 = \tilde p^T S_{ab}\, \tilde p + \dots,
           \quad S_{ab} = \sum_t (M_{ta} - M_{tb})^T (M_{ta} - M_{tb}),
 
-with :math:`\mu = 0.01` (our value): a joint that never turns stays at :math:`p_0`, the middle of where the bones touch,
-and a hinge stays next to it on its axis. What is left, :math:`g_{ab}`, is how far the joint comes apart (root mean
+with :math:`\mu = 0.01` (chosen empirically): a joint that never turns stays at :math:`p_0`, the middle of the contact,
+and a hinge stays next to it on its axis. The minimum, :math:`g_{ab}`, is the separation of the joint (root mean
 square).
 
-*The tree* joins all bones by the pairs that come apart least; pairs that do not touch are only used where components
-of the mesh would hang in the air. Its root is the bone from which the others, counted by the weight of their vertices,
-are fewest joints away: the trunk of an animal.
+*The tree* joins all bones by the pairs of least separation; pairs without contact are only used to connect components
+of the mesh. Its root is the bone with the fewest joints to the others, weighted by their vertices: the trunk of an
+animal.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from mixseq.rigging.jointed_motions import Joints
 from mixseq.rigging.weights import Binding
 
 _HELD = 1e-2
-_TOUCH = 0.02  # of the lighter bone's own weight; values are ours
-_FAR = 1.0  # diagonals that a joint without touch counts as apart
+_TOUCH = 0.02  # share of the lighter bone's own weight; chosen empirically
+_FAR = 1.0  # separation of a joint without contact, in diagonals
 
 
 def bone_tree(faces: Index, binding: Binding, motions: Float) -> tuple[Index, Joints]:
@@ -45,7 +45,7 @@ def bone_tree(faces: Index, binding: Binding, motions: Float) -> tuple[Index, Jo
     )[..., 0]
     whole = np.concatenate([pivots, np.ones((bones, bones, 1))], axis=2)
     gaps = np.sqrt(np.maximum(np.einsum("abi,abij,abj->ab", whole, apart, whole), 0) / frames)
-    costs = np.triu(1 + gaps + _FAR * ~touch, 1)  # what is nearly zero would be no edge
+    costs = np.triu(1 + gaps + _FAR * ~touch, 1)  # a sparse graph has no edges of zero cost
     tree = minimum_spanning_tree(costs)
     links = np.asarray((tree + tree.T).todense()) > 0
     order, parents = _from_root(links, mass)
@@ -64,13 +64,10 @@ def _weights(binding: Binding, bones: int) -> sparse.csr_array:
 def _contacts(
     faces: Index, weights: sparse.csr_array, rest: Float, mass: Float
 ) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.bool_]], Float]:
-    """Tell which bones touch ``(B, B)``, and the middles ``(B, B, 3)`` of where they do.
-
-    Those of others are the middles of the lighter bone; on the diagonal is the middle of a bone.
-    """
+    """Return contacts ``(B, B)`` of bones, and their middles ``(B, B, 3)``; without contact, of the lighter bone."""
     corners = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     edges = sparse.csr_array((np.ones(len(corners)), corners.T), (len(rest), len(rest)))
-    near = weights + (edges + edges.T).minimum(1) @ weights  # a vertex touches what its neighbours follow
+    near = weights + (edges + edges.T).minimum(1) @ weights  # a vertex touches its neighbours' bones
     shared = np.asarray((weights.T @ near).todense())
     middles = np.stack(
         [np.asarray((weights.T @ (near * rest[:, [axis]])).todense()) for axis in range(3)], axis=2

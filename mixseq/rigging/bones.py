@@ -1,6 +1,6 @@
-r"""Bones: where they start, and motions as matrices.
+"""Initial bones, and motions as matrices.
 
-A motion of frame t, :math:`M_{tb} = (R_{tb}, T_{tb})`, is held transposed, ``(4, 3)``, next to those of all frames.
+A motion of frame t, :math:`M_{tb} = (R_{tb}, T_{tb})`, is stored transposed, ``(4, 3)``, next to those of all frames.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def transposed(rotations: Float, translations: Float) -> Float:
 
 
 def on_rotations(motions: Float) -> Float:
-    """Return transposed motions ``(B, 4, 3T)`` whose rotations are the nearest ones to those given."""
+    """Return transposed motions ``(B, 4, 3T)`` with the nearest rotations."""
     parts = motions.reshape(len(motions), 4, -1, 3).transpose(0, 2, 3, 1)  # (B, T, 3, 4)
     turns = nearest_rotations(parts[..., :3])
     return np.stack([transposed(turn, part[..., 3]) for turn, part in zip(turns, parts, strict=True)])
@@ -33,17 +33,14 @@ def motion_of(tracks: Float, rest: Float, vertices: Index) -> Float:
 
 
 def vertex_labels(faces: Index, labels: Index, vertex_count: int) -> Index:
-    """Return the label ``(V,)`` that most triangles at a vertex have, the lowest of several; 0 where there is none."""
+    """Return the most frequent label ``(V,)`` of triangles at a vertex, ties to the lowest; 0 where there is none."""
     votes = np.zeros((vertex_count, int(labels.max()) + 1), dtype=np.int64)
     np.add.at(votes, (faces.reshape(-1), np.repeat(labels, 3)), 1)
     return np.asarray(votes.argmax(axis=1), dtype=np.int64)
 
 
 def merged(tracks: Float, labels: Index, count: int) -> Index:
-    """Merge bones, the pair whose common rigid motion costs least first, until at most `count` are left.
-
-    Bones that do not touch may be merged: wheels of one axle, or components that never move apart.
-    """
+    """Merge bones, in contact or not, down to `count`, first the pair whose common rigid motion costs least."""
     labels = np.unique(labels, return_inverse=True)[1]
     x = tracks.reshape(len(tracks), -1, 3)
     bones = int(labels.max()) + 1
@@ -70,10 +67,7 @@ def merged(tracks: Float, labels: Index, count: int) -> Index:
 
 
 def seeded(tracks: Float, binding: Binding, count: int, size: int) -> Float:
-    """Return the motions ``(n, 4, 3T)`` of at most `count` new bones, where vertices are worst explained.
-
-    A seed is the vertex of the largest error and the `size` vertices that stay nearest to it in all frames.
-    """
+    """Return motions ``(n, 4, 3T)`` of new bones at vertices of largest error, with the `size` nearest vertices."""
     errors = binding.errors.copy()
     found = []
     for _ in range(count):

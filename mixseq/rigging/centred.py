@@ -1,4 +1,4 @@
-"""Sequences as fits of bones want them, every frame centred and in diagonals, and the way back to the file's units."""
+"""Sequences for fitting bones: every frame centred, in diagonals, and the conversion back to the file's units."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mixseq.sequence import Frames, SequenceHeader, bounding_diagonal
 
 @dataclass(frozen=True, eq=False)
 class Centred:
-    """A sequence and where its frames are."""
+    """A centred sequence, and the positions of its frames."""
 
     header: SequenceHeader  # mesh and times
     points: Float  # (T, V, 3) in the file's units
@@ -26,7 +26,7 @@ class Centred:
 
     @classmethod
     def of(cls, sequence: Frames) -> Centred:
-        """Take a sequence into memory."""
+        """Read a sequence into memory."""
         held = frame_store(sequence)
         points = np.asarray(held.points[: held.header.frame_count], dtype=np.float64)
         return cls(held.header, points, points.mean(axis=1), bounding_diagonal(points[0]) or 1.0)

@@ -1,19 +1,18 @@
-r"""Targets: the principal shapes of displacements, as few as an error asks for.
+r"""Fit targets: the principal shapes of displacements, the fewest for an error.
 
 *Principal shapes.* Of displacements X ``(T, 3V)``, with :math:`X X^T = U \Lambda U^T`, the targets are rows of
 :math:`U^T X` and the weights columns of U (Alexa and Mueller 2000). The first M of them approximate X best in the sum
-of squares, and all of them exactly. Targets are scaled so that the largest weight of each is one: a target has the size
-at which it is shown.
+of squares, and all of them exactly. Targets are scaled to a largest weight of one: a target has its displayed size.
 
-*Correctives.* What a skin leaves, :math:`e_t(v)`, is pulled back to the rest pose, before skinning, by the weighted
-mean of its bones' rotations, :math:`A_t(v) = \sum_b w_{vb} R_{tb}` (as pose-space deformation does, Lewis et al. 2000):
+*Correctives.* The residual of a skin, :math:`e_t(v)`, is pulled back to the rest pose, before skinning, by the weighted
+mean of its bones' rotations, :math:`A_t(v) = \sum_b w_{vb} R_{tb}` (as in pose-space deformation, Lewis et al. 2000):
 
 .. math:: \delta_t(v) = \operatorname*{argmin}_\delta |A_t(v)\, \delta - e_t(v)|^2 + \mu |\delta|^2,
 
-with :math:`\mu = 10^{-6}` (our value). Means of rotations that differ by nearly half a turn have no inverse that is of
-use: a vertex where :math:`\det A_t` falls below 0.04 in a frame (two bones at 157 degrees, half and half; our value)
-follows only the bone of its largest weight, and the targets make up for it. The targets are the principal shapes of
-:math:`\delta`, and the error is measured after skinning.
+with :math:`\mu = 10^{-6}`. Means of rotations that differ by nearly half a turn have no useful inverse: a vertex where
+:math:`\det A_t` falls below 0.04 in a frame (two bones at 157 degrees, half and half) follows only the bone of its
+largest weight, and the targets compensate. Both values were chosen empirically. The targets are the principal shapes
+of :math:`\delta`, and the error is measured after skinning.
 """
 
 from __future__ import annotations
@@ -36,12 +35,12 @@ class Targets:
     """Displacements as a sum of targets."""
 
     shapes: Float  # (M, V, 3) the targets
-    weights: Float  # (T, M) how much of every target
-    error: float  # largest distance that is left, in the units of the displacements
+    weights: Float  # (T, M) weights of the targets
+    error: float  # largest remaining distance, in the units of the displacements
 
 
 def principal_shapes(displacements: Float) -> tuple[Float, Float]:
-    """Return targets ``(M, V, 3)`` and weights ``(T, M)``, as many as there are, the most important first."""
+    """Return all targets ``(M, V, 3)`` and weights ``(T, M)``, the most important first."""
     frames = len(displacements)
     flat = displacements.reshape(frames, -1)
     variances, directions = np.linalg.eigh(flat @ flat.T)
@@ -58,10 +57,7 @@ def principal_shapes(displacements: Float) -> tuple[Float, Float]:
 def fit_targets(
     displacements: Float, bound: float | None, most: int | None, shown: Callable[[int, Float], Float]
 ) -> Targets:
-    """Fit the fewest targets that bring all distances to a bound, or as many as allowed.
-
-    Shapes: displacements ``(T, V, 3)``.
-    """
+    """Fit the fewest targets that bring all displacements ``(T, V, 3)`` within a bound, or as many as allowed."""
     shapes, weights = principal_shapes(displacements)
     most = len(shapes) if most is None else min(most, len(shapes))
     left = displacements.copy()
@@ -80,10 +76,7 @@ def fit_targets(
 
 
 def fit_correctives(skin: Skin, points: Float, bound: float, most: int) -> tuple[Skin, float]:
-    """Add corrective targets to a skin until every vertex is within a bound, or there are `most`.
-
-    Shapes: points ``(T, V, 3)``.
-    """
+    """Add corrective targets until every vertex of points ``(T, V, 3)`` is within a bound, or there are `most`."""
     turns = rotation_matrices(skin.rotations)
     bare = replace(
         skin,
@@ -112,7 +105,7 @@ def fit_correctives(skin: Skin, points: Float, bound: float, most: int) -> tuple
 
 
 def _without_collapse(skin: Skin, turns: Float) -> Float:
-    """Return the weights, those of one bone for vertices where the mean rotation nearly loses a dimension."""
+    """Return the weights, with only one bone for vertices where the mean rotation is nearly singular."""
     volume = np.full(len(skin.rest), np.inf)
     for turn in turns:
         np.minimum(volume, np.linalg.det(_mean_rotations(skin, turn)), out=volume)
@@ -121,7 +114,7 @@ def _without_collapse(skin: Skin, turns: Float) -> Float:
 
 
 def _mean_rotations(skin: Skin, turns: Float) -> Float:
-    """Weighted means ``(V, 3, 3)`` of the rotations ``(B, 3, 3)`` of a frame."""
+    """Return weighted means ``(V, 3, 3)`` of the rotations ``(B, 3, 3)`` of a frame."""
     means = np.zeros((len(skin.rest), 3, 3))
     for column in range(INFLUENCES):
         means += skin.weights[:, column, None, None] * turns[skin.influences[:, column]]

@@ -4,10 +4,10 @@ r"""Smooth skinning decomposition: weights, rest positions and motions of bones,
 
 Le and Deng (2012) alternate weights (`mixseq.rigging.weights`) and motions (`mixseq.rigging.jointed_motions`); rest
 positions, which they take from a frame, are fitted here too. Bones start as near-rigid parts instead of clusters of
-vertices; where more are asked for they are seeded where the error is largest. Rounds are accelerated.
+vertices; further bones are seeded where the error is largest. Rounds are accelerated.
 
-Bones are free at first. Then they are hung into a tree (`mixseq.rigging.bone_tree`), and as few joints slide as keep
-the error within a tenth of that of free bones: those that come apart most, each counted with the weight of its bone.
+Bones are free at first. Then they form a tree (`mixseq.rigging.bone_tree`), with the fewest sliding joints that keep
+the error within a tenth of that of free bones: those of largest separation, weighted by their bones.
 """
 
 from __future__ import annotations
@@ -25,25 +25,22 @@ from mixseq.rigging.rigs import INFLUENCES
 from mixseq.rigging.weights import Binding, bind
 
 GAIN = 3e-3
-"""Rounds end when the error falls by less than this fraction of itself a round; values here are ours."""
+"""Relative decrease of the error below which rounds end; constants here were chosen empirically."""
 
 WORSE = 1.1
-"""Root mean square error of bones in a tree, at most, relative to free ones."""
+"""Largest root mean square error of bones in a tree, relative to free ones."""
 
-_FEW = 3  # rounds that this is averaged over
-_EXACT = 1e-9  # root mean square error, in diagonals, that is rounding
-_NEARLY = 1e-6  # root mean square error, in diagonals, that no joint has to slide for
+_FEW = 3  # rounds over which this is averaged
+_EXACT = 1e-9  # root mean square error of rounding, in diagonals
+_NEARLY = 1e-6  # root mean square error below which no joint slides, in diagonals
 _BETWEEN = 2  # rounds before more bones are seeded
-_TRIED = 3  # of all rounds, one in so many is for a number of sliding joints
+_TRIED = 3  # a number of sliding joints gets this fraction of all rounds: 1 / _TRIED
 
 
 def free_bones(
     tracks: Float, labels: Index, most: int, rounds: int, told: Callable[[int], None]
 ) -> tuple[Binding, Float]:
-    """Find weights, rest positions and motions of bones that know nothing of each other.
-
-    Shapes: tracks ``(V, 3T)``; labels ``(V,)``; result ``(B, 4, 3T)``.
-    """
+    """Fit weights, rest positions, motions ``(B, 4, 3T)`` of free bones: tracks ``(V, 3T)``; labels ``(V,)``."""
     labels = merged(tracks, labels, most)
     rest = tracks[:, :3].copy()
     motions = np.stack(
@@ -54,7 +51,7 @@ def free_bones(
     exact = _EXACT**2 * tracks.size / 3
     binding = bind(tracks, motions, binding, free_rest=False)
     while len(motions) < most and binding.errors.sum() > exact:
-        # Half as many again at a time, so that each is seeded where those before do not reach.
+        # Half as many again at a time, each seeded at errors of those before.
         more = min(most - len(motions), 1 + len(motions) // 2)
         new = seeded(tracks, binding, more, max(4, len(tracks) // (6 * most)))
         motions = np.concatenate([motions, new])
@@ -77,11 +74,11 @@ def alternated(
     told: Callable[[int], None],
     held: bool = False,
 ) -> tuple[Binding, Float, Joints]:
-    """Fit weights with rest positions, and motions, in turn, until the squared error is small enough or falls no more.
+    """Fit weights with rest positions, and motions, in turn, until the squared error is small enough or stops falling.
 
-    Every round starts from where the last ones lead: rest positions and motions go on by a fraction j / (j + 3) of
-    their last step (Nesterov 1983), j counting the rounds since the error grew; such a round is taken back. If they are
-    `held`, rest positions and joints stay where they are.
+    Every round extrapolates the last ones: rest positions and motions go on by a fraction j / (j + 3) of their last
+    step (Nesterov 1983), j counting the rounds since the error grew; such a round is reverted. With `held`, rest
+    positions and joints are fixed.
     """
     rest, before = binding.rest, motions
     past, good = [np.inf], 0
@@ -105,13 +102,13 @@ def alternated(
 
 
 def _without_idle(binding: Binding, motions: Float) -> tuple[Binding, Float]:
-    """Leave out bones that no vertex follows."""
+    """Remove bones without vertices."""
     used = np.unique(binding.influences[binding.weights > 0])
     return _renumbered(binding, used, len(motions)), motions[used]
 
 
 def _renumbered(binding: Binding, order: Index, bones: int) -> Binding:
-    """Number the bones of a binding by their places in an order."""
+    """Renumber the bones of a binding by their places in an order."""
     places = np.zeros(bones, dtype=np.int64)
     places[order] = np.arange(len(order))
     return replace(binding, influences=np.where(binding.weights > 0, places[binding.influences], 0))
@@ -120,14 +117,14 @@ def _renumbered(binding: Binding, order: Index, bones: int) -> Binding:
 def hung_bones(
     tracks: Float, faces: Index, binding: Binding, motions: Float, rounds: int, told: Callable[[int], None]
 ) -> tuple[Binding, Float, Joints]:
-    """Hang free bones into a tree with as few sliding joints as the error allows; see `free_bones`."""
+    """Build a tree of free bones with the fewest sliding joints that the error allows; see `free_bones`."""
     order, joints = bone_tree(faces, binding, motions)
     binding, motions = _renumbered(binding, order, len(order)), motions[order]
     most = max(WORSE**2 * binding.errors.sum(), _NEARLY**2 * tracks.size / 3)
     apart = _coming_apart(binding, motions, joints)
     fewest, enough, tries = 0, len(apart), 0
     found = binding, motions, replace(joints, sliding=np.ones(len(order), dtype=bool))
-    while fewest < enough:  # that many sliding joints keep the error
+    while fewest < enough:  # binary search: `enough` sliding joints keep the error
         told(tries := tries + 1)
         count = (fewest + enough) // 2
         sliding = joints.sliding.copy()
@@ -143,7 +140,7 @@ def hung_bones(
 
 
 def _coming_apart(binding: Binding, motions: Float, joints: Joints) -> Index:
-    """Return the bones with parents, those whose joints come apart most at the largest cost first."""
+    """Return the bones with parents, by decreasing weighted separation of their joints."""
     bones = np.flatnonzero(joints.parents >= 0)
     apart = motions[joints.parents[bones]] - motions[bones]
     gaps = np.einsum("bi,bij->bj", joints.pivots[bones], apart[:, :3]) + apart[:, 3]
@@ -154,4 +151,4 @@ def _coming_apart(binding: Binding, motions: Float, joints: Joints) -> Index:
 
 
 def _silent(done: int) -> None:
-    """Tell nothing."""
+    """Ignore progress."""

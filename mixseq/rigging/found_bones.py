@@ -1,4 +1,4 @@
-"""Bones that are found: free ones from near-rigid parts, and skins of them in a tree."""
+"""Find bones: free ones from near-rigid parts, and skins of them in a tree."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from mixseq.segmentation import segment
 from mixseq.topology import Topology
 
 ROUGH = 4
-"""Rounds of a rough fit, which takes a twentieth of the time of a skin; the value is ours."""
+"""Rounds of a rough fit, a twentieth of the time of a skin; chosen empirically."""
 
 
 @dataclass(frozen=True, eq=False)
 class FreeBones:
-    """Bones that know nothing of each other."""
+    """Bones without joints."""
 
-    binding: Binding  # how vertices follow them, in diagonals
+    binding: Binding  # weights and rest positions of vertices, in diagonals
     motions: Float  # (B, 4, 3T) their transposed motions
     # (float, float) largest distance from the sequence in diagonals, and KG error in percent.
     errors: tuple[float, float]
@@ -35,13 +35,13 @@ class FreeBones:
 
 @dataclass(frozen=True, eq=False)
 class FoundBones:
-    """What finds bones in a sequence."""
+    """Fits of bones to one sequence."""
 
     sequence: Centred  # the animation
     tracks: Float  # (V, 3T) its positions of every vertex, centred, in diagonals
     faces: Index  # (F, 3) triangles
-    rounds: int  # at most so many rounds of weights and motions
-    progress: Progress  # told how far a fit is
+    rounds: int  # largest number of rounds of weights and motions
+    progress: Progress  # progress of fits
 
     @classmethod
     def of(cls, sequence: Centred, rounds: int, progress: Progress) -> FoundBones:
@@ -49,7 +49,7 @@ class FoundBones:
         return cls(sequence, sequence.tracks, sequence.header.faces.astype(np.int64), rounds, progress)
 
     def free(self, bones: int | ArrayLike | None, rounds: int | None = None) -> FreeBones:
-        """Fit free bones: so many at most, or from the labels ``(F,)`` of triangles, or from parts by motion."""
+        """Fit free bones: at most a number, or from the labels ``(F,)`` of triangles, or from parts by motion."""
         labels, most = self._starting(bones)
         rounds = self.rounds if rounds is None else rounds
         binding, motions = free_bones(self.tracks, labels, most, rounds, self._told)
@@ -60,7 +60,7 @@ class FoundBones:
         return FreeBones(binding, motions, errors)
 
     def hung(self, free: FreeBones) -> Skin:
-        """Hang bones into a tree, and leave out those that move nothing."""
+        """Build a tree of bones, without those that move nothing."""
         binding, motions, joints = hung_bones(
             self.tracks,
             self.faces,
@@ -85,7 +85,7 @@ class FoundBones:
         self.progress(done, 2 * self.rounds + 1, "fitting weights and bones")
 
     def _starting(self, bones: int | ArrayLike | None) -> tuple[Index, int]:
-        """Return the bone ``(V,)`` that every vertex starts with, and how many there may be."""
+        """Return the initial bone ``(V,)`` of every vertex, and the largest number of bones."""
         faces, vertices = self.faces, self.sequence.header.vertex_count
         if bones is None or isinstance(bones, int | np.integer):
             if bones is not None and not 1 <= bones <= len(faces):

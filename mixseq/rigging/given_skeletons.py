@@ -1,13 +1,12 @@
-r"""Bones of a skeleton that is given: its joints stay where they are at rest, and so does the mesh that is bound to it.
+"""Fit a given skeleton: its joints and the bound mesh keep their rest positions.
 
-A vertex starts with the bone nearest to it in the bind pose. Bone b is the segments from its joint to those of its
-children; one without children goes on as the one above it did. Bones start with the best rigid motions of their
-vertices, those without vertices move as the bone above; then joints hold them together, and weights and motions are
-fitted in turn (`mixseq.rigging.decomposition`). Of bones that move alike a vertex follows the nearest: a weight
-:math:`w_{vb}` costs as much as :math:`w_{vb} (10^{-3} d_{vb})^2` of a squared error, at the distance :math:`d_{vb}`.
-At first it costs a hundred times as much: else bones whose motions are not known yet lose their vertices to others that
-happen to move like them, and never get them back.
-Bones that move nothing stay to the one above as at rest.
+A vertex starts with the nearest bone in the bind pose. Bone b is the segments from its joint to those of its children;
+one without children extends the direction of the one above. Bones start with the best rigid motions of their vertices,
+those without vertices follow the bone above; then joints connect them, and weights and motions are fitted in turn
+(`mixseq.rigging.decomposition`). Of bones that move alike a vertex follows the nearest: a weight :math:`w_{vb}` costs
+:math:`w_{vb} (10^{-3} d_{vb})^2` of a squared error, at the distance :math:`d_{vb}`. At first the cost is a hundred
+times larger: else bones with unknown motions lose their vertices to others that happen to move like them, and never
+get them back. Bones that move nothing keep their rest pose relative to the one above.
 """
 
 from __future__ import annotations
@@ -31,12 +30,12 @@ from mixseq.rigging.weights import Binding
 from mixseq.sequence import MeshSequence, bounding_diagonal
 from mixseq.unit_conversion import UnitConversion
 
-_OTHER_LENGTH = 1.5  # of half of the edges: another unit, or another mesh; values here are ours
-_AROUND = 0.5  # of the mesh's largest extent: joints of few bones that we find are up to 0.4 out of its box
-_OUTSIDE = 0.25  # of the joints: controls, which move nothing, may stand anywhere
-_TINY = 0.03  # of the mesh's diagonal: that of the joints, if they are in a larger unit
-_RIGID = 4  # vertices that tell a motion
-_NEARER = 1e-2, 1e-3  # of a distance, that it counts beside an error, at first and then
+_OTHER_LENGTH = 1.5  # ratio of median edge lengths: another unit, or another mesh; chosen empirically
+_AROUND = 0.5  # of the mesh's largest extent: found joints of few bones are up to 0.4 out of its box
+_OUTSIDE = 0.25  # share of the joints: controls, which move nothing, may be anywhere
+_TINY = 0.03  # share of the mesh's diagonal: smaller joints are in a larger unit
+_RIGID = 4  # vertices that determine a motion
+_NEARER = 1e-2, 1e-3  # cost of a distance relative to an error, at first and then
 _BEFORE = 10  # rounds of motions before the first weights
 
 
@@ -81,14 +80,7 @@ def fit_to_skeleton(
 
 
 def bone_distances(points: Float, pivots: Float, parents: Index) -> Float:
-    """Return how far points ``(V, 3)`` are from bones: ``(V, B)``.
-
-    Examples
-    --------
-    >>> shoulder_and_elbow = np.array([[0.0, 0, 0], [1, 0, 0]])
-    >>> bone_distances(np.array([[0.5, 2, 0], [3, 0, 0]]), shoulder_and_elbow, np.array([-1, 0])).round(2).tolist()
-    [[2.0, 2.06], [2.0, 1.0]]
-    """
+    """Return the distances ``(V, B)`` of points ``(V, 3)`` from bones."""
     found = cdist(points, pivots)
     for bone, parent in enumerate(parents.tolist()):
         if parent >= 0:
@@ -105,7 +97,7 @@ def _segment_distances(points: Float, start: Float, along: Float) -> Float:
 
 
 def _converted(sequence: Centred, skeleton: Skeleton, bind_pose: MeshSequence) -> tuple[Skeleton, Float]:
-    """Return a skeleton and the mesh ``(V, 3)`` around it in the unit and with the up axis of the sequence."""
+    """Return a skeleton and its bind mesh ``(V, 3)`` in the unit and with the up axis of the sequence."""
     header = sequence.header
     if bind_pose.vertex_count != header.vertex_count:
         raise InvalidSequenceError(
@@ -122,7 +114,7 @@ def _converted(sequence: Centred, skeleton: Skeleton, bind_pose: MeshSequence) -
 
 
 def _check_size(shape: Float, sequence: Centred) -> None:
-    """Refuse a bind pose whose edges are not about as long as those of the first frame."""
+    """Raise an error for a bind pose whose edge lengths differ too much from those of the first frame."""
     ends = np.roll(sequence.header.faces, 1, axis=1).reshape(-1), sequence.header.faces.reshape(-1)
     lengths = [
         np.linalg.norm(points[ends[0]] - points[ends[1]], axis=1) for points in (shape, sequence.points[0])
@@ -138,7 +130,7 @@ def _check_size(shape: Float, sequence: Centred) -> None:
 
 
 def _check_place(skeleton: Skeleton, shape: Float, expected: str) -> None:
-    """Refuse a skeleton that does not stand in a mesh, told by joints out of its box, or all in one spot of it."""
+    """Raise an error for a skeleton outside the box of its mesh, or with all joints in one spot of it."""
     margin = _AROUND * np.ptp(shape, axis=0).max()
     low, high = shape.min(axis=0) - margin, shape.max(axis=0) + margin
     outside = int(((skeleton.pivots < low) | (skeleton.pivots > high)).any(axis=1).sum())
@@ -150,7 +142,7 @@ def _check_place(skeleton: Skeleton, shape: Float, expected: str) -> None:
 
 
 def _start(tracks: Float, rest: Float, joints: Joints, nearest: Index) -> tuple[Binding, Float]:
-    """Return every vertex on the nearest bone, and motions that joints hold together."""
+    """Bind every vertex to the nearest bone, and return motions with connected joints."""
     influences, weights = np.zeros((2, len(rest), INFLUENCES))
     influences[:, 0], weights[:, 0] = nearest, 1.0
     binding = Binding(rest, influences.astype(np.int64), weights, np.zeros(len(rest)))

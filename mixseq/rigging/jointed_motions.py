@@ -1,12 +1,11 @@
-r"""Motions of bones, free or hanging together: a bone turns about the joint to its parent and takes its children along.
+r"""Fit motions of bones, free or jointed: a bone turns about the joint to its parent and carries its children.
 
 Given weights, motions minimise :math:`\sum_v |x_t(v) - \sum_b w_{vb} M_{tb} \tilde r_v|^2` in every frame. The joint of
 bone b with its parent a is the point :math:`p_b` of the rest shape, and both take it to the same place:
 :math:`c_{tb} = M_{ta} \tilde p_b` and :math:`M_{tb} \tilde r = R_{tb} (r - p_b) + c_{tb}`. Roots have translations of
 their own, and so have *sliding* joints; free bones (Le and Deng 2012) are roots. With rows :math:`\rho_v` of all
-:math:`w_{vb} \tilde r_v` and the motions transposed and stacked to :math:`M_t`, what is left of a vertex is
-:math:`x_t(v) - M_t^T \rho_v`. It depends on each unknown alone, all else held, in a way that has a closed solution;
-they are taken one after the other:
+:math:`w_{vb} \tilde r_v` and the motions transposed and stacked to :math:`M_t`, the residual of a vertex is
+:math:`x_t(v) - M_t^T \rho_v`. In each unknown alone it has a closed solution; unknowns are solved in turn:
 
 *Rotations.* Points follow :math:`R_{tb} u_v` with :math:`u_v = U_b \rho_v`: those of the bone, :math:`w_{vb}(r_v -
 p_b)`, and for each child c the joint, :math:`p_c - p_b`, times the weights of c and all below it. The length of
@@ -21,8 +20,8 @@ where :math:`\sum_v h_v u_v = 0`, so that rotation and translation together are 
 in three unknowns.
 
 All of it follows from the sums :math:`K_{bc} = \sum_v w_{vb} w_{vc} \tilde r_v \tilde r_v^T` and
-:math:`L_{tb} = \sum_v w_{vb} \tilde r_v x_t(v)^T`, so that a sweep over the bones costs nothing per vertex. It keeps
-:math:`E = L - K M`.
+:math:`L_{tb} = \sum_v w_{vb} \tilde r_v x_t(v)^T`, so that the cost of a sweep over the bones does not depend on the
+vertices. It updates :math:`E = L - K M`. The constants were chosen empirically.
 """
 
 from __future__ import annotations
@@ -36,35 +35,34 @@ from mixseq.geometry.rigid import aligning_rotations
 from mixseq.rigging.weights import Binding
 
 SWEEPS = 10
-"""Sweeps over the bones between two rounds of weights; the value is ours."""
+"""Number of sweeps over the bones between two rounds of weights."""
 
 _HELD = 1e-9
-"""How strongly a rotation holds to the one before, relative to what turns it: it decides where points are on a line."""
+"""Pull of a rotation towards the one before, relative to its moment: fixes rotations of collinear points."""
 
 _STIFFNESS = 1e-6
-"""How strongly a bone of a given skeleton holds to the one above, as so many vertices one diagonal away (our value): it
-decides how bones turn that hardly move anything."""
+"""Pull of a given bone towards the one above, in vertices one diagonal away: fixes bones that move hardly anything."""
 
 _JOINT_HELD = 1e-2
-"""How strongly a joint stays where it is, against a turn by one radian in all frames (our value)."""
+"""Pull of a joint towards its position, relative to a turn by one radian in all frames."""
 
 
 @dataclass(frozen=True, eq=False)
 class Joints:
-    """How bones hang together."""
+    """Parents, positions and sliding of joints."""
 
     parents: Index  # (B,) the bone above each, which stands before it; -1 for roots
-    pivots: Float  # (B, 3) joints with the parents, in the rest shape; what roots turn about
+    pivots: Float  # (B, 3) joints with the parents, in the rest shape; pivots of roots
     # (B,) whether the joint has a translation of its own; roots have.
     sliding: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 
     @classmethod
     def loose(cls, count: int) -> Joints:
-        """Return free bones, which turn about the origin."""
+        """Return free bones that turn about the origin."""
         return cls(np.full(count, -1), np.zeros((count, 3)), np.ones(count, dtype=bool))
 
     def below(self) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-        """Tell ``(B, B)`` whether a bone (column) is another (row) or hangs from it."""
+        """Return ``(B, B)`` whether a bone (column) is another (row) or below it."""
         found = np.eye(len(self.parents), dtype=bool)
         for bone in range(len(self.parents) - 1, -1, -1):
             if self.parents[bone] >= 0:
@@ -73,7 +71,7 @@ class Joints:
 
 
 def attached(motions: Float, joints: Joints) -> Float:
-    """Return transposed motions ``(B, 4, 3T)`` moved so that joints that do not slide hold together."""
+    """Return transposed motions ``(B, 4, 3T)``, translated to connect joints that do not slide."""
     result = motions.copy()
     for bone, parent in enumerate(joints.parents.tolist()):
         if not joints.sliding[bone]:
@@ -102,13 +100,13 @@ def move(
 
 
 def _idle(binding: Binding, joints: Joints) -> Index:
-    """Return the bones with parents that move no vertex, nor does one below."""
+    """Return the bones with parents that move no vertex, directly or by a bone below."""
     used = np.isin(np.arange(len(joints.parents)), binding.influences[binding.weights > 0])
     return np.flatnonzero(~(joints.below() & used).any(axis=1) & (joints.parents >= 0))
 
 
 def _following(motions: Float, joints: Joints, idle: Index) -> Float:
-    """Return motions of which some are those of the bones above."""
+    """Return motions with those of idle bones replaced by those of the bones above."""
     result = motions.copy()
     for bone in idle.tolist():
         result[bone] = result[joints.parents[bone]]
@@ -116,7 +114,7 @@ def _following(motions: Float, joints: Joints, idle: Index) -> Float:
 
 
 class _Fit:
-    """What one unknown after the other changes: motions, joints, and E."""
+    """State of the coordinate descent: motions, joints, and E."""
 
     def __init__(
         self, tracks: Float, binding: Binding, motions: Float, joints: Joints, stiffness: float
@@ -130,7 +128,7 @@ class _Fit:
         self.stiffness = stiffness
 
     def turn(self, bone: int) -> None:
-        """Give a bone its best rotations, all below it moving along."""
+        """Fit the rotations of a bone, which carry all below it."""
         bones = len(self.motions)
         arms = np.zeros((3, bones, 4))
         arms[:, bone, :3], arms[:, bone, 3] = np.eye(3), -self.pivots[bone]
@@ -153,14 +151,14 @@ class _Fit:
         self._move(lever, pulled, after - before)
 
     def slide(self, bone: int) -> None:
-        """Give a bone its best translations, all below it moving along."""
+        """Fit the translations of a bone, which carry all below it."""
         seen, weight = self.seen_below(bone)
         if weight > _HELD:
             lever = self._all_below(bone)
             self._move(lever[None], (self.products @ lever)[:, None], seen[None] / weight)
 
     def shift_joint(self, bone: int) -> None:
-        """Move a joint to where its bone and the one above agree best."""
+        """Fit the position of a joint, where its bone and the one above agree best."""
         seen, weight = self.seen_below(bone)
         apart = (self.motions[self.parents[bone], :3] - self.motions[bone, :3]).reshape(
             3, -1, 3
@@ -174,12 +172,12 @@ class _Fit:
         self._move(lever[None], (self.products @ lever)[:, None], (step @ apart.reshape(3, -1))[None])
 
     def seen_below(self, bone: int) -> tuple[Float, float]:
-        """Return what is left to be moved along with a bone and all below it, ``(3T,)``, and what moves."""
+        """Return the summed residual ``(3T,)`` of a bone and all below it, and its weight."""
         lever = self._all_below(bone)
         return lever @ self.left, float(lever @ self.products @ lever)
 
     def _middle(self, bone: int, lever: Float) -> Float:
-        """Return the weighted mean of what turns with a bone, over what moves with it."""
+        """Return sum h_v u_v / sum h_v^2 ``(3,)``, for the lever U of the rotations of a bone."""
         along = self.products @ self._all_below(bone)
         return lever @ along / max(float(self._all_below(bone) @ along), _HELD)
 

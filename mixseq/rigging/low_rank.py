@@ -6,16 +6,13 @@ every part and frame,
 .. math::
     x_t(v) = \sum_{k=1}^K b_k(v)\, u_{tk p_v}.
 
-A rigid part needs four of them: three affine functions of the place, and 1. Parts that bend need some more, and what
-is between parts goes to the one that shows it best: clustered principal components [1]_. Parts begin as those that
-motion segmentation finds, and as these merged to fewer, those first that move most alike; in turn, basis vectors are
-the principal components of the trajectories of a part, and a vertex joins the part whose components, fewer than it
-takes now, leave least of its trajectory. K is what a bound on all vertices takes, and the parts are those with which
-textures are smallest.
-
-References
-----------
-.. [1] M. Sattler, R. Sarlette, R. Klein. Simple and efficient compression of animation sequences. SCA 2005.
+A rigid part needs four of them: three affine functions of the position, and 1. Bending parts need some more, and
+vertices between parts go to the one that fits best: clustered principal components (Sattler, Sarlette and Klein 2005,
+*Simple and efficient compression of animation sequences*). Parts begin as those of motion segmentation, and as these
+merged to fewer, the most similar motions first. In turn, basis vectors are the principal components of the trajectories
+of a part, and a vertex joins the part whose leading components leave the smallest residual of its trajectory. K is the
+smallest for a bound on all vertices, and the parts are those with the smallest textures. The constants were chosen
+empirically.
 """
 
 from __future__ import annotations
@@ -38,19 +35,19 @@ from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
 
 _FEWER = 2 / 3
-"""Of so many parts those are that are tried next; values here are ours."""
+"""Ratio of successive numbers of parts that are tried."""
 
 _SHARES = (1 / 2, 3 / 4)
-"""Shares of a part's components, by which vertices are told which part shows them."""
+"""Shares of a part's components used to assign vertices to parts."""
 
 _ROUNDS = 12
 """Rounds in which vertices join parts."""
 
 _LEFT_OUT = 0.01
-"""What the principal components of the whole mesh may leave out, as a share of the bound."""
+"""Largest error of the principal components of the whole mesh, as a share of the bound."""
 
 _SAME = 0.1
-"""What a vertex does not change its part for, as a share of the bound; rounding of points is below."""
+"""Smallest gain for which a vertex changes its part, as a share of the bound; rounding of points is below."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,25 +97,10 @@ class LowRank:
 def fit_low_rank(
     sequence: Frames, max_error: float = 1e-3, parts: int | None = None, progress: Progress = silent
 ) -> LowRank:
-    """Fit basis vectors of parts to a sequence, as few as a bound takes.
+    """Fit the fewest basis vectors of parts to a sequence within `max_error`, in diagonals, from at most `parts` parts.
 
-    Parameters
-    ----------
-    sequence : MeshSequence or an open sequence
-        The animation; all of it is held in memory as float64.
-    max_error : float
-        Largest distance of a vertex in any frame, in diagonals.
-    parts : int, optional
-        Number of parts to begin with, at most; by default those of motion segmentation.
-    progress : callable
-        Told how far the work is.
-
-    Raises
-    ------
-    InvalidSequenceError
-        If it is no sequence.
-    SettingsError
-        If `max_error` is not positive.
+    By default parts start from motion segmentation. All of the sequence is held in memory as float64. Raises
+    InvalidSequenceError if it is no sequence, SettingsError if `max_error` is not positive.
     """
     check_frames(sequence)
     if not max_error > 0:
@@ -150,7 +132,7 @@ def fit_low_rank(
 
 @dataclass(frozen=True, eq=False)
 class _Clusters:
-    """Parts of trajectories, and orthonormal vectors of each, as many as the bound takes."""
+    """Parts of trajectories, and the orthonormal vectors of each that the bound requires."""
 
     parts: Index
     whole: Float  # (R, 3 T) principal directions of all trajectories
@@ -166,7 +148,7 @@ class _Clusters:
 
     @property
     def size(self) -> int:
-        """What they take in textures, as a number to compare: basis vectors in fours, and coefficients."""
+        """Size in textures, for comparison: basis vectors in fours, and coefficients."""
         return -(-self.rank // 4) * (len(self.parts) + int(self.whole.shape[1]) * self.count)
 
     def vectors(self, number: int) -> Float:
@@ -174,7 +156,7 @@ class _Clusters:
 
 
 def _clustered(trajectories: Float, start: Index, bound: float, progress: Progress) -> _Clusters:
-    """Return the parts of trajectories ``(V, 3 T)`` that take fewest numbers, of some."""
+    """Return the parts of trajectories ``(V, 3 T)`` with the smallest size among those tried."""
     whole = _directions(trajectories, _LEFT_OUT * bound)
     tracks = trajectories @ whole.T
 
@@ -202,14 +184,14 @@ def _clustered(trajectories: Float, start: Index, bound: float, progress: Progre
 
 
 def _directions(rows: Float, least: float) -> Float:
-    """Return principal directions ``(R, n)`` of rows ``(m, n)``, but for those that are not needed for any row."""
+    """Return principal directions ``(R, n)`` of rows ``(m, n)``, without those that no row needs."""
     shorter = len(rows) < rows.shape[1]
     gram = rows @ rows.T if shorter else rows.T @ rows
     values, vectors = linalg.eigh(gram)
     order = np.argsort(values)[::-1]
     values, vectors = values[order], vectors[:, order]
     kept = values > max(values[0], 1e-300) * 1e-20 if len(values) else values > 0
-    kept &= np.cumsum(values[::-1])[::-1] > least**2  # no row has more left than all together
+    kept &= np.cumsum(values[::-1])[::-1] > least**2  # no row has a larger rest than all together
     kept[:1] = True
     directions = vectors[:, kept].T
     if shorter:
@@ -219,7 +201,7 @@ def _directions(rows: Float, least: float) -> Float:
 
 
 def _joined(tracks: Float, parts: Index, rank: int, bound: float) -> Index:
-    """Let every vertex join the part that leaves least of it with so many vectors, in turn."""
+    """Assign every vertex to the part with the smallest residual at a rank, in turn."""
     squares = np.square(tracks).sum(axis=1)
     for _ in range(_ROUNDS):
         left = np.stack(
@@ -240,7 +222,7 @@ def _joined(tracks: Float, parts: Index, rank: int, bound: float) -> Index:
 
 
 def _needed(rows: Float, tracks: Float, whole: Float, bound: float) -> Float:
-    """Return the fewest principal directions ``(K, R)`` of a part's tracks that leave no more than a bound."""
+    """Return the fewest principal directions ``(K, R)`` of a part's tracks that keep a bound."""
     directions = _directions(tracks, 0.0)
 
     def left(count: int) -> float:

@@ -1,4 +1,4 @@
-"""From a sequence to a skin or to morph targets, in the units of the file."""
+"""Fit a skin or morph targets to a sequence, in the units of the file."""
 
 from __future__ import annotations
 
@@ -38,46 +38,46 @@ def fit_skin(
 ) -> Skin:
     """Fit bones, at most four weights a vertex, and corrective targets to a sequence.
 
-    Bones hang in a tree and turn about the joints to their parents. Joints that would cost more than a tenth of the
-    error slide as well: their translations have keys (see `mixseq.rigging.decomposition`).
+    Bones form a tree and turn about the joints to their parents. Joints that would cost more than a tenth of the error
+    slide as well: their translations have keys (see `mixseq.rigging.decomposition`).
 
-    Bones of a skeleton that is given keep their names, parents and places at rest, and the mesh keeps the shape in
-    which it is bound to them; weights and motions are found. Only roots slide, so that bones keep their lengths.
+    Bones of a given skeleton keep their names, parents and rest positions, and the mesh keeps the shape in which it is
+    bound to them; weights and motions are fitted. Only roots slide, so that bones keep their lengths.
 
     Parameters
     ----------
     sequence : MeshSequence or an open sequence
         The animation; all of it is held in memory as float64.
     bones : int, or (F,) int array_like, optional
-        How many bones at most, or the bone that every triangle starts with. If not given they are the near-rigid parts
-        that motion segmentation finds, which is what an animator would expect; more bones are more accurate.
+        Largest number of bones, or the initial bone of every triangle. By default the near-rigid parts found by motion
+        segmentation, which is what an animator would expect; more bones are more accurate.
     correctives : float, optional
-        Largest distance of a vertex from the sequence, in diagonals, that corrective morph targets shall reach. None
-        makes no targets. With targets, vertices between bones that fold onto each other follow only one of them.
+        Largest distance of a vertex from the sequence, in diagonals, for corrective morph targets. None makes no
+        targets. With targets, vertices between bones that fold onto each other follow only one of them.
     max_targets : int
-        So many of them at most.
+        Largest number of targets.
     rounds : int
-        At most so many rounds of weights and motions (our value); they end before when they gain little.
+        Largest number of rounds of weights and motions; they end earlier when they gain little.
     progress : callable
-        Told how far the work is.
+        Called with the progress.
     skeleton : Skeleton, optional
         The bones, from `mixseq.read_skeleton`, instead of those that are found.
     bind_pose : MeshSequence, optional
-        The mesh as it is bound to the skeleton, from `mixseq.read_bind_pose`, in one frame: vertices are those of the
-        sequence, unit and up axis are converted, and with them those of the skeleton. Without it the skeleton stands
-        in the first frame, in its pose, place and unit.
+        The mesh bound to the skeleton, from `mixseq.read_bind_pose`, in one frame, with the vertices of the sequence;
+        unit and up axis are converted, and with them those of the skeleton. Without it the skeleton must match the
+        first frame in pose, position and unit.
     max_error : float, optional
-        Largest distance of a vertex from the sequence, in diagonals, that bones alone shall reach: there are as few as
-        it takes, to within a tenth, and at most 128. It takes the time of two or three fits.
+        Largest distance of a vertex from the sequence, in diagonals, for bones alone: the fewest bones are used, to
+        within a tenth, and at most 128. It takes the time of two or three fits.
     kg : float, optional
         The same for the KG error, in percent.
 
     Returns
     -------
     Skin
-        The rest shape of bones that are found is fitted too, and stays near the first frame; those that neither a
-        vertex nor a bone with vertices follows are left out. Bones of a given skeleton that move nothing stay to their
-        parents as at rest. Weights of a vertex decrease; unused ones are zero, of bone zero.
+        The rest shape of found bones is fitted too, and stays near the first frame; bones without vertices on them or
+        below are removed. Bones of a given skeleton that move nothing keep their rest pose relative to their parents.
+        Weights of a vertex decrease; unused ones are zero, of bone zero.
 
     Raises
     ------
@@ -93,8 +93,8 @@ def fit_skin(
     Warns
     -----
     MixseqWarning
-        If 128 bones do not reach `max_error` or `kg`, or `max_targets` do not reach `correctives`; the message says
-        what they reach.
+        If 128 bones do not reach `max_error` or `kg`, or `max_targets` do not reach `correctives`; the message has the
+        errors reached.
     """
     check_frames(sequence)
     _check_error("correctives", correctives)
@@ -137,11 +137,11 @@ def fit_morph(
     sequence : MeshSequence or an open sequence
         The animation; all of it is held in memory as float64.
     max_error : float, optional
-        Largest distance of a vertex, in diagonals, that targets shall reach; as few as it takes are made.
+        Largest distance of a vertex, in diagonals; the fewest targets are made.
     max_targets : int, optional
-        So many targets at most. Without either there are as many as it takes to be exact, at most one less than frames.
+        Largest number of targets. Without either the fit is exact, with at most one target less than frames.
     progress : callable
-        Told how far the work is.
+        Called with the progress.
 
     Raises
     ------
@@ -153,7 +153,7 @@ def fit_morph(
     Warns
     -----
     MixseqWarning
-        If `max_targets` do not reach `max_error`; the message says what they reach.
+        If `max_targets` do not reach `max_error`; the message has the error reached.
     """
     check_frames(sequence)
     _check_error("max_error", max_error)
@@ -171,7 +171,7 @@ def fit_morph(
 
 
 def _reaching(bones: FoundBones, max_error: float | None, kg: float | None) -> Skin:
-    """Find as few bones as an error asks for."""
+    """Fit the fewest bones for an error."""
     which, wanted = (0, max_error) if kg is None else (1, kg)
     assert wanted is not None, "one of them is given"
 
@@ -206,7 +206,7 @@ def _reaching(bones: FoundBones, max_error: float | None, kg: float | None) -> S
 
 
 def _check_ways(ways: dict[str, object], bind_pose: MeshSequence | None) -> None:
-    """Refuse several settings that each tell the bones, and a mesh without its skeleton."""
+    """Raise an error for several settings of the bones, and for a bind pose without a skeleton."""
     given = [name for name, value in ways.items() if value is not None]
     if len(given) > 1:
         raise SettingsError(f"{given[0]} and {given[1]} both tell which bones there are; give one of them")

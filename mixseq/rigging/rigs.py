@@ -1,4 +1,4 @@
-r"""Sequences as engines play them: a skin over moving bones, or a base mesh with morph targets.
+r"""Rigs for engines: a skin over moving bones, or a base mesh with morph targets.
 
 *Linear blend skinning.* Bone b at frame t turns about its pivot :math:`p_b` by the rotation :math:`R_{tb}` and takes
 the pivot to :math:`c_{tb}`; a vertex follows at most four bones, and the rest shape may be corrected before:
@@ -28,10 +28,10 @@ from mixseq.rigging.skeletons import LocalMotion, Skeleton
 from mixseq.sequence import SequenceHeader
 
 INFLUENCES = 4
-"""Bones that a vertex follows at most: what engines and the core of glTF 2.0 have a place for."""
+"""Largest number of bones of a vertex: that of engines and the core of glTF 2.0."""
 
-_SUM = 1e-6  # weights and quaternions may miss a length of one by this much
-_MISS = 1e-3  # of a frame: what people type may miss the first and last time by it
+_SUM = 1e-6  # tolerance of sums of weights and lengths of quaternions
+_MISS = 1e-3  # share of a frame: tolerance of typed times at the first and last frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,11 +45,11 @@ class Skin:
     rest : (V, 3) float64
         Rest shape r, in the file's units.
     skeleton : Skeleton
-        The bones: their names and tree, and the pivots p that they turn about, in the rest shape.
+        The bones: their names and tree, and the pivots p about which they turn, in the rest shape.
     rotations : (T, B, 4) float64
         R, in the world: unit quaternions x, y, z, w; along the frames without jumps of sign.
     translations : (T, B, 3) float64
-        Where the pivots are, c, in the world.
+        Positions of the pivots, c, in the world.
     influences : (V, 4) int64
         Bone of every weight.
     weights : (V, 4) float64
@@ -57,7 +57,7 @@ class Skin:
     targets : (M, V, 3) float64
         Displacements d of the rest shape, added before skinning.
     target_weights : (T, M) float64
-        How much of every target, a.
+        Weights a of the targets.
 
     Raises
     ------
@@ -117,11 +117,11 @@ class Skin:
 
     @property
     def pivots(self) -> Float:
-        """Points p ``(B, 3)`` that the bones turn about, in the rest shape."""
+        """Points p ``(B, 3)`` about which the bones turn, in the rest shape."""
         return self.skeleton.pivots
 
     def local(self) -> LocalMotion:
-        """Return how joints stand to their parents: rotations ``(T, B, 4)`` and translations ``(T, B, 3)``.
+        """Return joints relative to their parents: rotations ``(T, B, 4)`` and translations ``(T, B, 3)``.
 
         Rotations have no jumps of sign along the frames.
         """
@@ -142,8 +142,7 @@ class Skin:
         """Return the same skin at other times.
 
         Relative to their parents, bones turn at a constant rate from frame to frame, by the shorter way (spherical
-        linear interpolation, Shoemake 1985); joints and weights of targets move straight. That is what engines do
-        between keys, and by it the result is what they show of the original keys.
+        linear interpolation, Shoemake 1985); joints and weights of targets are linear, as engines interpolate keys.
 
         Parameters
         ----------
@@ -177,7 +176,7 @@ class Skin:
         )
 
     def _frame(self, frame: int) -> Float:
-        """Points ``(V, 3)`` of a frame: every vertex is moved by the weighted mean of its bones' matrices."""
+        """Return the points ``(V, 3)`` of a frame, each moved by the weighted mean of its bones' matrices."""
         turn = rotation_matrices(self.rotations[frame])
         shift = self.translations[frame] - np.einsum("bij,bj->bi", turn, self.pivots)
         motions = np.concatenate([turn, shift[:, :, None]], axis=2)
@@ -197,11 +196,11 @@ class Morph:
     header : SequenceHeader
         Mesh and times.
     base : (V, 3) float64
-        The shape that targets are added to, in the file's units.
+        The shape to which targets are added, in the file's units.
     targets : (M, V, 3) float64
         Displacements of the base.
     weights : (T, M) float64
-        How much of every target.
+        Weights of the targets.
 
     Raises
     ------
@@ -232,7 +231,7 @@ class Morph:
         return np.concatenate(list(self.blocks()))
 
     def resampled(self, times: ArrayLike, fps: float | None = None) -> Morph:
-        """Return the same morph at other times; weights move straight from frame to frame.
+        """Return the same morph at other times; weights are interpolated linearly.
 
         Raises
         ------
@@ -259,10 +258,7 @@ def rotation_matrices(quaternions: FloatArray) -> Float:
 
 
 def without_sign_jumps(quaternions: FloatArray) -> Float:
-    """Choose the signs of quaternions ``(T, ..., 4)``: w is not negative at first, then each is near the one before.
-
-    A quaternion and its negative are the same rotation, but engines that mix them as numbers turn the long way round.
-    """
+    """Choose signs of quaternions ``(T, ..., 4)``, w >= 0 at first, then near the one before, for interpolation."""
     q = np.array(quaternions, dtype=np.float64)
     flips = np.ones(q.shape[:-1])
     flips[:1] = np.where(q[:1, ..., 3] < 0, -1.0, 1.0)
@@ -271,7 +267,7 @@ def without_sign_jumps(quaternions: FloatArray) -> Float:
 
 
 def _slerp(p: Float, q: Float, share: Float) -> Float:
-    """Turn from unit quaternions p to q, less than half a turn of the four-sphere apart, by a share of the way."""
+    """Interpolate unit quaternions p to q, less than half a turn of the four-sphere apart, by a share of the way."""
     # The angle from chords, which is accurate for small angles too.
     angle = 2 * np.arctan2(
         np.linalg.norm(p - q, axis=-1, keepdims=True), np.linalg.norm(p + q, axis=-1, keepdims=True)
@@ -286,7 +282,7 @@ def _slerp(p: Float, q: Float, share: Float) -> Float:
 
 
 def _between(header: SequenceHeader, times: Float) -> tuple[Index, Index, Float]:
-    """Find the frames before and after every time, and the share of the way from one to the other."""
+    """Return the frames before and after every time, and the share of the way from one to the other."""
     own, slack = header.times, _MISS / header.fps
     if len(times) and (times[0] < own[0] - slack or times[-1] > own[-1] + slack):
         raise SettingsError(
@@ -305,7 +301,7 @@ def _mixed(values: Float, before: Index, after: Index, share: Float) -> Float:
 
 
 def _take(rig: object, name: str, shape: tuple[int, ...]) -> None:
-    """Replace an array of a rig by a read-only one of float64, or refuse it."""
+    """Replace an array of a rig by a read-only one of float64; raise an error for another shape."""
     array = np.ascontiguousarray(getattr(rig, name), dtype=np.float64)
     if array.shape != shape:
         raise InvalidSequenceError(f"{name} have shape {array.shape}; {shape} is expected")

@@ -1,8 +1,8 @@
-r"""Trees of bones: names, parents, and where joints are at rest.
+r"""Trees of bones: names, parents, and joints at rest.
 
 The joint of bone b lies at the pivot :math:`p_b`, with axes :math:`A_b` (a rotation) at rest. A motion of the bones in
 the world, :math:`R_{tb}` about the pivot that is then at :math:`c_{tb}`, takes the axes to :math:`R_{tb} A_b`. Relative
-to the parent a, as files and engines have it,
+to the parent a, as in files and engines,
 
 .. math:: Q_{tb} = (R_{ta} A_a)^{-1} R_{tb} A_b, \quad q_{tb} = (R_{ta} A_a)^{-1} (c_{tb} - c_{ta}),
 
@@ -21,7 +21,7 @@ from mixseq.arrays import Float, FloatArray, Index
 from mixseq.errors import InvalidSequenceError
 from mixseq.polygons import frozen
 
-_UNIT = 1e-6  # quaternions may miss a length of one by this much
+_UNIT = 1e-6  # tolerance of the length of quaternions
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,13 +85,7 @@ class Skeleton:
 
     @classmethod
     def flat(cls, pivots: FloatArray) -> Skeleton:
-        """Return bones without parents, with the axes of the world, named ``bone_000`` and so on.
-
-        Examples
-        --------
-        >>> Skeleton.flat(np.zeros((2, 3))).names
-        ('bone_000', 'bone_001')
-        """
+        """Return bones without parents, with the axes of the world, named ``bone_000`` and so on: pivots ``(B, 3)``."""
         count = len(pivots)
         names = tuple(f"bone_{bone:03d}" for bone in range(count))
         axes = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
@@ -103,7 +97,7 @@ class Skeleton:
         return len(self.names)
 
     def local_rest(self) -> LocalMotion:
-        """Return where joints are at rest, relative to their parents: rotations ``(B, 4)``, translations ``(B, 3)``."""
+        """Return the rest joints, relative to their parents: rotations ``(B, 4)``, translations ``(B, 3)``."""
         still = np.tile([0.0, 0.0, 0.0, 1.0], (1, self.bone_count, 1))
         rest = self.to_local(still, self.pivots[None])
         return LocalMotion(rest.rotations[0], rest.translations[0])
@@ -136,7 +130,7 @@ class Skeleton:
 
 @dataclass(frozen=True, eq=False)
 class LocalMotion:
-    """How joints stand to their parents, and roots to the world."""
+    """Rotations and translations of joints relative to their parents, and of roots to the world."""
 
     rotations: (
         Float  # (..., B, 4) unit quaternions x, y, z, w, from the axes of the joint to those of its parent

@@ -1,4 +1,4 @@
-"""The inner loop of `mixseq.rigging.weights`, compiled: weights and rest position of one vertex after the other."""
+"""Compiled inner loop of `mixseq.rigging.weights`: weights and rest position, vertex by vertex."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ import numpy as np
 from mixseq.arrays import Float, Index
 from mixseq.compiled import compiled
 
-ROUNDS = 60  # of an active set: each is a bone more, or one less
-GAIN = 1e-12  # a bone is taken if it lowers the error by more than this, relative to the position's square
-CANDIDATES = 12  # bones that are tried at a vertex besides those it has
-DAMPING = 1e-14  # of the diagonal: two bones with the same motion share a weight
-HELD = 1e-6  # how strongly a rest position holds to the one before, relative to one frame
+ROUNDS = 60  # of an active set: each adds or removes a bone
+GAIN = 1e-12  # smallest decrease of the error by a bone, relative to the position's square
+CANDIDATES = 12  # bones tried at a vertex besides its current ones
+DAMPING = 1e-14  # share of the diagonal: two bones with the same motion share a weight
+HELD = 1e-6  # pull of a rest position towards the one before, relative to one frame
 
 
 @compiled
 def solve(a: Float, b: Float, n: int) -> None:
-    """Solve a symmetric positive system by Cholesky's factors, in place; b becomes the solution."""
+    """Solve a symmetric positive system by Cholesky factors, in place; b becomes the solution."""
     for j in range(n):
         for i in range(j, n):
             s = a[i, j]
@@ -57,7 +57,7 @@ def _on_plane(h: Float, chosen: Index, n: int, scale: float, a: Float, z: Float)
 
 @compiled
 def _descend(h: Float, chosen: Index, n: int, w: Float, scale: float, a: Float, z: Float) -> int:
-    """Minimise over the chosen bones with sum one and no weight negative, from feasible w; return how many are left."""
+    """Minimise over the chosen bones with sum one and no weight negative, from feasible w; return the number left."""
     while True:
         _on_plane(h, chosen, n, scale, a, z)
         step, out = 1.0, -1
@@ -92,7 +92,7 @@ def _value(h: Float, chosen: Index, n: int, w: Float) -> float:
 def _active_set(
     h: Float, scale: float, candidates: Index, chosen: Index, w: Float, n: int, most: int, a: Float, z: Float
 ) -> int:
-    """Lawson and Hanson's active set on the simplex, from feasible w, with at most `most` bones."""
+    """Minimise by Lawson and Hanson's active set on the simplex, from feasible w, with at most `most` bones."""
     for _ in range(ROUNDS):
         if n == most:
             break
@@ -117,7 +117,7 @@ def _active_set(
 
 @compiled
 def _sparsest(h: Float, scale: float, chosen: Index, w: Float, most: int, n: int, a: Float, z: Float) -> int:
-    """Leave out the bone that is missed least until at most `most` are left."""
+    """Remove the bone of least loss until at most `most` are left."""
     rest, trial, best = np.empty_like(chosen), np.empty_like(w), np.empty_like(w)
     best_chosen = np.empty_like(chosen)
     while n > most:
@@ -159,7 +159,7 @@ def _quadratic(p: Float, x: float, y: float, z: float) -> float:
 
 @compiled
 def _candidates(single: Float, influences: Index, weights: Float, candidates: Index) -> int:
-    """Choose the bones that alone come nearest, best first, and those of before; return how many they are."""
+    """Choose the bones that alone come nearest, best first, and the current ones; return their number."""
     n = 0
     for _ in range(min(CANDIDATES, len(single))):
         best = -1
@@ -193,26 +193,10 @@ def fit_vertices(
     weights: Float,
     errors: Float,
 ) -> None:
-    """Fit weights, and rest positions if free, of vertices, in place.
+    """Fit weights, and rest positions ``(V, 3)`` if `free_rest`, of vertices, in place.
 
-    Parameters
-    ----------
-    rest : (V, 3)
-        Rest positions.
-    squares : (V,)
-        Sum of |x_t|^2 over the frames.
-    products : (B, B, 4, 4)
-        Sums of M_tb^T M_tc over the frames.
-    seen : (V, B, 4)
-        Sums of M_tb^T x_t over the frames.
-    frames : int
-        Number of frames.
-    free_rest : bool
-        Whether rest positions are fitted too, with the new weights.
-    influences, weights : (V, 4)
-        Where to start from, and the result.
-    errors : (V,)
-        Result: sums of squared distances.
+    Sums over the T `frames`: `squares` ``(V,)`` of |x_t|^2, `products` ``(B, B, 4, 4)`` of M_tb^T M_tc, `seen`
+    ``(V, B, 4)`` of M_tb^T x_t. Initial and final `influences`, `weights` ``(V, 4)``; squared `errors` ``(V,)``.
     """
     bones, most = products.shape[0], influences.shape[1]
     h, a, z = np.empty((bones, bones)), np.empty((bones, bones)), np.empty(bones)

@@ -1,4 +1,4 @@
-r"""Weights of vertices, given how bones move.
+r"""Fit weights of vertices to given motions of bones.
 
 With homogeneous rest positions :math:`\tilde r_v = (r_v, 1)`, motions :math:`M_{tb}` ``(3, 4)`` and
 :math:`h_{bc} = \sum_t (M_{tb} \tilde r_v - x_t) \cdot (M_{tc} \tilde r_v - x_t)`, the squared error of vertex v is
@@ -7,9 +7,9 @@ With homogeneous rest positions :math:`\tilde r_v = (r_v, 1)`, motions :math:`M_
           \quad \text{where} \quad \sum_b w_b = 1.
 
 It is minimised under :math:`w \ge 0` by an active set (Lawson and Hanson 1974). Where more than four bones are left,
-the one that is missed least goes, one after the other, and the rest is fitted again; Le and Deng (2012) keep the four
-with the largest share. Candidates are the twelve bones (our choice) that come nearest alone, and those that the vertex
-has. h needs no look at the frames, only their sums
+the one of least loss is removed, one after the other, and the rest is fitted again; Le and Deng (2012) keep the four of
+largest weight. Candidates are the twelve bones that come nearest alone, and those that the vertex has. h needs only
+sums over the frames
 
 .. math:: Q_{bc} = \sum_t M_{tb}^T M_{tc}, \quad g_b = \sum_t M_{tb}^T x_t, \quad s = \sum_t |x_t|^2, \qquad
           h_{bc} = \tilde r^T Q_{bc} \tilde r - (g_b + g_c) \cdot \tilde r + s .
@@ -26,18 +26,18 @@ from scipy import sparse
 
 from mixseq.arrays import Float, Index
 
-_AT_ONCE = 1 << 21  # entries of sums over the frames that are held at once
+_AT_ONCE = 1 << 21  # entries of sums over the frames in memory at once
 
 
 @dataclass(frozen=True, eq=False)
 class Binding:
-    """How vertices follow bones."""
+    """Rest positions, and bones and weights of vertices."""
 
     rest: Float  # (V, 3) rest positions
     influences: Index  # (V, 4) bones
     weights: Float  # (V, 4) their weights
-    errors: Float  # (V,) squared errors, summed over the frames, and what the weights cost
-    # (V, B) what a whole weight of a bone costs, next to the squared errors; None where all bones are as good.
+    errors: Float  # (V,) squared errors, summed over the frames, plus the cost of the weights
+    # (V, B) cost of a weight of one, added to the squared errors; None for no costs.
     costs: Float | None = None
 
     def matrix(self, bones: int) -> sparse.csr_array:

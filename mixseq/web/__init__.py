@@ -1,1 +1,1 @@
-"""Playing compressed sequences on the web: the decoder in JavaScript, and what stands on it."""
+"""Play compressed sequences on the web: the decoder in JavaScript, and the player built on it."""

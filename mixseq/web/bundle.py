@@ -1,4 +1,4 @@
-"""Our JavaScript modules as one module that imports nothing: what a page or a project takes along."""
+"""Bundle mixseq's JavaScript modules as one module without imports, for a page or a project."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from importlib.resources import files
 from posixpath import dirname, join, normpath
 
 SEQUENCE = "decoder/sequence.js"
-"""The module that opens compressed sequences: all of the decoder is under it."""
+"""The module that opens compressed sequences; it imports all of the decoder."""
 
 _IMPORT = re.compile(r'^import \{([^}]*)\} from "(\.[^"]+)";\n', re.MULTILINE)
 _EXPORT = re.compile(r"^export (?=(?:async )?(function\*?|class|const|let) (\w+)([^\n]*))", re.MULTILINE)
@@ -25,11 +25,7 @@ def module(path: str) -> str:
 
 @cache
 def bundled(*entries: str) -> str:
-    """Return modules, and all they import, as one ES module without imports.
-
-    Every module becomes a function that is called once, so that names of different modules do not meet. What only
-    people need is taken away, as by `stripped`.
-    """
+    """Return modules and all they import, `stripped`, as one ES module; each becomes a function with its own names."""
     entries = entries or (SEQUENCE,)
     places: dict[str, str] = {}
     for entry in entries:
@@ -41,7 +37,7 @@ def bundled(*entries: str) -> str:
 
 
 def _place(path: str, places: dict[str, str]) -> None:
-    """Add a module after those that it imports; circles are not allowed."""
+    """Add a module after its imports; circular imports are not allowed."""
     if path in places:
         return
     source = module(path)

@@ -1,4 +1,4 @@
-"""What a project on the web takes along, as a folder that npm knows: decoder, three.js plugin, pages, types, schema."""
+"""The npm package for web projects, as a folder: decoder, three.js plugin, pages, types, schema."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MODULES = (
     "player/remote.js",
     "player/worker.js",
 )
-"""What is in ``mixseq.js``."""
+"""Modules in ``mixseq.js``."""
 
 COPIED = (
     "mesh_sequence.js",

@@ -1,4 +1,4 @@
-"""Baking: the scene's frames as shape keys or as Alembic, for which nobody needs the add-on or the model."""
+"""Baking: the scene's frames as shape keys or as Alembic, which play without the add-on or the model."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .timing import BLUR, linear
 
 
 class _Bake:
-    """What the operators have in common: the scene's frames, and a mesh that stands still afterwards."""
+    """Base of the operators: read the scene's frames, and stop the live motion of the mesh."""
 
     bl_options = {"REGISTER", "UNDO"}
     report: Any
@@ -34,14 +34,14 @@ class _Bake:
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        """Tell whether a model moves the active object."""
+        """Return whether a model moves the active object."""
         thing = context.object
         return (
             thing is not None and thing.type == "MESH" and thing.data.mixseq.moves and thing.mode == "OBJECT"
         )
 
     def execute(self, context: Any) -> set[str]:
-        """Do it; an error is a message of Blender's."""
+        """Run the operator; report an error as a message of Blender's."""
         mesh = context.object.data
         try:
             with _frame_kept(context.scene):
@@ -54,7 +54,7 @@ class _Bake:
         return {"FINISHED"}
 
     def bake(self, context: Any) -> None:
-        """Do what the operator is for."""
+        """Bake the active object."""
         raise NotImplementedError
 
 
@@ -65,7 +65,7 @@ class BakeShapeKeys(_Bake, bpy.types.Operator):
     bl_label = "Bake to Shape Keys"
 
     def bake(self, context: Any) -> None:
-        """Add absolute keys, which are as many numbers as there are frames, and one F-curve for all of them."""
+        """Add one absolute key per frame, and one F-curve for all of them."""
         scene, thing = context.scene, context.object
         count = (scene.frame_end - scene.frame_start) * self.samples + 1
         moments = scene.frame_start + np.arange(count) / self.samples
@@ -91,9 +91,9 @@ class BakeAlembic(_Bake, bpy.types.Operator, ExportHelper):
     filter_glob: StringProperty(default="*.abc", options={"HIDDEN"})
 
     def bake(self, context: Any) -> None:
-        """Export an object with nothing but the mesh, and give the real one a modifier that reads it."""
+        """Export an object with only the mesh, and add a modifier that reads it to the original."""
         thing, scene = context.object, context.scene
-        _pose(scene, thing.data, scene.frame_start)  # tells what is wrong before a file is there
+        _pose(scene, thing.data, scene.frame_start)  # raises errors before a file is written
         with _alone(context, thing.data) as bare:
             bpy.ops.wm.alembic_export(
                 filepath=self.filepath,
@@ -115,7 +115,7 @@ class BakeAlembic(_Bake, bpy.types.Operator, ExportHelper):
 
 
 def _pose(scene: bpy.types.Scene, mesh: bpy.types.Mesh, moment: float) -> Single:
-    """Return where the vertices ``(V, 3)`` are at a frame of the scene, as Blender has them."""
+    """Return the vertices ``(V, 3)`` at a frame of the scene, in Blender's axes."""
     scene.frame_set(int(moment // 1), subframe=moment % 1)
     if told := live.problem(mesh):
         raise SettingsError(told)
@@ -135,7 +135,7 @@ def _frame_kept(scene: bpy.types.Scene) -> Iterator[None]:
 
 @contextmanager
 def _alone(context: Any, mesh: bpy.types.Mesh) -> Iterator[bpy.types.Object]:
-    """Yield a new object of a mesh that is the only one selected."""
+    """Yield a new object of a mesh, the only one selected."""
     selected, active = context.selected_objects, context.object
     bare = bpy.data.objects.new(f"{active.name}_baked", mesh)
     context.scene.collection.objects.link(bare)
@@ -154,12 +154,12 @@ _CLASSES = (BakeShapeKeys, BakeAlembic)
 
 
 def register() -> None:
-    """Add the operators."""
+    """Register the operators."""
     for each in _CLASSES:
         bpy.utils.register_class(each)
 
 
 def unregister() -> None:
-    """Take them away."""
+    """Unregister the operators."""
     for each in reversed(_CLASSES):
         bpy.utils.unregister_class(each)

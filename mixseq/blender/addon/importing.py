@@ -1,4 +1,4 @@
-"""Bringing models in: as new objects, or onto a mesh that is there."""
+"""Import models: as new objects, or onto an existing mesh."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .timing import follow_scene, let_blur
 
 
 class _ModelFile(ImportHelper):
-    """What operators have in common that are given a model."""
+    """Base of the operators that open a model."""
 
     bl_options = {"REGISTER", "UNDO"}
     filename_ext = ".h5"
@@ -31,7 +31,7 @@ class _ModelFile(ImportHelper):
     )
 
     def execute(self, context: Any) -> set[str]:
-        """Do it; an error is a message of Blender's."""
+        """Run the operator; report an error as a message of Blender's."""
         try:
             model = live.models.get(Path(bpy.path.abspath(self.filepath)))
             self.bring(context, model)
@@ -47,11 +47,11 @@ class _ModelFile(ImportHelper):
         return {"FINISHED"}
 
     def bring(self, context: Any, model: Model) -> None:
-        """Do with the model what the operator is for."""
+        """Import the model."""
         raise NotImplementedError
 
     def settle(self, thing: bpy.types.Object, part: str, placing: Placing) -> None:
-        """Have the model move the mesh of an object."""
+        """Set the model that moves the mesh of an object."""
         settings = thing.data.mixseq
         settings.part, settings.up_axis, settings.scale = part, placing.up_axis, placing.scale
         settings.is_live = True
@@ -86,12 +86,12 @@ class AttachModel(bpy.types.Operator, _ModelFile):
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        """Tell whether there is a mesh."""
+        """Return whether there is a mesh."""
         thing = context.object
         return thing is not None and thing.type == "MESH" and thing.mode == "OBJECT"
 
     def bring(self, context: Any, model: Model) -> None:
-        """Find which part of the model the mesh is, and how it stands."""
+        """Find which part of the model the mesh is, and its placing."""
         mesh = context.object.data
         points = np.empty((len(mesh.vertices), 3), dtype=np.float32)
         mesh.attributes["position"].data.foreach_get("vector", points.reshape(-1))
@@ -112,12 +112,12 @@ class DropModel(bpy.types.FileHandler):
 
     @classmethod
     def poll_drop(cls, context: Any) -> bool:
-        """Tell whether it is a place for models."""
+        """Return whether models can be dropped there."""
         return context.area is not None and context.area.type == "VIEW_3D"
 
 
 def _kept_path(path: str) -> str:
-    """Return a path as Blender keeps paths: relative to the .blend file if there is one and users want it so."""
+    """Return a path as Blender stores it: relative to the .blend file if there is one and users prefer that."""
     wanted = bpy.data.filepath and bpy.context.preferences.filepaths.use_relative_paths
     try:
         return str(bpy.path.relpath(path) if wanted else bpy.path.abspath(path))
@@ -149,14 +149,14 @@ _CLASSES = (ImportModel, AttachModel, DropModel)
 
 
 def register() -> None:
-    """Add the operators, and a line in File > Import."""
+    """Register the operators, and an entry in File > Import."""
     for each in _CLASSES:
         bpy.utils.register_class(each)
     bpy.types.TOPBAR_MT_file_import.append(_menu)
 
 
 def unregister() -> None:
-    """Take them away."""
+    """Unregister the operators."""
     bpy.types.TOPBAR_MT_file_import.remove(_menu)
     for each in reversed(_CLASSES):
         bpy.utils.unregister_class(each)

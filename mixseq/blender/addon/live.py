@@ -1,9 +1,9 @@
-"""Moving the vertices of meshes, whenever Blender evaluates a frame or a part of one.
+"""Move the vertices of meshes whenever Blender evaluates a frame or sub-frame.
 
 Blender calls `_evaluated` with the scene at a frame and the dependency graph that evaluates it: that of the viewport,
-or of a render, which asks for sub-frames as motion blur needs them. Animated settings are read from the evaluated mesh,
-as only the viewport writes them back to the original one; what is moved are the vertices of the original, and the tag
-that this leaves makes Blender evaluate it again.
+or of a render, with sub-frames for motion blur. Animated settings are read from the evaluated mesh, as only the
+viewport writes them back to the original one. The vertices of the original are moved, whose tag makes Blender evaluate
+it again.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ models = Models(load)
 frames = Frames()
 
 _shown: dict[int, tuple[Any, ...]] = {}
-"""What every mesh shows, by the number that it has in this session."""
+"""State shown by every mesh, by its number in this session."""
 
 _problems: dict[int, str] = {}
-"""Why a mesh does not move."""
+"""Error that stops a mesh, by its number."""
 
 _paths: dict[int, str] = {}
 """Relative paths of models, while a file is saved elsewhere."""
@@ -44,12 +44,12 @@ def model_of(settings: MotionSettings) -> Model:
 
 
 def problem(mesh: bpy.types.Mesh) -> str:
-    """Return why a mesh does not move, "" if it does."""
+    """Return the error that stops a mesh, "" for none."""
     return _problems.get(mesh.session_uid, "")
 
 
 def in_words(error: Exception) -> str:
-    """Return what users are told of an error, also of one that should not be: Blender goes on."""
+    """Return the message of an error, also of an unexpected one: Blender goes on."""
     return str(error) if isinstance(error, MixseqError | RuntimeError) else f"{type(error).__name__}: {error}"
 
 
@@ -59,7 +59,7 @@ def rate(scene: bpy.types.Scene) -> float:
 
 
 def show(mesh: bpy.types.Mesh, animated: MotionSettings, fps: float) -> None:
-    """Move a mesh to where its model is, by settings as they were evaluated; what hinders it is told in the panel."""
+    """Move a mesh to the model's points, by evaluated settings; errors are shown in the panel."""
     try:
         _move(mesh, animated, fps)
         told = ""
@@ -125,7 +125,7 @@ def _end_render(*_: Any) -> None:
 
 @persistent
 def _look_again(*_: Any) -> None:
-    """Forget what meshes show, after undoing or opening a file, and have them evaluated."""
+    """Clear the states of meshes, after undoing or opening a file, and have them evaluated."""
     _shown.clear()
     _problems.clear()
     for mesh in bpy.data.meshes:
@@ -135,7 +135,7 @@ def _look_again(*_: Any) -> None:
 
 @persistent
 def _before_saving(filepath: str, *_: Any) -> None:
-    """Have paths that are relative to the .blend file lead to the same models from where it will be saved."""
+    """Change relative paths to reach the same models from the new place of the .blend file."""
     _paths.clear()
     for mesh in bpy.data.meshes:
         settings = mesh.mixseq
@@ -146,7 +146,7 @@ def _before_saving(filepath: str, *_: Any) -> None:
 
 @persistent
 def _after_saving(filepath: str, *_: Any) -> None:
-    """Undo that where a copy was saved."""
+    """Restore the paths after a copy was saved."""
     if filepath == bpy.data.filepath:
         return
     for mesh in bpy.data.meshes:
@@ -169,13 +169,13 @@ _HANDLERS = {
 
 
 def register() -> None:
-    """Have Blender call us."""
+    """Register the handlers."""
     for event, handler in _HANDLERS.items():
         getattr(bpy.app.handlers, event).append(handler)
 
 
 def unregister() -> None:
-    """Be called no more, and give the memory back."""
+    """Remove the handlers, and free the memory."""
     for event, handler in _HANDLERS.items():
         getattr(bpy.app.handlers, event).remove(handler)
     frames.clear()

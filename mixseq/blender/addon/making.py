@@ -11,7 +11,7 @@ from mixseq.sequence_header import SequenceHeader
 
 
 def new_mesh(header: SequenceHeader, part: str) -> bpy.types.Mesh:
-    """Make a mesh of one of those that a model joins, "" for all; its vertices are where `live` moves them."""
+    """Make a mesh of one part of a model, "" for all; `live` moves its vertices."""
     parts = MeshParts.of(header, part)
     vertices, _ = part_of(header, part)
     mesh = bpy.data.meshes.new(part.rpartition("/")[2] or header.name)
@@ -36,7 +36,7 @@ def new_mesh(header: SequenceHeader, part: str) -> bpy.types.Mesh:
 
 
 def _material(name: str) -> bpy.types.Material | None:
-    """Return the material of a name, which may be there already."""
+    """Return the material of a name, new or existing."""
     return (bpy.data.materials.get(name) or bpy.data.materials.new(name)) if name else None
 
 

@@ -1,4 +1,4 @@
-"""Where users see it: a panel among the properties of a mesh."""
+"""The user interface: a panel among the properties of a mesh."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ class MotionPanel(bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        """Tell whether a mesh is shown."""
+        """Return whether a mesh is shown."""
         return context.mesh is not None
 
     def draw(self, context: Any) -> None:
-        """Draw it."""
+        """Draw the panel."""
         settings, layout = context.mesh.mixseq, self.layout
         layout.use_property_split = True
         layout.operator(importing.AttachModel.bl_idname, text="Open", icon="FILE_FOLDER")
@@ -65,10 +65,10 @@ def _tell(layout: Any, text: str, width: int) -> None:
 
 
 def register() -> None:
-    """Add it."""
+    """Register the panel."""
     bpy.utils.register_class(MotionPanel)
 
 
 def unregister() -> None:
-    """Take it away."""
+    """Unregister the panel."""
     bpy.utils.unregister_class(MotionPanel)

@@ -1,4 +1,4 @@
-"""What a .blend file keeps of a mesh that a model moves, named as Blender names the same of its cache files."""
+"""Settings of a mesh moved by a model, kept in .blend files and named as those of Blender's cache files."""
 
 from __future__ import annotations
 
@@ -13,18 +13,15 @@ from mixseq.blender.frames import MEMORY
 UP_AXES = [(axis, f"{axis} Up", f"{axis} points up in the model") for axis in "XYZ"]
 
 _RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5) else set()
-"""Since this version Blender wants to be told that paths may begin with //."""
+"""Option for paths that may begin with //, required by this version of Blender and later."""
 
 
 def _changed(settings: MotionSettings, context: Any) -> None:
-    settings.id_data.update_tag()  # makes Blender evaluate the mesh, and so tell `live`
+    settings.id_data.update_tag()  # makes Blender evaluate the mesh, which calls `live`
 
 
 class MotionSettings(bpy.types.PropertyGroup):
-    """Of a mesh: the model that moves it, and which of its moments is shown.
-
-    They are the mesh's and not the object's, so that linked duplicates move alike and cost nothing.
-    """
+    """Settings of a mesh, shared by linked duplicates: the model that moves it, and the frame that is shown."""
 
     filepath: StringProperty(
         name="Model",
@@ -64,12 +61,12 @@ class MotionSettings(bpy.types.PropertyGroup):
 
     @property
     def path(self) -> Path:
-        """Where the model is; of meshes linked from another .blend file, relative to that."""
+        """Path of the model; of meshes linked from another .blend file, relative to that."""
         return Path(bpy.path.abspath(self.filepath, library=self.id_data.library))
 
 
 class Preferences(bpy.types.AddonPreferences):
-    """Of the add-on: how much it keeps."""
+    """Preferences of the add-on: the memory for frames."""
 
     bl_idname = __package__
 
@@ -81,25 +78,25 @@ class Preferences(bpy.types.AddonPreferences):
     )
 
     def draw(self, context: Any) -> None:
-        """Draw them."""
+        """Draw the preferences."""
         self.layout.prop(self, "megabytes")
 
 
 def memory() -> int:
-    """Return how many bytes of frames to keep."""
+    """Return the largest number of bytes of cached frames."""
     addon = bpy.context.preferences.addons.get(__package__)
     return MEMORY if addon is None or addon.preferences is None else addon.preferences.megabytes << 20
 
 
 def register() -> None:
-    """Give all meshes settings."""
+    """Add the settings to all meshes."""
     bpy.utils.register_class(MotionSettings)
     bpy.utils.register_class(Preferences)
     bpy.types.Mesh.mixseq = PointerProperty(type=MotionSettings)
 
 
 def unregister() -> None:
-    """Take them away; files keep what they have of them."""
+    """Remove the settings; files keep their values."""
     del bpy.types.Mesh.mixseq
     bpy.utils.unregister_class(Preferences)
     bpy.utils.unregister_class(MotionSettings)

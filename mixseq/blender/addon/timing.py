@@ -1,6 +1,6 @@
-"""Which frame of a model is shown: that of the scene, by a driver, until the user asks for keys to retime it.
+"""The frame of a model that is shown: that of the scene, by a driver, or by keys after retiming.
 
-With either the mesh is animated data, without which Blender's exporters would write one frame.
+Either makes the mesh animated data, without which Blender's exporters write one frame.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ import bpy
 from . import live
 
 BLUR = "mixseq motion blur"
-"""Name of the modifier that does nothing."""
+"""Name of the empty modifier for motion blur."""
 
 
 def follow_scene(mesh: bpy.types.Mesh) -> None:
-    """Have a mesh show the frame of the scene; keys of an earlier model stay as they are."""
+    """Drive a mesh by the frame of the scene; keys of an earlier model are kept."""
     if not _is_animated(mesh):
         mesh.mixseq.driver_add("frame").driver.expression = "frame"
 
 
 def let_blur(thing: bpy.types.Object) -> None:
-    """Have renderers look at an object between frames, too: they do if a modifier deforms it, also by nothing."""
+    """Add an empty modifier to an object: renderers evaluate sub-frames of objects with modifiers only."""
     if BLUR not in thing.modifiers:
         nothing = thing.modifiers.new(BLUR, "SMOOTH")
         nothing.iterations = 0
@@ -30,7 +30,7 @@ def let_blur(thing: bpy.types.Object) -> None:
 
 
 def linear(animated: bpy.types.ID) -> None:
-    """Have everything that is animated of a data-block go in straight lines from key to key."""
+    """Make all F-curves of a data-block linear."""
     for curve in _curves(animated):
         for point in curve.keyframe_points:
             point.interpolation = "LINEAR"
@@ -61,7 +61,7 @@ class Retime(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        """Tell whether a model moves the active object."""
+        """Return whether a model moves the active object."""
         thing = context.object
         return thing is not None and thing.type == "MESH" and thing.data.mixseq.moves
 
@@ -84,10 +84,10 @@ class Retime(bpy.types.Operator):
 
 
 def register() -> None:
-    """Add the operator."""
+    """Register the operator."""
     bpy.utils.register_class(Retime)
 
 
 def unregister() -> None:
-    """Take it away."""
+    """Unregister the operator."""
     bpy.utils.unregister_class(Retime)

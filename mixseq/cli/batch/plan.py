@@ -1,4 +1,4 @@
-"""What a batch has to do: which sequences there are, and where their models go."""
+"""Plan a batch: find the sequences, and choose the paths of their models."""
 
 from __future__ import annotations
 
@@ -19,21 +19,20 @@ _LAST_NUMBER = re.compile(r"(\d+)(?=\D*$)")
 
 @dataclass(frozen=True)
 class Asset:
-    """A sequence to be encoded."""
+    """A sequence to encode."""
 
     # Its file, or the pattern of its numbered files; absolute, as another process may have another folder.
     source: Path
     target: Path  # the model to write, absolute
     size: int  # bytes of the source, all of its files together
-    signature: str  # by this it is known again: a hash of the names, sizes and times of change of its files
+    signature: str  # hash of the names, sizes and modification times of its files
 
 
 def find_sources(paths: Iterable[Path]) -> list[Path]:
-    """Return the sequences that are meant, each once, absolute: files and patterns as they are, folders searched.
+    """Return the absolute paths of sequences, each once: files and patterns as they are, folders searched.
 
-    In a folder every file of a format that holds sequences is one, and so are files with the same name but for their
-    numbers. Models are none, nor are single meshes: those of point caches belong to them, others are told in a
-    warning. Folders in it are left alone.
+    In a folder, without its subfolders, these are files of formats for sequences, and numbered files. Models and the
+    meshes of point caches are left out, and other single meshes with a warning.
     """
     found: dict[Path, None] = {}
     for path in paths:
@@ -50,14 +49,14 @@ def find_sources(paths: Iterable[Path]) -> list[Path]:
 
 
 def files_of(source: Path) -> list[Path]:
-    """Return the file of a sequence, or its numbered files; none if they do not exist."""
+    """Return the file of a sequence, or its numbered files; empty if they do not exist."""
     from mixseq_io.numbered.names import files_of_pattern
 
     return [source] if source.exists() else [file for _, file in files_of_pattern(source)]
 
 
 def plan(sources: Sequence[Path], out: Path, names: Mapping[str, str]) -> tuple[Asset, ...]:
-    """Choose where models go: ``walk.usdc`` to ``walk.h5``, or to ``walk.usdc.h5`` if there is another walk."""
+    """Choose the paths of models: ``walk.h5`` for ``walk.usdc``, or ``walk.usdc.h5`` if there is another walk."""
     taken = {name.casefold() for name in names.values()}
     stems = Counter(stem_of(source).casefold() for source in sources if str(source) not in names)
     owners: dict[str, Path | str] = {
@@ -81,16 +80,14 @@ def plan(sources: Sequence[Path], out: Path, names: Mapping[str, str]) -> tuple[
 
 
 def _signed(files: Iterable[Path]) -> tuple[int, str]:
-    """Return the size of files, and a hash that changes with any of them."""
+    """Return the total size of files, and a hash that changes with any of them."""
     states = sorted((file.name, (state := file.stat()).st_size, state.st_mtime_ns) for file in files)
     return sum(size for _, size, _ in states), sha256(repr(states).encode()).hexdigest()
 
 
 def stem_of(source: Path) -> str:
-    """Return what a sequence is called: numbered files without their number, or by their folder if nothing is left.
+    """Return the name of a sequence: numbered files without their number, or their folder's name if nothing is left.
 
-    Examples
-    --------
     >>> [stem_of(Path("shots") / name) for name in ("walk.usdc", "run_####.obj", "%04d.ply")]
     ['walk', 'run', 'shots']
     """
@@ -134,7 +131,7 @@ def _in_folder(folder: Path) -> Iterator[Path]:
 
 
 def _is_model(file: Path) -> bool:
-    """Whether a file is a model; one that cannot be read is an asset that will fail."""
+    """Return whether a file is a model; an unreadable one is an asset that will fail."""
     with suppress(FormatError):
         return is_model(file)
     return False

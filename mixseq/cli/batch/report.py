@@ -1,4 +1,4 @@
-"""The report of a batch: what became of every asset. In JSON, from which a batch goes on, and in Markdown."""
+"""The report of a batch, with the result of every asset: in JSON, for resuming the batch, and in Markdown."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ HEADING = ("asset", "frames", "vertices", "time", "max error", "KG error", "size
 
 @dataclass(frozen=True)
 class Entry:
-    """What became of an asset."""
+    """The result of an asset."""
 
     source: str  # absolute path of the sequence, or pattern of its numbered files
     target: str  # absolute path of the model
     source_bytes: int  # size of the source, all of its files together
     source_signature: str  # hash of the names, sizes and modification times of its files
-    settings: Mapping[str, Any]  # how it was to be encoded
-    state: Literal["done", "failed", "left"] = "left"  # left are those that nobody came to
+    settings: Mapping[str, Any]  # settings of the encoding
+    state: Literal["done", "failed", "left"] = "left"  # left: not started
     frames: int | None = None  # number of frames
     vertices: int | None = None  # number of vertices
     seconds: float | None = None  # time of encoding, without the check
     max_error: float | None = None  # largest error of a vertex in diagonals, decoded
-    kg_percent: float | None = None  # karni-Gotsman error
+    kg_percent: float | None = None  # Karni-Gotsman error
     bytes: int | None = None  # size of the model
     bits: float | None = None  # the same in bits per vertex and frame
     message: str = ""  # why it failed
-    warnings: tuple[str, ...] = field(default=())  # what was told while it was read
+    warnings: tuple[str, ...] = field(default=())  # warnings while reading
 
     @classmethod
     def of(cls, asset: Asset, settings: Mapping[str, Any], **result: Any) -> Entry:
@@ -43,7 +43,7 @@ class Entry:
         return cls(str(asset.source), str(asset.target), asset.size, asset.signature, settings, **result)
 
     def holds_for(self, asset: Asset, settings: Mapping[str, Any]) -> bool:
-        """Whether the asset is done: by this source, with these settings, and the model is still there."""
+        """Return whether the asset is done: same source and settings, and the model still exists."""
         same = Entry.of(asset, settings)
         told = ("source", "target", "source_bytes", "source_signature", "settings")
         return (
@@ -56,27 +56,27 @@ class Entry:
 
 @dataclass(frozen=True)
 class Report:
-    """Entries by their sources, and whether the batch came to its end."""
+    """Entries by their sources, and whether the batch is complete."""
 
     entries: Mapping[str, Entry]
     finished: bool = False
 
     def with_entry(self, entry: Entry) -> Report:
-        """Return the report with another entry for its source."""
+        """Return the report with an entry replaced or added."""
         return replace(self, entries={**self.entries, entry.source: entry})
 
     def of(self, assets: Iterable[Asset]) -> Report:
-        """Return the report of some assets only, in their order."""
+        """Return the report of these assets only, in their order."""
         return replace(self, entries={key: self.entries[key] for key in (str(a.source) for a in assets)})
 
     def without_lost(self) -> Report:
-        """Return the report without entries whose source is gone; their models stay where they are."""
+        """Return the report without entries whose source is gone; their models are kept."""
         return replace(
             self, entries={key: entry for key, entry in self.entries.items() if files_of(Path(key))}
         )
 
     def of_others(self, assets: Iterable[Asset], folder: Path) -> list[Path]:
-        """Return the files that a batch would replace in a folder, and that it did not make or somebody changed."""
+        """Return files in a folder that the batch would replace, but did not make, or that changed since."""
         found = [
             folder / asset.target.name for asset in assets if asset.target.exists() and not self._made(asset)
         ]
@@ -84,7 +84,7 @@ class Report:
         return found + [table] * (table.exists() and not (folder / "report.json").exists())
 
     def _made(self, asset: Asset) -> bool:
-        """Whether the model of an asset is as a batch left it."""
+        """Return whether the model of an asset is unchanged since a batch wrote it."""
         entry = self.entries.get(str(asset.source))
         return (
             entry is not None
@@ -93,18 +93,18 @@ class Report:
         )
 
     def count(self, state: str) -> int:
-        """Return how many entries are in a state."""
+        """Return the number of entries in a state."""
         return sum(entry.state == state for entry in self.entries.values())
 
     def summary(self) -> str:
-        """Return one line about all of them."""
+        """Return one line about all entries."""
         return ", ".join(
             f"{self.count(state)} {state}" for state in ("done", "failed", "left") if self.count(state)
         )
 
 
 def read_report(folder: Path) -> Report:
-    """Read the report in a folder; without one, or of nothing, it is empty."""
+    """Read the report in a folder; empty if there is none."""
     path = folder / "report.json"
     if not path.exists():
         return Report({})
@@ -115,7 +115,7 @@ def read_report(folder: Path) -> Report:
             Entry(**{key: value for key, value in asset.items() if key in known})
             for asset in stored["assets"]
         ]
-        rows(entries)  # whatever cannot be shown is no entry
+        rows(entries)  # raises an error for damaged entries
         if not all(isinstance(each, str) for entry in entries for each in (entry.source, entry.target)):
             raise TypeError("a path is no text")
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
@@ -124,7 +124,7 @@ def read_report(folder: Path) -> Report:
 
 
 def write_report(folder: Path, report: Report) -> None:
-    """Write ``report.json`` and ``report.md``, each as a whole."""
+    """Write ``report.json`` and ``report.md``, each atomically."""
     from mixseq_io.atomic import replacing
 
     stored = {

@@ -1,4 +1,4 @@
-"""Encode assets, one after the other or on a cluster, and keep the report."""
+"""Encode assets, one after the other or on a cluster, and keep the report up to date."""
 
 from __future__ import annotations
 
@@ -26,23 +26,19 @@ if TYPE_CHECKING:
     from mixseq.mapping import Executor
 
 Settings = Mapping[str, Any]
-"""The settings of `mixseq.fit`, or under ``aim`` those of `mixseq.compress`, and under ``reading`` those of the
-readers; all of them can be written as JSON."""
+"""Settings of `mixseq.fit`, those of `mixseq.compress` under ``aim``, of readers under ``reading``; JSON values."""
 
 Work = Callable[[Settings, Iterable[Asset]], Iterator[tuple[Asset, Callable[[], Entry]]]]
-"""Yields assets as they are done, with a function that returns what became of each."""
+"""Yield finished assets, with a function that returns the entry of each."""
 
 UNFINISHED = ".unfinished"
-"""Folder for models that are not finished."""
+"""Folder of unfinished models."""
 
 
 def run(
     assets: Iterable[Asset], settings: Settings, earlier: Report, out: Path, work: Work, force: bool
 ) -> Report:
-    """Encode the assets that are not done yet.
-
-    The report is on the disk before the work starts, and after every asset: whatever happens, it tells what is left.
-    """
+    """Encode the assets that are not done yet; the report is written before the work, and after every asset."""
     assets = list(assets)
     with _alone(out):
         return _run(assets, settings, earlier, out, work, force)
@@ -50,7 +46,7 @@ def run(
 
 @contextmanager
 def _alone(out: Path) -> Iterator[None]:
-    """Hold the folder for as long as a batch writes there, by a lock that the system lifts if the process dies."""
+    """Lock the folder while a batch writes there; the system frees the lock if the process dies."""
     try:
         import fcntl
     except ImportError:  # Windows has no such locks
@@ -105,7 +101,7 @@ def _entry(asset: Asset, settings: Settings, result: Callable[[], Entry]) -> Ent
 
 
 def in_turn(workers: Executor, progress: Progress) -> Work:
-    """Return what encodes assets here, one after the other, the frames of each spread over `workers`."""
+    """Return a function that encodes assets here, one after the other, the frames of each spread over `workers`."""
 
     def work(settings: Settings, assets: Iterable[Asset]) -> Iterator[tuple[Asset, Callable[[], Entry]]]:
         left = list(assets)
@@ -118,7 +114,7 @@ def in_turn(workers: Executor, progress: Progress) -> Work:
 
 
 def on_cluster(cluster: Cluster, progress: Progress) -> Work:
-    """Return what encodes assets on a cluster, each by one worker."""
+    """Return a function that encodes assets on a cluster, each by one worker."""
 
     def work(settings: Settings, assets: Iterable[Asset]) -> Iterator[tuple[Asset, Callable[[], Entry]]]:
         left = list(assets)
@@ -137,10 +133,7 @@ def _naming(place: str, progress: Progress) -> Progress:
 def encode_asset(
     settings: Settings, asset: Asset, workers: Executor | None = None, progress: Progress = silent
 ) -> Entry:
-    """Encode an asset, decode and compare it. The model appears when all of that went well.
-
-    What goes wrong is told in the entry: others of the batch may do better.
-    """
+    """Encode an asset, decode and compare it, then move the model into place; errors are recorded in the entry."""
     try:
         with warnings.catch_warnings(record=True) as told:
             warnings.simplefilter("always", MixseqWarning)
@@ -154,7 +147,7 @@ def encode_asset(
     except MemoryError:
         message = "there is not enough memory"
     except Exception as error:
-        # A bug, but no reason to leave the other assets.
+        # A bug; the other assets go on.
         message = (
             f"a bug in mixseq, {type(error).__name__}: {error}; `mixseq encode` tells more, please report it"
         )

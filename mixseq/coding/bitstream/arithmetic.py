@@ -1,13 +1,11 @@
-"""Bits that are predicted become bytes, and bytes these bits again (arithmetic coding).
+"""Binary arithmetic coding: predicted bits to bytes, and back.
 
-Whoever codes and whoever decodes knows, before each bit, how likely it is to be 1. An interval of 32-bit numbers is cut
-in two in that proportion, and the half of the bit is kept; bytes on which both of its ends agree are done. What is
-likely takes little of a bit, and the loss against the ideal is below a thousandth.
+Encoder and decoder share a probability for each bit. An interval of 32-bit numbers is split in that proportion, and the
+bit's half is kept; bytes on which both ends agree are output. The loss against the ideal is below a thousandth.
 
-The chance of a bit depends on the bits before it, so the cut is made inside compiled loops, which no library that is
-called with arrays can do.
+The probability of a bit depends on the bits before it, so the split is made inside compiled loops.
 
-Frozen: changing this breaks old files (golden: ``tests/coding/golden/*.npz``). All of it is whole numbers below 2^49.
+Frozen: changing this breaks old files (golden: ``tests/coding/golden/*.npz``). All values are integers below 2^49.
 """
 
 from __future__ import annotations
@@ -21,26 +19,26 @@ from mixseq.arrays import Index
 from mixseq.compiled import joined
 
 ONE = 1 << 16
-"""Chances are whole numbers from 1 to 65535, in units of 2^-16. Frozen: breaks old files."""
+"""Unit of probabilities, which are integers from 1 to 65535 times 2^-16. Frozen: breaks old files."""
 
 _TOP = (1 << 32) - 1
-"""Ends of intervals are from 0 to this. Frozen: breaks old files."""
+"""Largest end of an interval. Frozen: breaks old files."""
 
 BYTES_BEYOND = 4
-"""So many bytes may be asked for beyond the end; they are zero. Frozen: breaks old files."""
+"""Zero bytes that may be read beyond the end of the stream. Frozen: breaks old files."""
 
 
 class Coded(NamedTuple):
-    """Bytes, and how far they have been written or read."""
+    """A byte buffer with the state of writing or reading."""
 
     decoding: bool  # whether bits are read
     data: NDArray[np.uint8]  # (n,) the bytes, or room for them
-    place: Index  # (1,) where the next byte is, or goes
+    place: Index  # (1,) position of the next byte
     interval: Index  # (3,) both ends of the interval, and if decoding the number in it
 
 
 def to_write(room: int) -> Coded:
-    """Return room for so many bytes."""
+    """Return an empty buffer for writing `room` bytes."""
     return Coded(
         False,
         np.zeros(room, dtype=np.uint8),
@@ -50,7 +48,7 @@ def to_write(room: int) -> Coded:
 
 
 def with_room(coded: Coded, room: int) -> Coded:
-    """Return the same with room for at least so many bytes more."""
+    """Return the buffer with room for at least `room` more bytes."""
     done = int(coded.place[0])
     if len(coded.data) - done >= room:
         return coded
@@ -60,14 +58,14 @@ def with_room(coded: Coded, room: int) -> Coded:
 
 
 def to_read(data: bytes) -> Coded:
-    """Return the state in which the first bit is read of what `written` returned."""
+    """Return the state for reading the first bit of the output of `written`."""
     padded = np.frombuffer(data + bytes(BYTES_BEYOND), dtype=np.uint8).copy()
     first = int.from_bytes(padded[:4].tobytes(), "big")
     return Coded(True, padded, np.array([4], dtype=np.int64), np.array([0, _TOP, first], dtype=np.int64))
 
 
 def written(coded: Coded) -> bytes:
-    """Return the bytes of all bits: of the numbers in the interval that which needs the fewest."""
+    """Return the bytes of all bits, ended by the number of the interval that takes the fewest bytes."""
     low, high = int(coded.interval[0]), int(coded.interval[1])
     last = b""
     for size in range(5):
@@ -80,13 +78,13 @@ def written(coded: Coded) -> bytes:
 
 
 def is_beyond(coded: Coded) -> bool:
-    """Whether more bits were read than there are."""
+    """Return whether more bits were read than there are."""
     return int(coded.place[0]) > len(coded.data) + BYTES_BEYOND
 
 
 @joined
 def code_bit(coded: Coded, chance: int, bit: int) -> int:
-    """Write a bit, or read one, which is 1 with a chance of so many 65536ths; return it."""
+    """Write or read a bit whose probability of being 1 is `chance` / 65536; return it."""
     low, high = coded.interval[0], coded.interval[1]
     middle = low + (((high - low) * chance) >> 16)
     if coded.decoding:
@@ -110,7 +108,7 @@ def code_bit(coded: Coded, chance: int, bit: int) -> int:
 
 @joined
 def code_number(coded: Coded, size: int, number: int) -> int:
-    """Write or read the last `size` bits of a number of which nothing is known, and return them."""
+    """Write or read the last `size` bits of a number without a model, and return them."""
     found = 0
     for place in range(size - 1, -1, -1):
         found = (found << 1) | code_bit(coded, 32768, (number >> place) & 1)

@@ -1,20 +1,18 @@
-r"""How likely the next bit is, from several contexts at once (logistic mixing), learned from the bits before.
+r"""Predict the probability of the next bit from several contexts by logistic mixing, learned from the bits before.
 
-A bit is at a *position* (first question about a number, second, ...) and in a *context* of every input: a small whole
-number that says what is known. In context :math:`c` of input :math:`i` bits at that position were 1 with the relative
-frequency :math:`p_{ic}`, counted :math:`n_{ic}` times. The inputs are mixed in the logistic domain (Mahoney 2005,
-*Adaptive weighing of context models for lossless data compression*),
+A bit has a *position* (first question about a number, second, ...) and a *context* in every input, a small integer. In
+context :math:`c` of input :math:`i` bits at that position were 1 with the relative frequency :math:`p_{ic}`, counted
+:math:`n_{ic}` times. Inputs are mixed in the logistic domain (Mahoney 2005, *Adaptive weighing of context models for
+lossless data compression*),
 
 .. math:: x_i = \frac{n_{ic}}{n_{ic} + 1} \ln \frac{p_{ic}}{1 - p_{ic}}, \qquad x = \sum_i w_i x_i,
           \qquad p = \frac{1}{1 + e^{-x}}
 
-so that a context that was never seen says nothing. After the bit :math:`b` is known the frequencies move towards it,
-and the weights of the position by :math:`w_i \leftarrow w_i + \eta (b - p) x_i`.
+so that a new context contributes nothing. After the bit :math:`b`, frequencies move towards it, and weights of the
+position by :math:`w_i \leftarrow w_i + \eta (b - p) x_i`.
 
-All of it is done with whole numbers: :math:`p` in units of :math:`2^{-16}`, :math:`x` of :math:`2^{-8}`, :math:`w` of
-:math:`2^{-16}`.
-
-Frozen: changing this breaks old files (golden: ``tests/coding/golden/*.npz``).
+All values are integers: :math:`p` in units of :math:`2^{-16}`, :math:`x` of :math:`2^{-8}`, :math:`w` of
+:math:`2^{-16}`. Frozen: changing this breaks old files (golden: ``tests/coding/golden/*.npz``).
 """
 
 from __future__ import annotations
@@ -30,25 +28,25 @@ from mixseq.coding.bitstream.arithmetic import Coded, code_bit
 from mixseq.compiled import joined
 
 _FAR = 2047
-"""Largest magnitude of x, in units of 2^-8: about 8, a chance of 1 in 3000. Frozen: breaks old files."""
+"""Largest magnitude of x, in units of 2^-8: about 8, a probability of 1 in 3000. Frozen: breaks old files."""
 
 _PATIENCE = 255
-"""Frequencies follow their last so many bits. Frozen: breaks old files."""
+"""Largest count in the running mean of a frequency. Frozen: breaks old files."""
 
 _RATE = 48
-"""The rate of weights, in 1 / 4096 of x's and p's units. Frozen: breaks old files."""
+"""Learning rate of weights, in 1 / 4096 of x's and p's units. Frozen: breaks old files."""
 
 _LEAST = 16
-"""No bit is likelier than all but so many 65536ths. Frozen: breaks old files."""
+"""Smallest probability of either bit, in units of 2^-16. Frozen: breaks old files."""
 
 
 class BitModels(NamedTuple):
-    """What is known about bits to come."""
+    """Frequencies and mixing weights of bits, by position and context."""
 
-    # (inputs, contexts, positions) frequencies of 1 and from how many bits they are: 256 p + n.
+    # (inputs, contexts, positions) frequencies of 1, and the numbers of bits counted: 256 p + n.
     shares: NDArray[np.int32]
     weights: Index  # (kinds, inputs) weights. Kinds are the positions, unless contexts tell these apart
-    contexts: Index  # (inputs,) to be set before a bit: what the inputs know
+    contexts: Index  # (inputs,) current contexts, set before every bit
     inputs: Index  # (inputs,) the inputs x of the current bit
     stretch: Index  # (4096,) table of x by p, with p in units of 2^-12
     squash: Index  # (2 _FAR + 1,) table of p by x, from x = -_FAR on
@@ -57,7 +55,7 @@ class BitModels(NamedTuple):
 
 
 def bit_models(inputs: int, contexts: int, positions: int, kinds: int | None = None) -> BitModels:
-    """Return models that have learned nothing; by default every position is a kind."""
+    """Return untrained models; by default every position is a kind."""
     return BitModels(
         np.full((inputs, contexts, positions), 1 << 23, dtype=np.int32),
         np.full((kinds or positions, inputs), ((1 << 16) + inputs // 2) // inputs, dtype=np.int64),
@@ -93,13 +91,13 @@ def _logistic_tables() -> tuple[Index, Index]:
 
 @joined
 def code(coded: Coded, models: BitModels, position: int, bit: int) -> int:
-    """Write or read a bit at a position, in the contexts that were set, learn from it, and return it."""
+    """Write or read a bit at a position in the current contexts, update the models, and return it."""
     return code_of_kind(coded, models, position, position, bit)
 
 
 @joined
 def code_of_kind(coded: Coded, models: BitModels, position: int, kind: int, bit: int) -> int:
-    """Write or read a bit as `code` does, with the weights of a kind."""
+    """Write or read a bit as `code` does, with the mixing weights of a kind."""
     shares, weights, inputs, contexts = models.shares, models.weights, models.inputs, models.contexts
     x = 0
     for i in range(len(inputs)):

@@ -1,6 +1,6 @@
-"""A compressed sequence: the streams and parameters that a file holds, and how they decode to a model.
+"""A compressed sequence: the streams and parameters in a file, and decoding them to a model.
 
-Frozen: the names and meanings of the parameters are those of the JSON text in files; changing them breaks old files
+Frozen: names and meanings of the parameters are those of the JSON text in files; changing them breaks old files
 (golden: ``tests/formats/golden/compressed-v1.h5``).
 """
 
@@ -39,39 +39,39 @@ from mixseq.spaces.vertex import VertexSpace
 from mixseq.threads import one_blas_thread
 
 SHORTEST, LONGEST = 0.5, 64.0
-"""Lengths that files may have. Frozen: they are part of the format."""
+"""Range of lengths in files. Frozen: part of the format."""
 
 
 @dataclass(frozen=True)
 class Chunk:
-    """Consecutive frames, which can be decoded without those of other chunks."""
+    """Consecutive frames that can be decoded without those of other chunks."""
 
     first: int  # first frame
     count: int  # number of frames
     coefficients: bytes  # the coefficients of the spatial basis at these frames
-    # The residual layer, which brings vertices below the bound; empty if nothing has to.
+    # The residual layer, which brings vertices within the bound; empty if all are.
     residuals: bytes = b""
 
 
 @dataclass(frozen=True)
 class CodingParameters:
-    """What has to be known to decode, all of it plain numbers and strings, with the names that they have in files."""
+    """Parameters needed for decoding: numbers and strings, named as in files."""
 
     factors: BasisKind  # kind of the spatial basis: see mixseq.coding.bitstream.spatial_basis
     rank: int  # number K of basis vectors that are coded, of all parts together
     frame_count: int  # number T of frames
     step: float  # quantisation step, in the units of the sequence
     diagonal: float  # diagonal of the bounding box of the first frame, in the units of the sequence
-    # Largest distance of a vertex from the original at the frames, in diagonals, measured by decoding; a promise.
+    # Guaranteed largest distance of a vertex from the original at the frames, in diagonals, measured by decoding.
     max_error: float
-    kg_percent: float  # kG error of all frames, measured
-    # Whether max_error was asked for: then it is the bound that was asked for, and the residual layer sees to it.
+    kg_percent: float  # KG error of all frames, measured
+    # Whether max_error was requested: then it is the requested bound, kept by the residual layer.
     promised: bool
     correction: float = 0.0  # unit of the residual layer, in the units of the sequence; zero if there is none
     ranks: tuple[int, ...] = ()  # number of basis vectors of every part, if the mesh has several
-    # Texture coordinates are multiples of one by this number. None if there are none, or they are as they were.
+    # Steps per unit of texture coordinates. None if there are none, or they are not rounded.
     uv_steps: int | None = None
-    # Largest difference of u and of v from the original; a promise. None as uv_steps.
+    # Guaranteed largest difference of u and of v from the original. None as uv_steps.
     uv_error: float | None = None
 
     def __post_init__(self) -> None:
@@ -113,7 +113,7 @@ class CodingParameters:
 
 @dataclass(frozen=True)
 class BetweenFrames:
-    """How coefficients are predicted between frames: what `mixseq.prediction.operator.chosen` found."""
+    """The prediction of coefficients between frames, as found by `mixseq.prediction.operator.chosen`."""
 
     length: float  # length of the covariance, in mean steps between frames: from 0.5 to 64, or infinite
     # Shares of the usual cubic spline in the first and in the last interval, from 0 to 1.
@@ -139,16 +139,16 @@ def _is_number(value: object) -> bool:
 
 @dataclass(frozen=True)
 class CompressedSequence:
-    """A compressed sequence, as a file holds it."""
+    """A compressed sequence as stored in a file."""
 
     header: SequenceHeader  # mesh and times
-    parameters: CodingParameters  # how to read the streams
+    parameters: CodingParameters  # parameters of the streams
     # The spatial basis, in groups; each group needs those before it, and makes the sequence more accurate.
     basis: tuple[bytes, ...]
     chunks: tuple[Chunk, ...]  # signals over time: all frames, in order
-    # What has the numbers of the original: vertices and polygons, vertices only, or neither. Decoders do not need it.
+    # Numbers kept from the original: vertices and polygons, vertices only, or neither. Decoders ignore it.
     order: OrderName = "keep"
-    # How coefficients are predicted between frames. None if that is chosen anew by whoever decodes them.
+    # Prediction of coefficients between frames. None if the decoder chooses it.
     between: BetweenFrames | None = None
 
 
@@ -158,13 +158,13 @@ def to_model(coded: CompressedSequence) -> Model:
 
 
 def decode(coded: CompressedSequence) -> tuple[Model, BetweenFrames]:
-    """Decode a compressed sequence, as `to_model`, and tell how its coefficients are predicted between frames."""
+    """Decode a compressed sequence as `to_model` does; also return the prediction of coefficients between frames."""
     parameters, header = coded.parameters, coded.header
     graph = mesh_graph(header.faces, header.vertex_count)
     with (
         one_blas_thread(),
         np.errstate(divide="ignore", over="ignore", invalid="ignore"),
-    ):  # what is not finite is damaged
+    ):  # damaged if not finite
         basis = decode_basis(coded, graph)
         coefficients = np.concatenate([decode_coefficients(coded, chunk, basis) for chunk in coded.chunks])
         if not (np.isfinite(basis.norms).all() and np.isfinite(coefficients).all()):
@@ -214,13 +214,13 @@ def decode_basis(coded: CompressedSequence, graph: SignalGraph) -> SpatialBasis:
 
 
 def decode_coefficients(coded: CompressedSequence, chunk: Chunk, basis: SpatialBasis) -> Float:
-    """Return the coefficients ``(n, K, d)`` of a chunk's frames, as many as the basis has varying vectors."""
+    """Return the coefficients ``(n, K, d)`` of a chunk's frames, for the K varying vectors of the basis."""
     parameters = coded.parameters
     return read_coefficients(basis, chunk.coefficients, chunk.count, parameters.step)
 
 
 def _affine(basis: SpatialBasis, coefficients: Float, unit: float) -> tuple[ShapeSpace, Float, Float, Float]:
-    """Return a space, and frames in it as mean plus scores ``(T, r)`` times directions ``(r, D)``."""
+    """Return a shape space, and its frames as mean plus scores ``(T, r)`` times directions ``(r, D)``."""
     if basis.kind == "shapes":
         vectors = basis.vectors.transpose(0, 2, 1).reshape(len(basis.vectors), -1) / unit
         mean = vectors[0] / np.sqrt(basis.frame_count)
@@ -228,7 +228,7 @@ def _affine(basis: SpatialBasis, coefficients: Float, unit: float) -> tuple[Shap
     space = BasisSpace(basis.vectors[:, 0], unit)
     rows = coefficients.reshape(len(coefficients), -1) / unit
     mean = rows.mean(axis=0)
-    # PCA: pose space shall have the coordinates in which most of the motion is.
+    # PCA: coordinates of the pose space are those of most motion.
     left, sizes, right = np.linalg.svd((rows - mean) * space.weights, full_matrices=False)
     kept = sizes > NEGLIGIBLE * sizes.max(initial=0.0)
     return space, left[:, kept] * sizes[kept], mean, right[kept] / space.weights

@@ -1,16 +1,15 @@
-r"""Code polygons without loss: the order of vertices and faces, and first corners, stay as they are.
+"""Code polygons without loss: the order of vertices and faces, and first corners, are kept.
 
-Users number vertices and faces, so a coder may not renumber them, as Edgebreaker and its like do. Corners are coded one
-after the other, in their order, and predicted from the mesh so far, from the polygons before, and from the numbers of
-their neighbours (in the spirit of the index codec of *meshoptimizer*, which knows recent edges only). What the
-predictions are worth is learned bit by bit, by `mixseq.coding.bitstream.hashed_contexts`. Meshes whose order is
-coherent take 2 to 10 bits for a triangle; what has no order takes what the order itself is worth, about half a
-logarithm of V! F!.
+Users number vertices and faces, so they cannot be renumbered as Edgebreaker does. Corners are coded in their order, and
+predicted from the mesh so far, from the polygons before, and from the numbers of their neighbours (in the spirit of the
+index codec of *meshoptimizer*). Probabilities of the predictions are learned bit by bit
+(`mixseq.coding.bitstream.hashed_contexts`). Meshes in coherent order take 2 to 10 bits per triangle; random order takes
+about half a logarithm of V! F!.
+
+**The bits.** For every polygon, its number of corners minus that of the polygon before (3 for the first), then its
+corners, as specified in `mixseq.coding.bitstream.connectivity_kernels`. Then the `decoded_check` of both.
 
 Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``).
-
-**The bits.** For every polygon, its number of corners less that of the polygon before (3 for the first), then its
-corners, as `mixseq.coding.bitstream.connectivity_kernels` says. Behind them is the `decoded_check` of both.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from mixseq.polygons import Polygons
 
 
 def encode_polygons(polygons: Polygons, vertex_count: int) -> bytes:
-    """Code polygons so that `decode_polygons` returns the same."""
+    """Code polygons for `decode_polygons`."""
     if not len(polygons.counts):
         return b""
     lowest, highest = int(polygons.indices.min()), int(polygons.indices.max())
@@ -43,7 +42,7 @@ def encode_polygons(polygons: Polygons, vertex_count: int) -> bytes:
 
 
 def decode_polygons(data: bytes, polygon_count: int, corner_count: int, vertex_count: int) -> Polygons:
-    """Return the polygons that `encode_polygons` coded."""
+    """Decode the polygons written by `encode_polygons`."""
     mesh = f"{polygon_count} polygons with {corner_count} corners and {vertex_count} vertices"
     if (
         polygon_count < 0
@@ -65,6 +64,6 @@ def decode_polygons(data: bytes, polygon_count: int, corner_count: int, vertex_c
 
 
 def _most_bits(polygon_count: int, corner_count: int, vertex_count: int) -> int:
-    """Return how many bits a mesh can take: guesses, and numbers for counts, states (up to 1) and distances."""
+    """Return the largest number of bits of a mesh: guesses, and numbers for counts, states (up to 1) and distances."""
     count, state, distance = (2 + 2 * most.bit_length() for most in (corner_count, 1, vertex_count))
     return polygon_count * count + corner_count * (GUESSES + state + distance)

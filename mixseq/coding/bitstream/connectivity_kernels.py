@@ -1,15 +1,15 @@
-"""The loop over all corners of a mesh that `mixseq.coding.bitstream.connectivity` describes, for coding and decoding.
+"""The compiled loop over all corners of a mesh of `mixseq.coding.bitstream.connectivity`, for coding and decoding.
 
-Every guess at a corner (`corner_guesses`) that is a vertex and was not guessed before is a bit: whether it is the one.
-If none is, the vertex is *named*: its state as a number (-1 unused, 0 open, 1 closed), and how many vertices of this
-state it comes after a base; the base is the one that was nearest on average among the one after the last new vertex,
-the corner before, the vertex named last at this place, and the corners of the last two polygons. A number is coded as
-whether it is not 0, whether it is negative, whether its magnitude has a second bit, a third, ..., and its bits after
-the highest. The contexts of all bits are specified here.
+Every new guess at a corner (`corner_guesses`) that is a vertex is one bit: whether it is right. If none is, the vertex
+is *named*: its state as a number (-1 unused, 0 open, 1 closed), and the count of vertices of this state between a base
+and it. The base is the one nearest on average among the vertex after the last new one, the corner before, the vertex
+named last at this place, and the corners of the last two polygons. A number is coded as whether it is not 0, whether it
+is negative, whether its magnitude has a second bit, a third, ..., and its bits after the highest. The code here
+specifies the contexts of all bits.
 
-Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``). numba keeps compiled loops
-by the text of their own file, and this one contains those of `corner_guesses`, `hashed_contexts`, `bit_models`,
-`arithmetic` and `half_edges`: who changes these must change this file, too. Format 4.
+Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``). numba caches compiled loops
+by the text of their own file, and this one inlines `corner_guesses`, `hashed_contexts`, `bit_models`, `arithmetic` and
+`half_edges`: edit this file whenever these change. Format 4.
 """
 
 from __future__ import annotations
@@ -37,28 +37,25 @@ from mixseq.coding.bitstream.hashed_contexts import INPUTS, Bits, code, has_fail
 from mixseq.compiled import compiled, joined
 
 KINDS = 4 * GUESSES + 4 * 5
-"""Kinds of bits with weights of their own: of guesses by place, of numbers by what they are about. Frozen:
-breaks old files."""
+"""Kinds of bits with mixing weights of their own: guesses by place, numbers by topic. Frozen: breaks old files."""
 
 _COUNTS, _STATES = 3, 4
-"""What numbers are about: 0 to 2 distances among unused, open, closed vertices; numbers of corners; states. Frozen:
-breaks old files."""
+"""Topics of numbers: 0 to 2 ranks of unused, open, closed vertices; corner counts; states. Frozen: breaks old files."""
 
 _LONGEST = 33
 """Bits of the largest numbers. Frozen: breaks old files."""
 
 _LOOKED_AT = 32
-"""So many corners of a polygon are looked at for a vertex that comes twice: time stays bounded. Frozen: breaks old
-files."""
+"""Corners of a polygon searched for a repeated vertex, which bounds the time. Frozen: breaks old files."""
 
 
 @compiled
 def walk(bits: Bits, mesh: HalfEdges, past: Past, counts: Index, indices: Index) -> None:
-    """Code all polygons, or decode them into `counts` (P,) and `indices` (C,); `bits.failed` says if that failed."""
+    """Code all polygons, or decode them into `counts` (P,) and `indices` (C,); set `bits.failed` on failure."""
     corner = 0
-    first = previous = 0  # corners that the polygon before, and the one before that, start from
+    first = previous = 0  # first corners of the last two polygons
     last_new = -1
-    repeat = run = 0  # the corner that comes after the same differences, and for how long it was right
+    repeat = run = 0  # the corner after the same differences, and for how long it was right
     for polygon in range(len(counts)):
         start = corner
         old = counts[polygon - 1] if polygon else 3
@@ -121,7 +118,7 @@ def _vertex(
     last_new: int,
     run: int,
 ) -> tuple[int, int]:
-    """Code the vertex of a corner: the first right guess, or its state and rank. Also return which of them it was."""
+    """Code the vertex of a corner: the first right guess, or its state and rank. Also return the index of the guess."""
     count = len(mesh.states)
     vertex = indices[corner]
     before = indices[corner - 1] if corner else 0
@@ -139,7 +136,7 @@ def _vertex(
         for h in range(GUESSES):
             agreeing |= (guesses[h] == guess) << h
         if agreeing & ((1 << g) - 1):
-            continue  # it was said already that it is not this one
+            continue  # excluded already
         again = 0
         for other in range(max(start, corner - _LOOKED_AT), corner):
             again |= indices[other] == guess
@@ -164,7 +161,7 @@ def _vertex(
 def _named(
     bits: Bits, mesh: HalfEdges, past: Past, vertex: int, before: int, place: int, last_new: int
 ) -> tuple[int, int]:
-    """Code a vertex that no guess had: its state, and its distance among the vertices of this state from a base."""
+    """Code a vertex that was not guessed: its state, and its distance from a base among the vertices of this state."""
     about, bases = past.about, past.bases
     about[0] = about[4] = place
     about[1] = about[5] = (past.trail[0] << 5 | past.trail[1]) << 2 | place
@@ -217,7 +214,7 @@ def _named(
 
 @compiled
 def _number(bits: Bits, past: Past, what: int, number: int) -> int:
-    """Code a number: whether it is 0, its sign, how many bits its magnitude has, and those after the first."""
+    """Code a number: whether it is 0, its sign, the bit length of its magnitude, and the bits after the first."""
     magnitude = abs(number)
     stage = length = negative = shift = 0
     value = 1
@@ -253,7 +250,7 @@ def _number(bits: Bits, past: Past, what: int, number: int) -> int:
 
 @compiled
 def _bit_length(number: int) -> int:
-    """How many bits the magnitude of a number has."""
+    """Return the bit length of a number's magnitude."""
     rest = abs(number)
     length = 0
     while rest:
@@ -264,5 +261,5 @@ def _bit_length(number: int) -> int:
 
 @joined
 def _clamped(number: int) -> int:
-    """A small number as one from 1 to 63, larger ones as the nearest of these."""
+    """Clamp a number for use as a context, which is from 1 to 63."""
     return min(max(number, -31), 31) + 32

@@ -1,4 +1,4 @@
-r"""Guess the next corner of a mesh from earlier ones, and remember what that takes.
+"""Guess the next corner of a mesh from earlier ones, and record corners for later guesses.
 
 The *place* of a corner is 0 for the first, 1 for the second, 3 for the last and 2 for those between. With *b* the
 corner before (of any polygon; 0 at the start), *s* the first corner of this polygon (*b* at place 0), and :math:`p_0,
@@ -18,10 +18,10 @@ that, the guesses at a corner are
 14, 15   *b* + 1, *b* - 1
 =======  ====================================================================================================
 
-`mixseq.coding.bitstream.half_edges` says when half-edges are open, and vertices unused.
+`mixseq.coding.bitstream.half_edges` defines open half-edges and unused vertices.
 
-Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``). numba keeps compiled loops
-by the text of their own file: who changes this module must change `mixseq.coding.bitstream.connectivity_kernels`, too.
+Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``). numba caches compiled loops
+by the text of their own file: edit `mixseq.coding.bitstream.connectivity_kernels` whenever this module changes.
 """
 
 from __future__ import annotations
@@ -40,18 +40,18 @@ GUESSES = 16
 """Number of guesses at a corner. Frozen: breaks old files."""
 
 BASES = 9
-"""Number of vertices from which one that no guess had is counted. Frozen: breaks old files."""
+"""Number of vertices from which unguessed vertices are counted. Frozen: breaks old files."""
 
 _REPEATS = 1 << 16
-"""Slots for corners that come after certain differences. Frozen: breaks old files."""
+"""Slots of the table from three corner differences to the corner that followed. Frozen: breaks old files."""
 
 
 _NEXT, _PLACES, _MIDDLE = np.uint64(1000003), np.uint64(4), np.uint64(32)
-"""How differences are mixed to a slot, and which bits of it count. Frozen: breaks old files."""
+"""Constants of the hash from differences to a slot, and its lowest bit used. Frozen: breaks old files."""
 
 
 class Past(NamedTuple):
-    """What is remembered of earlier corners beside the mesh."""
+    """History of earlier corners beside the mesh."""
 
     guesses: Index  # (GUESSES,) guesses at the current corner, -1 if there is none
     successes: Index  # (4, GUESSES) at every place, whether the last 8 guesses were right, as bits
@@ -62,7 +62,7 @@ class Past(NamedTuple):
     bases: Index  # (BASES,) vertices from which the current one is counted
     # (3, 4, BASES) for every state, place and base: mean of the number of bits of the distance, in 256ths.
     distances: Index
-    named: Index  # (4,) the last vertex at every place that no guess had
+    named: Index  # (4,) the last unguessed vertex at every place
     last_distances: Index  # (3,) the last distance for every state
     repeats: Index  # (_REPEATS,) corners that come after certain differences, 0 for none
     about: Index  # (INPUTS,) contexts of the current number
@@ -70,7 +70,7 @@ class Past(NamedTuple):
 
 
 def no_past(vertex_count: int) -> Past:
-    """Return what is remembered at the start: nothing."""
+    """Return an empty history."""
 
     def zeros(*shape: int) -> Index:
         return np.zeros(shape, dtype=np.int64)
@@ -93,10 +93,9 @@ def no_past(vertex_count: int) -> Past:
 
 @joined
 def make_guesses(mesh: HalfEdges, past: Past, place: int, before: int, first: int, last_new: int) -> None:
-    """Guess the vertex of a corner from its neighbours in the mesh, in the polygons before, and in number.
+    """Guess the vertex of the corner at a place 0 to 3 of a polygon with the first vertex `first`.
 
-    The corner stands at a place 0 to 3 of its polygon, whose first vertex is `first`; `before` is the vertex of the
-    corner before, `last_new` the one that was last used for the first time.
+    `before` is the vertex of the corner before, `last_new` the one last used for the first time.
     """
     guesses = past.guesses
     for g in range(GUESSES):
@@ -132,7 +131,7 @@ def make_guesses(mesh: HalfEdges, past: Past, place: int, before: int, first: in
 
 @joined
 def remember(past: Past, place: int, vertex: int, winner: int) -> None:
-    """Keep which guesses at a corner were right; `winner` is the first of them, or `GUESSES` and the state."""
+    """Record the right guesses at a corner; `winner` is the first of them, or `GUESSES` plus the state."""
     for g in range(GUESSES):
         if past.guesses[g] >= 0:
             right = 1 if past.guesses[g] == vertex else 0
@@ -143,7 +142,7 @@ def remember(past: Past, place: int, vertex: int, winner: int) -> None:
 
 @joined
 def slot_of(indices: Index, corner: int, place: int) -> int:
-    """Return where it is remembered what came after the last three differences of corners, in `Past.repeats`."""
+    """Return the slot in `Past.repeats` of the last three differences of corners."""
     key = np.uint64(indices[corner] - indices[corner - 1])
     key = key * _NEXT + np.uint64(indices[corner - 1] - indices[corner - 2])
     key = key * _NEXT + np.uint64(indices[corner - 2] - indices[corner - 3])

@@ -1,7 +1,7 @@
-"""Make sure that a decoder has what an encoder had: streams end with the CRC-32 of the numbers that they decode to.
+"""Verify decoded numbers: streams end with the CRC-32 of the numbers that they decode to.
 
-Decoding repeats every prediction of the encoder. A machine that adds otherwise, a library with an error, a port that is
-nearly right, or damage on the way from the file, would end in other numbers; with this they end in one error.
+Decoding repeats every prediction of the encoder. Different rounding, an error in a library or port, and a damaged file
+would lead to other numbers; the check turns all of these into one error.
 
 Frozen: changing this breaks old files (golden: ``tests/coding/golden/*.npz``).
 """
@@ -14,26 +14,26 @@ from mixseq.arrays import IntArray
 from mixseq.errors import FormatError
 
 SIZE = 4
-"""Bytes of the CRC-32 at the end of a stream, the lowest first. Frozen: breaks old files."""
+"""Bytes of the CRC-32 at the end of a stream, lowest first. Frozen: breaks old files."""
 
 
 def check_of(numbers: IntArray, before: int = 0) -> int:
-    """Return the CRC-32 of whole numbers of any shape, 8 bytes each, after others with the CRC-32 `before`."""
+    """Return the CRC-32 of integers of any shape, 8 bytes each, continuing from the CRC-32 `before`."""
     return crc32(numbers.astype("<i8").tobytes(), before)
 
 
 def with_check(data: bytes, check: int) -> bytes:
-    """Return a stream, and behind it what it decodes to."""
+    """Append the CRC-32 of the decoded numbers to a stream."""
     return data + check.to_bytes(SIZE, "little")
 
 
 def without_check(data: bytes) -> tuple[bytes, int]:
-    """Return a stream, and what it has to decode to."""
+    """Split a stream into its data and the CRC-32 of the decoded numbers."""
     return data[:-SIZE], int.from_bytes(data[-SIZE:], "little")
 
 
 def refuse_others(found: int, expected: int) -> None:
-    """Make sure that numbers are those that were coded."""
+    """Verify that the decoded numbers have the CRC-32 of the coded ones."""
     if found != expected:
         raise FormatError(
             "coded numbers come out otherwise than they went in: the file is damaged, or this machine, or a library "

@@ -1,7 +1,7 @@
-"""Corners of polygons, and an order of polygons in which each is beside those before it.
+"""Corners of polygons, and an order of polygons in which each is adjacent to earlier ones.
 
-Polygons are visited breadth first, those with the fewest unknown nodes before others: what is on a node can then be
-predicted from polygons around it that are complete.
+Polygons are visited breadth first, those with the fewest unknown nodes first, so that values at a node are predicted
+from complete polygons around it.
 
 Frozen: changing this breaks old files (golden: ``tests/coding/golden/uvs.npz``).
 """
@@ -17,11 +17,11 @@ from mixseq.compiled import compiled
 from mixseq.polygons import Polygons
 
 _BUCKETS = 4
-"""Polygons with so many unknown nodes, less one, or more are not told apart. Frozen: breaks old files."""
+"""Number of queues, by unknown nodes per polygon; the last takes all larger counts. Frozen: breaks old files."""
 
 
 class Corners(NamedTuple):
-    """The corners of polygons on nodes: on vertices, or on texture coordinates."""
+    """Corners of polygons on nodes: vertices, or texture coordinates."""
 
     starts: Index  # (P + 1,) the first corner of every polygon, and the number C of corners
     polygon: Index  # (C,) the polygon of every corner
@@ -50,7 +50,7 @@ def corners_of(polygons: Polygons, node_count: int) -> Corners:
 
 
 def _twins(tails: Index, heads: Index, node_count: int) -> Index:
-    """Return the twins of half-edges."""
+    """Return the twins of half-edges from `tails` to `heads`."""
     forth, back = tails * node_count + heads, heads * node_count + tails
     order, others = np.argsort(forth, kind="stable"), np.argsort(back, kind="stable")
     there, wanted = forth[order], back[others]
@@ -72,7 +72,7 @@ def after(corners: Corners, corner: int) -> int:
 
 @compiled
 def before(corners: Corners, corner: int) -> int:
-    """Return the corner before in the polygon."""
+    """Return the previous corner of the polygon."""
     starts, polygon = corners.starts, corners.polygon[corner]
     previous: int = corner - 1 if corner > starts[polygon] else starts[polygon + 1] - 1
     return previous
@@ -82,9 +82,8 @@ def before(corners: Corners, corner: int) -> int:
 def growing_order(corners: Corners) -> Index:
     """Return the polygons ``(P,)`` in the order in which they are visited.
 
-    Whenever a node becomes known, its polygons that are not visited yet queue up, in ascending order, by the number of
-    their corners with unknown nodes: 0, 1, 2, more. The first of the first queue is next that has still that number;
-    if there is none, the lowest one that was not visited.
+    Unvisited polygons of each newly known node queue up, ascending, by their corners with unknown nodes: 0, 1, 2, more.
+    Next is the first of the first queue whose count still holds; with none, the lowest unvisited polygon.
     """
     starts, node = corners.starts, corners.node
     count = len(starts) - 1

@@ -1,7 +1,7 @@
-"""Half-edges of a mesh that grows polygon by polygon, and which of its vertices are unused, open, or closed.
+"""Half-edges of a mesh that grows polygon by polygon, and vertex states: unused, open, or closed.
 
-A half-edge runs from a corner's vertex to the next corner's. It is *open* as long as no half-edge runs the other way.
-A vertex is *unused* until a polygon has it, then *open* while open half-edges end or start there, else *closed*; it may
+A half-edge runs from a corner's vertex to the next corner's. It is *open* until a half-edge runs the other way. A
+vertex is *unused* until a polygon has it, then *open* while open half-edges end or start there, else *closed*; it may
 open again. Vertices of a state have ranks, in the order of their numbers, by a tree of partial sums (Fenwick 1994,
 *A new data structure for cumulative frequency tables*).
 
@@ -27,12 +27,11 @@ INTO, OUT_OF = 0, 1
 """Half-edges that end, or start, at a vertex. Free: rows of tables."""
 
 _LOOKED_AT = 32
-"""So many open half-edges at a vertex, and one more, are looked at for one that runs the other way: time stays bounded.
-Frozen: breaks old files."""
+"""Open half-edges at a vertex, after the first, searched for the opposite one. Frozen: breaks old files."""
 
 
 class HalfEdges(NamedTuple):
-    """The mesh so far. A half-edge has the number of the corner that it starts from."""
+    """The mesh so far. A half-edge has the number of its first corner."""
 
     tails: Small  # (C,) start vertex of every half-edge that was opened
     heads: Small  # (C,) end vertex of every half-edge that was opened
@@ -40,10 +39,10 @@ class HalfEdges(NamedTuple):
     newest: Small
     older: Small  # (2, C) next older open half-edge into the head (0) and out of the tail (1), -1 for none
     newer: Small  # (2, C) next newer open half-edge into the head (0) and out of the tail (1), -1 for none
-    open_edges: Small  # (V,) how many open half-edges end or start at a vertex
-    degrees: Small  # (V,) how many corners a vertex has
+    open_edges: Small  # (V,) number of open half-edges that end or start at a vertex
+    degrees: Small  # (V,) number of corners at a vertex
     states: NDArray[np.uint8]  # (V,) UNUSED, OPEN, or CLOSED
-    members: Index  # (3,) how many vertices are in every state
+    members: Index  # (3,) number of vertices in every state
     trees: Small  # (3, V + 1) partial sums over the vertices of every state
     # (2, V + 2) for vertex v at v + 1, the next unused vertex below (0) and above (1), also at v + 1; of used vertices,
     # as it was when they came into use. The ends are no vertices.
@@ -72,7 +71,7 @@ def no_half_edges(corner_count: int, vertex_count: int) -> HalfEdges:
 
 @compiled
 def rank_of(mesh: HalfEdges, state: int, vertex: int) -> int:
-    """Return how many vertices of a state come before a vertex, from 0 to V."""
+    """Return the number of vertices of a state before a vertex, from 0 to V."""
     rank = 0
     while vertex > 0:
         rank += mesh.trees[state, vertex]
@@ -82,7 +81,7 @@ def rank_of(mesh: HalfEdges, state: int, vertex: int) -> int:
 
 @compiled
 def vertex_of(mesh: HalfEdges, state: int, rank: int) -> int:
-    """Return the vertex of a state and rank; the state must have more vertices than the rank says."""
+    """Return the vertex of a state and rank, which must be below the number of vertices of that state."""
     count = mesh.trees.shape[1]
     step = 1
     while 2 * step < count:
@@ -98,7 +97,7 @@ def vertex_of(mesh: HalfEdges, state: int, rank: int) -> int:
 
 @compiled
 def move(mesh: HalfEdges, vertex: int, state: int) -> None:
-    """Give a vertex a state."""
+    """Set the state of a vertex."""
     old = mesh.states[vertex]
     if old == state:
         return
@@ -118,7 +117,7 @@ def move(mesh: HalfEdges, vertex: int, state: int) -> None:
 
 @compiled
 def add_polygon(mesh: HalfEdges, indices: Index, start: int, stop: int) -> None:
-    """Add the polygon whose corners are those from `start` to below `stop`."""
+    """Add the polygon with the corners from `start` to below `stop`."""
     for corner in range(start, stop):
         _add(mesh, corner, indices[corner], indices[corner + 1 if corner + 1 < stop else start])
     for corner in range(start, stop):
@@ -129,7 +128,7 @@ def add_polygon(mesh: HalfEdges, indices: Index, start: int, stop: int) -> None:
 
 @joined
 def _add(mesh: HalfEdges, edge: int, tail: int, head: int) -> None:
-    """Close the half-edge that runs the other way, or open this one."""
+    """Close the opposite half-edge, or open this one."""
     other = mesh.newest[INTO, tail]
     for _ in range(_LOOKED_AT):
         if other < 0 or mesh.tails[other] == head:

@@ -1,6 +1,6 @@
-"""Code hard edges: which corners at a vertex share a normal, as is coded which share texture coordinates.
+"""Code hard edges: which corners at a vertex share a normal.
 
-The bits are those of `mixseq.coding.bitstream.uv_seams`. Behind them is the `decoded_check` of what they decode to.
+The bits are those of `mixseq.coding.bitstream.uv_seams`, followed by the `decoded_check` of the decoded numbers.
 
 Frozen: changing this breaks old files (golden: the digest in ``tests/coding/bitstream/test_hard_edges.py``).
 """
@@ -21,7 +21,7 @@ from mixseq.surface import by_first_use
 
 
 def encode_hard_edges(polygons: Polygons, vertex_count: int, numbers: IntArray) -> bytes | None:
-    """Code which corners share a normal so that `decode_hard_edges` returns it: numbers ``(sum of counts,)``."""
+    """Code which corners share a normal for `decode_hard_edges`: numbers ``(sum of counts,)``."""
     bits = bits_to_write(len(numbers) * MOST_SEAM_BITS, SEAM_KINDS)
     wanted = by_first_use(numbers)
     nodes = _walked(bits, polygons, vertex_count, wanted)
@@ -31,7 +31,7 @@ def encode_hard_edges(polygons: Polygons, vertex_count: int, numbers: IntArray) 
 
 
 def decode_hard_edges(data: bytes, polygons: Polygons, vertex_count: int) -> Index:
-    """Return numbers ``(sum of counts,)`` of normals at the corners: 0, 1, 2, ... as they come."""
+    """Return numbers ``(sum of counts,)`` of normals at the corners: 0, 1, 2, ... in order of first use."""
     what = f"hard edges at {polygons.indices.size} corners"
     stream, expected = without_check(data)
     bits = bits_to_read(stream, SEAM_KINDS)

@@ -1,7 +1,7 @@
-"""Code bits in contexts that are too many for tables: every context is hashed to 16 bits.
+"""Code bits in contexts too numerous for tables: every context is hashed to 16 bits.
 
-Every bit has a kind and, of every input, a *context*: any number of 64 bits that says what is known when it is coded.
-Contexts share the frequencies of `bit_models` if the highest 16 bits of their product with a constant are the same.
+Every bit has a kind and, in every input, a *context*, any 64-bit number. Contexts share the frequencies of `bit_models`
+if the highest 16 bits of their product with a constant are the same.
 
 Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``).
 """
@@ -22,40 +22,39 @@ INPUTS = 8
 """Number of contexts of a bit. Frozen: breaks old files."""
 
 SLOTS = 1 << 16
-"""Contexts of an input that are told apart; more share their frequencies. Frozen: breaks old files."""
+"""Number of hashed contexts per input. Frozen: breaks old files."""
 
 SPREAD = np.uint64(11400714819323198485)
-"""Spreads contexts over slots (2^64 divided by the golden ratio). Products overflow, which only numbers without a sign
-may: of others LLVM takes for granted that they do not. Frozen: breaks old files."""
+"""Multiplier of the hash: 2^64 / golden ratio. Unsigned: LLVM assumes no signed overflow. Frozen: breaks old files."""
 
 _HIGHEST = np.uint64(48)
-"""The highest 16 bits of a product say which slot it is. Frozen: breaks old files."""
+"""Right shift of a product to its highest 16 bits, the slot. Frozen: breaks old files."""
 
 _BYTES_OF_BIT = 2
-"""Bytes that a bit takes at most: none is less likely than 2^-12. Free: memory is taken ahead."""
+"""Bytes of a bit at most, as probabilities are above 2^-12. Free: memory is allocated ahead."""
 
 
 class Bits(NamedTuple):
-    """Bits that are written or read, and what is known about those to come."""
+    """Bits that are written or read, and their models."""
 
-    coded: Coded  # where they are written or read
-    models: BitModels  # what is known of slots and kinds
-    contexts: Index  # (INPUTS,) to be set before every bit: what the inputs know, any numbers
+    coded: Coded  # bytes that are written or read
+    models: BitModels  # models of slots and kinds
+    contexts: Index  # (INPUTS,) current contexts, any numbers, set before every bit
     failed: Index  # (1,) whether what is read is damaged
 
 
 def bits_to_write(count: int, kinds: int) -> Bits:
-    """Return models that have learned nothing, and room for a number of bits."""
+    """Return untrained models, and room for `count` bits."""
     return _bits(arithmetic.to_write(_BYTES_OF_BIT * count), kinds)
 
 
 def bits_to_read(data: bytes, kinds: int) -> Bits:
-    """Return models that have learned nothing, to read what `arithmetic.written` returned."""
+    """Return untrained models for reading the output of `arithmetic.written`."""
     return _bits(arithmetic.to_read(data), kinds)
 
 
 def with_room(bits: Bits, count: int) -> Bits:
-    """Return the same with room for a number of further bits."""
+    """Return the same with room for `count` further bits."""
     return bits._replace(coded=arithmetic.with_room(bits.coded, _BYTES_OF_BIT * count))
 
 
@@ -66,7 +65,7 @@ def _bits(coded: Coded, kinds: int) -> Bits:
 
 @joined
 def code(bits: Bits, kind: int, bit: int) -> int:
-    """Write or read a bit of a kind in the contexts that were set, learn from it, and return it."""
+    """Write or read a bit of a kind in the current contexts, update the models, and return it."""
     slots, contexts = bits.models.contexts, bits.contexts
     for i in range(INPUTS):
         slots[i] = np.int64(np.uint64(contexts[i]) * SPREAD >> _HIGHEST)
@@ -75,7 +74,7 @@ def code(bits: Bits, kind: int, bit: int) -> int:
 
 @joined
 def has_failed(bits: Bits) -> bool:
-    """Return whether what is read is damaged or ends early; loops ask once a corner, as asking costs time."""
+    """Return whether the stream is damaged or ends early; loops check once a corner, to save time."""
     if bits.coded.place[0] > len(bits.coded.data) + BYTES_BEYOND:
         bits.failed[0] = 1
     return bool(bits.failed[0])

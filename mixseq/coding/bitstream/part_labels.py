@@ -1,8 +1,8 @@
-"""Code which part of the mesh every vertex belongs to.
+"""Code the part of the mesh to which every vertex belongs.
 
-In the order of the mesh's graph: whether a vertex has the label that most of its known neighbours have, or the one that
-is second, and else the label itself, from its highest bit. Both questions are bits in the context of how many
-neighbours there are, and how many have either label.
+In the order of the mesh's graph: whether a vertex has the most frequent label of its known neighbours, or the second
+most frequent, and else the label itself, from its highest bit. The contexts of both questions are the number of
+neighbours, and the numbers with either label.
 
 Frozen: changing this breaks old files (golden: ``tests/coding/golden/parts.npz``).
 """
@@ -21,10 +21,10 @@ from mixseq.compiled import compiled
 from mixseq.errors import FormatError
 
 _BITS = 7
-"""Labels have so many bits. Frozen: breaks old files."""
+"""Bits of a label. Frozen: breaks old files."""
 
 _VOTES = MOST + 1
-"""Numbers of neighbours, from none on. Frozen: breaks old files."""
+"""Number of neighbour counts, from none on. Frozen: breaks old files."""
 
 
 def write_labels(writer: Writer, labels: Index, graph: SignalGraph) -> None:
@@ -35,7 +35,7 @@ def write_labels(writer: Writer, labels: Index, graph: SignalGraph) -> None:
 
 
 def read_labels(reader: Reader, number: int, graph: SignalGraph) -> Index:
-    """Return the labels ``(V,)`` of so many parts that `write_labels` wrote."""
+    """Return the labels ``(V,)`` of `number` parts written by `write_labels`."""
     nodes = np.zeros(graph.size, dtype=np.int64)
     _code(reader.bits(), _models(), nodes, graph.neighbours, graph.counts)
     reader.checked(nodes)
@@ -60,7 +60,7 @@ def _code(
         count = counts[node]
         for i in range(count):
             votes[labels[neighbours[node, i]]] += 1
-        # Of equally many votes those of the nearest neighbour, the last one, count.
+        # Ties go to the label of the nearest neighbour, the last one.
         first, second = -1, -1
         for i in range(count - 1, -1, -1):
             label = labels[neighbours[node, i]]

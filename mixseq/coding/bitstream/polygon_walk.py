@@ -1,15 +1,15 @@
-"""An order of polygons in which connectivity takes few bits: a walk over the mesh, from edge to edge.
+"""Order polygons by a walk over the mesh from edge to edge, in which connectivity takes few bits.
 
-From every polygon the walk goes on across its edges, first across the one after the edge that it came in by, and so
-turns around the vertex between both; what it could not enter at once it comes back to, the newest first. This is the
-order of Edgebreaker (Rossignac 1999, *Edgebreaker: connectivity compression for triangle meshes*). A polygon that
-begins where it was entered has corners that `mixseq.coding.bitstream.corner_guesses` finds at its first guesses.
+From every polygon the walk crosses its edges, first the one after the edge by which it entered, and so turns around the
+vertex between both; it returns later to polygons not entered at once, the newest first. This is the order of
+Edgebreaker (Rossignac 1999, *Edgebreaker: connectivity compression for triangle meshes*). A polygon that begins where
+it was entered is predicted by the first guesses of `mixseq.coding.bitstream.corner_guesses`.
 
-Where the walk begins, and which way it goes, depends on the numbers of vertices and on which polygons there are, not on
-how these are listed, nor where each begins.
+Start and direction of the walk depend on vertex numbers and on the set of polygons, neither on their order nor on their
+first corners.
 
-Frozen: decoders do not need it, but meshes whose vertices were numbered by it are compared with their originals by
-walking over these again (golden: the digest in ``tests/coding/bitstream/test_polygon_walk.py``).
+Frozen: files with vertices numbered by the walk are compared with their originals by walking over these again
+(golden: the digest in ``tests/coding/bitstream/test_polygon_walk.py``).
 """
 
 from __future__ import annotations
@@ -24,17 +24,7 @@ from mixseq.polygons import Polygons
 
 
 def walk_polygons(polygons: Polygons, vertex_count: int) -> tuple[Index, Index]:
-    """Return the polygons ``(P,)`` in the order of the walk, and the corner ``(P,)`` at which each is entered.
-
-    Components follow each other by their lowest vertices, where they begin.
-
-    Examples
-    --------
-    >>> strip = Polygons.from_triangles([[2, 1, 3], [4, 2, 3], [1, 2, 0]])
-    >>> order, corners = walk_polygons(strip, 5)
-    >>> order.tolist(), strip.indices[corners].tolist()
-    ([2, 0, 1], [0, 2, 2])
-    """
+    """Return the polygons ``(P,)`` in walk order, and their entry corners ``(P,)``; components by lowest vertex."""
     canonical = in_canonical_order(polygons)
     listed = Polygons(polygons.counts[canonical.polygons], polygons.indices[canonical.corners])
     corners = corners_of(listed, vertex_count)
@@ -44,7 +34,7 @@ def walk_polygons(polygons: Polygons, vertex_count: int) -> tuple[Index, Index]:
 
 @compiled
 def _walk(corners: Corners) -> Index:
-    """Return the corners at which polygons are entered, in their order."""
+    """Return the corners at which polygons are entered, in the order of the walk."""
     count = len(corners.starts) - 1
     seen = np.zeros(count, dtype=np.bool_)
     entered = np.empty(count, dtype=np.int64)

@@ -1,25 +1,25 @@
-"""Compiled loops of `mixseq.coding.bitstream.predictor`: predictions, their weights, and nodes that are alike.
+"""Compiled loops of `mixseq.coding.bitstream.predictor`: predictions, their weights, and similar nodes.
 
-Arguments that they share, of a graph with N nodes of up to n neighbours each, all of them before the node:
+Shared arguments, of a graph with N nodes of up to n neighbours each, all of them before the node:
 
 ============  ====================================================================================================
 values        (N,) int64, in work, or float64, whole numbers: a signal, in units of 1/64 step
 neighbours    (N, n) int32: nodes that each is predicted from; the first ``counts[node]`` of a row count
 counts        (N,) int32
 weights       (N, n) float64: of the neighbours, rows add up to one; multiples of 2^-24
-blocks        (B, lanes) int32: nodes with equally many neighbours, ``sizes[block]`` of them, which are worked at
-              together, so that one instruction does it for several of them
+blocks        (B, lanes) int32: nodes with equally many neighbours, ``sizes[block]`` of them, processed together
+              so that one instruction serves several
 sizes         (B,) int32
 places        (B,) int64: where a block begins in `gram`
 gram          (entries, lanes) float64, in squared units: of every block's matrices, and of the right sides below
               them, the lower triangles row by row
 ============  ====================================================================================================
 
-The weight of a node's first neighbour is one minus the others, so that matrices are those of differences to it.
+The weight of a node's first neighbour is one minus the others, so matrices are those of differences to it.
 
-Values, trust and weights are such that sums are exact (see there), up to values of 2^29; where values are larger, of
-damaged files, results are any, but no error. Only `solve` rounds: it needs + - * / and roots of float64 in the order
-that is written here, without contraction to fused operations, and then rounds its results.
+Sums of values, trust and weights are exact up to values of 2^29; larger values, of damaged files, give arbitrary
+results without an error. Only `solve` rounds: it needs + - * / and roots of float64 in the order written here, without
+contraction to fused operations, and then rounds its results.
 
 Frozen: changing results breaks files.
 """
@@ -38,24 +38,23 @@ UNIT = 64
 """Values are whole numbers of steps / UNIT. Frozen: breaks files."""
 
 LANES, FEW_LANES = 64, 8
-"""Nodes in a block: of graphs with many, or few nodes. Free: a matter of time."""
+"""Nodes in a block, for graphs with many, or few nodes. Free: affects time only."""
 
 _FARTHEST = 2.0**50
-"""Predictions are not beyond this: those of damaged files might be any. Frozen: breaks files."""
+"""Largest magnitude of predictions; bounds those of damaged files. Frozen: breaks files."""
 
 _ROUNDING = 1.5 * 2.0**28
-"""A number that is added to this and taken from it again is rounded to a multiple of 2^-24. Frozen: breaks files."""
+"""Number whose addition and subtraction rounds to a multiple of 2^-24. Frozen: breaks files."""
 
 _LEAST = 1e-12
-"""Share of the traces of matrices that is added to the ridge: those of signals of very many steps are singular but for
-rounding. Frozen: breaks files."""
+"""Share of a matrix's trace added to the ridge, for nearly singular ones of large signals. Frozen: breaks files."""
 
 Small = NDArray[np.int32]
 
 
 @joined
 def predict(node: int, neighbours: Small, counts: Small, weights: Float, values: Index) -> int:
-    """Return what the values ``(N,)`` before a node let expect of it, in units."""
+    """Return the value of a node predicted from the values ``(N,)`` before it, in units."""
     total = 0.5
     for i in range(counts[node]):
         total += weights[node, i] * values[neighbours[node, i]]
@@ -74,10 +73,7 @@ def rounded(weights: Float) -> Float:
 
 @compiled
 def trust(values: Float, rough: float, neighbours: Small, counts: Small) -> float:
-    """Return about ``1 / (1 + m / rough)``, with the mean square m of differences of nodes and first neighbours.
-
-    It is the power of two that is at least 2/3 of that, and less than 4/3.
-    """
+    """Return the power of two from 2/3 to 4/3 of ``1 / (1 + m / rough)``, m the mean square of first differences."""
     total, pairs = 0.0, 0
     for node in range(len(values)):
         if counts[node]:
@@ -126,10 +122,7 @@ def learn(
 def solve(
     ridge: float, blocks: Small, sizes: Small, places: Index, gram: Float, start: Float, weights: Float
 ) -> None:
-    """Write the weights that minimise w G w + ridge |w - start|^2, with a sum of one; start is ``(N, n)``.
-
-    By Cholesky's factors, with pivots that are not below the ridge.
-    """
+    """Write the weights of sum one that minimise w G w + ridge |w - start|^2, by Cholesky: start ``(N, n)``."""
     most, lanes = start.shape[1], blocks.shape[1]
     lower = np.zeros((most * (most + 1) // 2, lanes))  # and the right side, divided by it, as its last row
     inverse = np.zeros((most, lanes))  # of the diagonal: divisions are slow
@@ -185,18 +178,17 @@ def solve(
 def nearest(
     signals: Float, neighbours: Small, counts: Small, exhaustive: int, similar: Small, found: Small
 ) -> None:
-    """Write the nodes before every node that are nearest to it in signals ``(D, N)``, but for its neighbours.
+    """Write the nodes before every node that are nearest to it in signals ``(D, N)``, without its neighbours.
 
-    The first `exhaustive` nodes look at all nodes before them; later ones at neighbours of their neighbours, and at
-    what was found for these. Of every node as many are found as ``similar`` (N, most) has room for, nearest first, of
-    equally near ones the one that was looked at first: ``found`` (N,).
+    The first `exhaustive` nodes search all nodes before them; later ones the neighbours of their neighbours, and the
+    results for these. Up to ``similar`` (N, most), nearest first, ties in search order; counts ``found`` (N,).
     """
     size, most = signals.shape[1], similar.shape[1]
     first = min(size, exhaustive)
     apart = np.empty(most)
     distances = np.empty(first)
     for node in range(first):
-        # Dimension by dimension: one instruction does it for several nodes.
+        # Dimension by dimension: one instruction serves several nodes.
         distances[:node] = 0.0
         for dimension in range(len(signals)):
             here = signals[dimension, node]
@@ -211,7 +203,7 @@ def nearest(
             if distances[other] < apart[most - 1]:
                 _insert(node, other, distances[other], similar, found, apart)
     points = np.ascontiguousarray(signals.T)
-    seen = np.full(size, -1, dtype=np.int32)  # the last node that looked at a node
+    seen = np.full(size, -1, dtype=np.int32)  # the last node that searched a node
     for node in range(first, size):
         found[node] = 0
         apart[:] = np.inf
@@ -239,7 +231,7 @@ def nearest(
 def _insert(
     node: int, other: int | np.int64, distance: float, similar: Small, found: Small, apart: Float
 ) -> None:
-    """Insert a node into the nearest ones at squared distances `apart` (most,), whose last one is farther."""
+    """Insert a node into the nearest ones at squared distances `apart` (most,), replacing the farthest."""
     place = len(apart) - 1
     while place > 0 and apart[place - 1] > distance:
         apart[place] = apart[place - 1]

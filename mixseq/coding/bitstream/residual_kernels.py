@@ -1,6 +1,6 @@
 """The compiled loop of `mixseq.coding.bitstream.residual_layer`: the residuals of a frame, node by node.
 
-Frozen: changing this breaks old files (golden: ``tests/coding/golden/bounded.npz``). All of it is whole numbers.
+Frozen: changing this breaks old files (golden: ``tests/coding/golden/bounded.npz``). All values are integers.
 """
 
 from __future__ import annotations
@@ -17,20 +17,19 @@ INPUTS = 3
 """Contexts of a bit. Frozen: breaks old files."""
 
 _VOTES = MOST + 1
-"""Numbers of neighbours, from none on. Frozen: breaks old files."""
+"""Number of neighbour counts, from none on. Frozen: breaks old files."""
 
 CONTEXTS = 3 * _VOTES * _VOTES
-"""As many contexts as an input may have. Frozen: breaks old files."""
+"""Number of contexts per input. Frozen: breaks old files."""
 
 _LONGEST = 8
-"""Numbers up to this have models for all questions about them. Frozen: breaks old files."""
+"""Largest number with models for all of its questions. Frozen: breaks old files."""
 
 _MOST = 62
-"""What is beyond that has so many bits at most. Frozen: breaks old files."""
+"""Largest bit length of the excess over that. Frozen: breaks old files."""
 
 POSITIONS = 4 + _LONGEST
-"""Questions that have models: is any vertex displaced, this one, is a coordinate zero, its sign, is it larger than 1,
-than 2, and so on. Frozen: breaks old files."""
+"""Modelled questions: any vertex displaced, this one, zero coordinate, sign, above 1, 2, ... Frozen: breaks files."""
 
 
 @compiled
@@ -44,10 +43,10 @@ def code_residuals(
     last: Index,
     numbers: Index,
 ) -> None:
-    """Write or read the numbers ``(N, 3)`` of a frame, when those of the frame before, `last`, are known.
+    """Write or read the numbers ``(N, 3)`` of a frame, in contexts of those of the frame before, `last`.
 
-    A graph of N nodes has `neighbours` (N, n) before every node, ``counts`` (N,) of them, and all nodes beside node i
-    in ``ring[starts[i] : starts[i + 1]]``.
+    A graph of N nodes has `neighbours` (N, n) before every node, ``counts`` (N,) of them, and all nodes adjacent to
+    node i in ``ring[starts[i] : starts[i + 1]]``.
     """
     contexts = models.contexts
     displaced = 0

@@ -1,8 +1,8 @@
-r"""The residual layer: what is added to decoded frames to bring every vertex below a bound.
+"""The residual layer: corrections of decoded frames that bring every vertex within a bound.
 
 A residual is a displacement of a vertex at a frame, in whole units :math:`w` per coordinate; nearly all vertices have
-none. Which of them have one is coded frame by frame, in contexts of the vertices around them and of the frame before:
-where a few basis vectors too few make an error, it lasts a while.
+none. Residuals are coded frame by frame, in contexts of adjacent vertices and of the frame before, as errors of
+a truncated basis persist over frames.
 
 Frozen: changing this breaks old files (golden: ``tests/coding/golden/bounded.npz``,
 ``tests/formats/golden/compressed-v1.h5``).
@@ -32,29 +32,29 @@ Residuals = tuple[Index, Index]
 """Vertices ``(n,)`` of a frame, and their displacements ``(n, 3)`` in units of the layer."""
 
 RUN = 16
-"""So many frames are coded together. Frozen: another number breaks old files."""
+"""Frames coded together. Frozen: another number breaks old files."""
 
 _KEPT = 8
-"""Decoded runs that are kept. Free: files know nothing of it."""
+"""Number of cached decoded runs. Free: not in files."""
 
 _NOTHING: Residuals = np.zeros(0, dtype=np.int64), np.zeros((0, 3), dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
 class CodedResidualLayer(PickledWithoutCaches):
-    """The residual layer of a compressed sequence, decoded where it is asked for."""
+    """The residual layer of a compressed sequence, decoded on demand."""
 
     times: Float  # (T,) times of the frames in seconds; between them residuals are interpolated
     chunks: tuple[tuple[int, bytes], ...]  # number of frames of every chunk, and its stream
     faces: NDArray[np.int32]  # (F, 3) triangles of the mesh
     vertex_count: int  # number V of vertices
     unit: float  # length of the unit w, in the units of the sequence
-    known: InitVar[SignalGraph | None] = None  # the graph of the mesh, where it has been found already
+    known: InitVar[SignalGraph | None] = None  # the graph of the mesh, if it was built already
 
     def __post_init__(self, known: SignalGraph | None) -> None:
         if known is not None:
             object.__setattr__(self, "_graph", known)
-        _ = self._lock, self._cache  # there before threads ask for them, who might make two
+        _ = self._lock, self._cache  # created before threads start, which might create two
 
     def at(self, times: Float) -> Float:
         """Return displacements ``(N, V, 3)`` at times ``(N,)`` in seconds."""
@@ -80,7 +80,7 @@ class CodedResidualLayer(PickledWithoutCaches):
         return moved
 
     def _places(self, times: Float) -> tuple[Index, Float]:
-        """Frames before or at times, and how far times are on the way to the next."""
+        """Return the frames before or at times, and the fractions of the way to the next."""
         places = np.interp(times, self.times, np.arange(len(self.times)))
         nearest = np.rint(places)
         near = np.abs(places - nearest) < 1e-9  # a frame is a frame, after rounding
@@ -94,7 +94,7 @@ class CodedResidualLayer(PickledWithoutCaches):
         return self._run(chunk, run)[place]
 
     def _run(self, chunk: int, run: int) -> list[Residuals]:
-        # Threads go through the frames in order, so that the last few runs are all they need.
+        # Threads read frames in order, so a cache of the last few runs suffices.
         with self._lock:
             decoded = self._cache.get((chunk, run))
             if decoded is None:
@@ -123,10 +123,10 @@ class CodedResidualLayer(PickledWithoutCaches):
 
 
 def write_residuals(residuals: Callable[[int], Index], frames: range, graph: SignalGraph) -> bytes:
-    """Code the residuals of consecutive frames, ``(V, 3)`` each; nothing at all if there are none.
+    """Code the residuals of consecutive frames, ``(V, 3)`` each; empty if there are none.
 
-    Runs of `RUN` frames are coded by themselves, two at a time, so that one frame can be decoded without many others:
-    first the lengths of all runs in bytes, four bytes each, then the runs.
+    Runs of `RUN` frames are coded independently, two at a time, so that single frames decode quickly: first the lengths
+    of all runs in bytes, four bytes each, then the runs.
     """
     parts = (frames[start : start + RUN] for start in range(0, len(frames), RUN))
     runs = list(on_two_threads()(_write_run, (residuals, graph), parts))
@@ -177,7 +177,7 @@ def _read_run(stream: bytes, count: int, graph: SignalGraph) -> list[Residuals]:
 
 
 class _FrameCoder:
-    """What is known of a run's residuals, frame after frame."""
+    """Models and previous numbers of a run's residuals."""
 
     def __init__(self, graph: SignalGraph) -> None:
         self._graph = graph
@@ -185,7 +185,7 @@ class _FrameCoder:
         self._last = np.zeros((graph.size, 3), dtype=np.int64)
 
     def code(self, coded: Coded, numbers: Index) -> None:
-        """Write the numbers ``(N, 3)`` of a frame in nodes' order, or read them."""
+        """Write or read the numbers ``(N, 3)`` of a frame in nodes' order."""
         graph = self._graph
         around = graph.neighbours, graph.counts, graph.ring, graph.ring_starts
         kernels.code_residuals(coded, self._models, *around, self._last, numbers)

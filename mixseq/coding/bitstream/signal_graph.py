@@ -1,12 +1,12 @@
-"""The order in which a signal over a mesh, or over time, is coded, and the neighbours that predict each value.
+"""The coding order of a signal over a mesh, or over time, and the neighbours that predict each value.
 
 A signal has a value at every node of a graph: the vertices of a mesh and its edges, or frames and the steps between
-them. Nodes are taken away level by level: an independent set of nodes with few neighbours goes, each of them is
-collapsed onto one of its neighbours, and what is left is the graph of the next level. Coding goes the other way, coarse
-to fine, so that nearly all values lie *between* values that are known, and are interpolated: a rounding error is
-averaged away there, where an extrapolation such as the parallelogram rule would enlarge it.
+them. Nodes are removed level by level: each node of an independent set with few neighbours is collapsed onto one of
+them, which gives the graph of the next level. Coding runs coarse to fine, so that nearly all values are interpolated
+*between* known ones: this averages rounding errors, where an extrapolation such as the parallelogram rule enlarges
+them.
 
-Only the connectivity says what the levels are, so that nothing of them has to be stored.
+The levels depend on connectivity only, so they are not stored.
 
 Frozen: changing this breaks old files (golden: ``tests/coding/golden/*.npz``).
 """
@@ -26,33 +26,30 @@ from mixseq.coding.bitstream.signal_graph_kernels import adjacency, collapse, in
 from mixseq.polygons import frozen
 
 MOST = 12
-"""Nodes are predicted from so many neighbours at most. Frozen: breaks old files."""
+"""Largest number of neighbours that predict a node. Frozen: breaks old files."""
 
 WIDEST = 6
-"""Nodes with more neighbours stay for a coarser level, if there are others. Frozen: breaks old files."""
+"""Largest number of neighbours of a removed node, if there are any such nodes. Frozen: breaks old files."""
 
 ROOTS = 6
-"""Nodes without neighbours are predicted from so many such nodes before them. Frozen: breaks old files."""
+"""Number of earlier roots that predict a node without neighbours. Frozen: breaks old files."""
 
 
 @dataclass(frozen=True, eq=False)
 class SignalGraph:
-    """Nodes in the order of their coding, and the earlier nodes each is predicted from.
-
-    Nodes have the numbers of that order everywhere.
-    """
+    """Nodes in coding order, and the earlier nodes that predict each; all node numbers refer to this order."""
 
     order: Index  # (N,) vertices, or frames, of the nodes: coarse to fine
     neighbours: Index  # (N, n) for every node, nodes before it
-    counts: Index  # (N,) how many of them there are
-    weights: Float  # (N, n) their weights as long as nothing is known of the signals; rows add up to one
+    counts: Index  # (N,) their number
+    weights: Float  # (N, n) their initial weights; rows add up to one
     ring: Index  # (R,) all nodes beside every node, before or after it, node by node
     ring_starts: Index  # (N + 1,) row offsets of ring: ring[ring_starts[i] : ring_starts[i + 1]] of node i
     over_time: bool = False  # whether nodes are frames, not vertices
 
     def __post_init__(self) -> None:
         for name in ("order", "neighbours", "counts", "weights", "ring", "ring_starts"):
-            # Always: to numba, arrays that may be written are of another type, for which it would compile again.
+            # Always: numba would compile again for writable arrays, which have another type.
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @property
@@ -61,7 +58,7 @@ class SignalGraph:
         return len(self.order)
 
     def with_more(self, nodes: NDArray[np.integer], sizes: NDArray[np.integer]) -> SignalGraph:
-        """Return the graph with further neighbours ``(N, k)``: node i has ``sizes[i]``, at first without weight."""
+        """Return the graph with further neighbours ``(N, k)``: node i has ``sizes[i]``, with initial weight zero."""
         neighbours = np.concatenate([self.neighbours, np.zeros_like(nodes)], axis=1)
         rows = np.arange(self.size)
         for place in range(nodes.shape[1]):
@@ -93,9 +90,9 @@ def mesh_graph(faces: NDArray[np.integer], vertex_count: int) -> SignalGraph:
 
 
 class Level(NamedTuple):
-    """Nodes that go at once, and the graphs before and after; of N nodes, but those that are gone have no edges."""
+    """Nodes removed together, and the graphs before and after, both of N nodes; removed nodes have no edges."""
 
-    gone: Index  # (n,) nodes that go
+    gone: Index  # (n,) removed nodes
     starts: Index  # (N + 1,) row offsets of the graph before, see signal_graph_kernels.adjacency
     beside: Index  # (2 E,) neighbours in the graph before, row by row
     new: Index  # (n', 2) edges that close the holes; some twice, or there already
@@ -112,16 +109,16 @@ def mesh_neighbours(faces: NDArray[np.integer], vertex_count: int) -> tuple[Inde
 
 
 def neighbours_of(edges: Index, count: int) -> tuple[Index, Index]:
-    """Return the neighbours of so many nodes, as `signal_graph_kernels.adjacency` lists them, of edges ``(E, 2)``."""
+    """Return the neighbours of `count` nodes, as `signal_graph_kernels.adjacency` lists them, of edges ``(E, 2)``."""
     none = np.zeros(count + 1, dtype=np.int64), np.zeros(0, dtype=np.int64)
     return adjacency(*none, np.ones(count, dtype=bool), edges)
 
 
 def coarser_levels(starts: Index, beside: Index, neighbours: Index, counts: Index) -> Iterator[Level]:
-    """Take nodes away until no edge is left, and yield the levels; fine to coarse.
+    """Remove nodes until no edge is left, and yield the levels, fine to coarse.
 
     Starts ``(N + 1,)`` and beside ``(2 E,)`` are the neighbours of all nodes, as `signal_graph_kernels.adjacency` lists
-    them. Neighbours ``(N, MOST)`` and counts ``(N,)`` of the nodes that go are written.
+    them. Neighbours ``(N, MOST)`` and counts ``(N,)`` of removed nodes are written.
     """
     left = np.ones(len(counts), dtype=bool)
     while len(beside):
@@ -141,7 +138,7 @@ def path_graph(count: int) -> SignalGraph:
     """Return the graph of consecutive frames: first and last, those in the middle, and so on by halves.
 
     A frame is predicted from two known frames on either side, at first by the polynomial through them (Lagrange), and
-    from the two nearest that are known besides.
+    from the two nearest further known ones.
     """
     neighbours = np.zeros((count, 6), dtype=np.int64)
     counts = np.zeros(count, dtype=np.int64)
@@ -171,7 +168,7 @@ def path_graph(count: int) -> SignalGraph:
 
 
 def _lagrange(nodes: Index, at: int) -> Float:
-    """Weights of the polynomial through values at nodes; quotients of whole numbers, the same on all machines."""
+    """Return the weights of the polynomial through values at nodes: quotients of integers, the same on all machines."""
     weights = np.ones(len(nodes))
     for one, node in enumerate(nodes.tolist()):
         over = under = 1

@@ -1,4 +1,4 @@
-"""The loops of `mixseq.coding.bitstream.signal_graph`, compiled: who is beside whom, who goes, who is joined.
+"""Compiled loops of `mixseq.coding.bitstream.signal_graph`: adjacency, independent sets, edge collapses.
 
 Frozen: changing their results breaks old files (golden: ``tests/coding/golden/*.npz``).
 """
@@ -12,17 +12,17 @@ from mixseq.arrays import Index
 from mixseq.compiled import compiled
 
 _HUB = 32
-"""Neighbours that are so many times more are searched for what is shared, not gone through. Free: a matter of time."""
+"""Ratio of neighbour counts above which shared ones are found by binary search. Free: affects time only."""
 
 Bools = NDArray[np.bool_]
 
 
 @compiled
 def adjacency(starts: Index, beside: Index, left: Bools, edges: Index) -> tuple[Index, Index]:
-    """Return the neighbours of all nodes of a graph, with more edges ``(E, 2)``, and of nodes that are left ``(N,)``.
+    """Return the neighbours of all nodes of a graph with further edges ``(E, 2)``, of nodes that are `left` ``(N,)``.
 
-    Neighbours are starts ``(N + 1,)`` and ``beside[starts[node] : starts[node + 1]]``, ascending, each once. Edges
-    stand in any order, some twice, or there already, or from a node to itself; both ends are left.
+    Neighbours are starts ``(N + 1,)`` and ``beside[starts[node] : starts[node + 1]]``, ascending and unique. Edges may
+    repeat, exist already, or join a node to itself; both of their ends are left.
     """
     count = len(left)
     rows = np.zeros(count + 1, dtype=np.int64)
@@ -71,7 +71,7 @@ def adjacency(starts: Index, beside: Index, left: Bools, edges: Index) -> tuple[
 
 @compiled
 def renumbered(starts: Index, beside: Index, order: Index, place: Index) -> tuple[Index, Index]:
-    """Return the neighbours of nodes in another order ``(N,)``: node i becomes ``place[i]``, the inverse of it."""
+    """Return the neighbours of nodes in the order ``(N,)``: node i becomes ``place[i]``, the inverse of it."""
     new_starts = np.empty(len(order) + 1, dtype=np.int64)
     new_beside = np.empty(len(beside), dtype=np.int64)
     count = 0
@@ -86,10 +86,10 @@ def renumbered(starts: Index, beside: Index, order: Index, place: Index) -> tupl
 
 @compiled
 def independent(nodes: Index, starts: Index, beside: Index, fewest: int, most: int) -> Index:
-    """Return nodes, no two of which are neighbours, with at most so many neighbours: those with fewest come first.
+    """Return nodes of which no two are neighbours, with at most `most` neighbours, by increasing number of neighbours.
 
-    Of nodes ``(n,)`` int64 that have equally many, `fewest` or more, the first ones in their order; those beside a node
-    are ``beside[starts[node] : starts[node + 1]]``, with starts ``(N + 1,)``.
+    Ties among nodes ``(n,)`` int64, with `fewest` or more neighbours, keep their order; the neighbours of a node are
+    ``beside[starts[node] : starts[node + 1]]``, with starts ``(N + 1,)``.
     """
     blocked = np.zeros(len(starts) - 1, dtype=np.bool_)
     chosen = np.empty(len(nodes), dtype=np.int64)
@@ -107,10 +107,9 @@ def independent(nodes: Index, starts: Index, beside: Index, fewest: int, most: i
 
 @compiled
 def collapse(gone: Index, starts: Index, beside: Index, neighbours: Index, counts: Index) -> Index:
-    """Note neighbours ``(N, n)`` and counts ``(N,)`` of nodes that go; return edges ``(E, 2)`` that close the holes.
+    """Write neighbours ``(N, n)`` and counts ``(N,)`` of removed nodes; return edges ``(E, 2)`` that close the holes.
 
-    All neighbours of a node are joined to the one of them that has most of the others as neighbours already, or to
-    the one of fewest neighbours among those.
+    All neighbours of a node are joined to the one adjacent to most of the others, ties to the one of fewest neighbours.
     """
     most = neighbours.shape[1]
     size = 0

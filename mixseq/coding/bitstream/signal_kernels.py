@@ -1,10 +1,10 @@
 """Compiled loops of `mixseq.coding.bitstream.signal_coder`: numbers of one signal, node by node, written or read alike.
 
-What numbers say and what values they make are loops of their own, so that they can go on at the same time: a number is
-coded in contexts of other numbers, and no value is needed for it.
+Numbers and values have separate loops that can run at the same time: a number is coded in contexts of other numbers,
+without values.
 
-Frozen: changing this breaks old files (golden: ``tests/coding/golden/*.npz``). All that decides is whole numbers, but
-for the sums of `predictor_kernels.predict`, which are rounded.
+Frozen: changing this breaks old files (golden: ``tests/coding/golden/*.npz``). All decisions use integers, except the
+sums of `predictor_kernels.predict`, which are rounded.
 """
 
 from __future__ import annotations
@@ -20,34 +20,34 @@ from mixseq.coding.bitstream.predictor_kernels import UNIT, Small, predict
 from mixseq.compiled import compiled, joined
 
 LEVELS = 32
-"""Expected sizes are told apart at so many levels, two of them in an octave. Frozen: breaks old files."""
+"""Number of levels of expected sizes, two in an octave. Frozen: breaks old files."""
 
 DEPTHS = 18
-"""Nodes are told apart by the bits of their number: about their level in the graph. Frozen: breaks old files."""
+"""Number of node classes, by bit length of the node number: about its level in the graph. Frozen: breaks old files."""
 
 AGES = 8
-"""Signals are told apart by how many were before them. Frozen: breaks old files."""
+"""Number of classes of signals by the count of those before. Frozen: breaks old files."""
 
 INPUTS = 5
 """Contexts of a number. Frozen: breaks old files."""
 
 CONTEXTS = LEVELS * LEVELS
-"""As many contexts as an input may have. Frozen: breaks old files."""
+"""Number of contexts per input. Frozen: breaks old files."""
 
 _LONGEST = 24
-"""Numbers of up to so many bits have models for all questions about them. Frozen: breaks old files."""
+"""Largest bit length with models for all questions. Frozen: breaks old files."""
 
 _MOST = 55
-"""Numbers have so many bits at most. Frozen: breaks old files."""
+"""Largest bit length of a number. Frozen: breaks old files."""
 
 POSITIONS = 2 * _LONGEST
-"""Questions about a number that have models. Frozen: breaks old files."""
+"""Number of modelled questions about a number. Frozen: breaks old files."""
 
 _FARTHEST = 2.0**54
-"""Numbers are not beyond this: steps may be tried that are too fine for doubles. Free: only encoders round."""
+"""Largest magnitude of numbers: trial steps may be too fine for doubles. Free: only encoders round."""
 
 _LARGEST = 1 << 40
-"""Larger sizes count as this. Frozen: breaks old files."""
+"""Upper bound to which sizes are clamped. Frozen: breaks old files."""
 
 
 @compiled
@@ -62,22 +62,10 @@ def code_numbers(
     before: Index,
     numbers: Index,
 ) -> None:
-    """Write or read the numbers of a signal, one for every node.
+    """Write or read the `numbers` ``(N,)`` int64 of a signal; `age` is the count of signals before.
 
-    Parameters
-    ----------
-    coded, models
-        Bytes, and what is known of bits.
-    age : int
-        How many signals were before.
-    neighbours, counts
-        Of the predictor.
-    activity, around : (N,) int64
-        Sizes of the numbers of earlier signals, newer ones counting more, here and beside, in 1 / `UNIT` steps.
-    before : (N,) int64
-        Numbers of the signal before.
-    numbers : (N,) int64
-        The numbers, if they are written, else where they go.
+    `activity` and `around` ``(N,)`` int64 are sizes of numbers in earlier signals, weighted towards newer ones, at a
+    node and adjacent to it, in 1 / `UNIT` steps; `before` ``(N,)`` int64 are the numbers of the signal before.
     """
     contexts = models.contexts
     age = min(level(age), AGES - 1)
@@ -110,26 +98,10 @@ def round_off(
     numbers: Index,
     values: Index,
 ) -> None:
-    """Predict a signal node by node, and round what is left to numbers ``(N,)``, which make values ``(N,)``.
+    """Predict `targets` ``(N,)`` node by node; write rounded differences `numbers`, decoded `values`, ``(N,)`` int64.
 
-    Free: only encoders round.
-
-    Parameters
-    ----------
-    targets : (N,) float64
-        The signal in 1 / `UNIT` steps.
-    margins : (LEVELS,) float64
-        Numbers are rounded up from one minus this, by the level of their expected size.
-    neighbours, counts, weights
-        Of the predictor.
-    steps : (N,) int64
-        Of what numbers are multiples, in 1 / `UNIT` steps.
-    activity, around
-        As of `code_numbers`.
-    numbers : (N,) int64
-        Where the numbers go.
-    values : (N,) int64
-        Where the signal goes that a decoder has, in 1 / `UNIT` steps.
+    Targets, `values`, `steps` ``(N,)`` are in 1 / `UNIT` steps; `activity` and `around` as in `code_numbers`. Numbers
+    are rounded up from 1 - `margins` ``(LEVELS,)``, by the level of their expected size. Free: only encoders round.
     """
     for node in range(len(values)):
         size = size_beside(node, neighbours, counts, activity, numbers)
@@ -145,14 +117,14 @@ def round_off(
 def add_predictions(
     numbers: Index, neighbours: Small, counts: Small, weights: Float, steps: Index, values: Index
 ) -> None:
-    """Write the values ``(N,)`` that numbers ``(N,)`` make."""
+    """Write the values ``(N,)`` decoded from numbers ``(N,)``."""
     for node in range(len(values)):
         values[node] = predict(node, neighbours, counts, weights, values) + steps[node] * numbers[node]
 
 
 @joined
 def size_beside(node: int, neighbours: Small, counts: Small, activity: Index, numbers: Index) -> int:
-    """Return the mean size of the numbers of a node's neighbours, in 1 / `UNIT` steps; its activity if it has none."""
+    """Return the mean size of the numbers at a node's neighbours, in 1 / `UNIT` steps; its activity if it has none."""
     if not counts[node]:
         return activity[node]  # type: ignore[no-any-return]
     total = 0
@@ -163,13 +135,13 @@ def size_beside(node: int, neighbours: Small, counts: Small, activity: Index, nu
 
 @joined
 def expected_size(size: int, activity: int, around: int) -> int:
-    """Return the size that is expected of a number: .80 of those beside, .40 of the activity, .15 of that around."""
+    """Return the expected size of a number: .80 of `size` at neighbours, .40 of `activity`, .15 of that around."""
     return (205 * size + 102 * activity + 38 * around) >> 8
 
 
 @joined
 def code_signed(coded: Coded, models: BitModels, number: int) -> int:
-    """Write or read a number: how many bits it has, the highest of those after the first, the others, and the sign."""
+    """Write or read a number: its bit length, the highest of the bits after the first, the others, and the sign."""
     magnitude = abs(number)
     size = bit_length(magnitude)
     found = 0
@@ -205,7 +177,7 @@ def fine_level(size: int) -> int:
 
 @joined
 def bit_length(size: int) -> int:
-    """Return how many bits a number has, which is not negative."""
+    """Return the bit length of a number that is not negative."""
     bits = 0
     while size >= 1 << 16:
         size, bits = size >> 16, bits + 16

@@ -11,9 +11,9 @@ shapes
     A basis vector has three coordinates at each vertex, and one coefficient at each frame. The first one is the mean
     shape, whose coefficient :math:`u_0 = 1 / \sqrt T` is known.
 
-Basis vectors go to several streams (groups), each with twice as many as the one before, so that a damaged file still
-has the most important ones; every stream has vectors of all parts. Coefficients go to one stream for every chunk of
-frames, and every chunk is coded by itself. The first group begins with the part of every vertex (`part_labels`).
+Basis vectors are split into streams (groups), each with twice as many as the one before, so that a damaged file keeps
+the most important ones; every stream has vectors of all parts. Coefficients have one stream per chunk of frames, coded
+independently. The first group begins with the part of every vertex (`part_labels`).
 
 Frozen: changing this breaks old files (golden: ``tests/coding/golden/*.npz``; ``parts.npz`` has several parts,
 ``shapes.npz`` several groups, ``long.npz`` several chunks). `mixseq.coding.encoder.trial` writes these streams.
@@ -38,7 +38,7 @@ from mixseq.mapping import on_two_threads
 BasisKind = Literal["trajectories", "shapes"]
 
 MOST_PARTS = 128
-"""Meshes have so many parts at most. Frozen: files with more are refused."""
+"""Largest number of parts of a mesh. Frozen: files with more are refused."""
 
 GROUP = 12
 """Basis vectors in the first group. Frozen: another number breaks old files."""
@@ -62,7 +62,7 @@ def parts_of(labels: Index, faces: NDArray[np.integer]) -> tuple[Part, ...]:
 
 
 def _part(mesh: tuple[Index, NDArray[np.integer]], part: tuple[int, Index]) -> Part:
-    """Return a part with a number and vertices ``(n,)`` of a mesh of labels and triangles."""
+    """Return the part of a mesh (labels and triangles) with a number and vertices ``(n,)``."""
     number, vertices = part
     return Part(vertices, part_graph(number, vertices, *mesh))
 
@@ -79,7 +79,7 @@ def part_graph(part: int, vertices: Index, labels: Index, faces: NDArray[np.inte
 
 
 class Block(NamedTuple):
-    """What a basis has of a part: its vertices ``(n,)``, increasing, and the vectors ``(K, c, n)`` over them."""
+    """The basis of a part: its vertices ``(n,)``, increasing, and the vectors ``(K, c, n)`` over them."""
 
     vertices: Index
     vectors: Float
@@ -87,9 +87,9 @@ class Block(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SpatialBasis:
-    """A basis, as a decoder has it."""
+    """A decoded spatial basis."""
 
-    kind: BasisKind  # what is compared: vertices or frames
+    kind: BasisKind  # vectors of trajectories or of shapes
     # Basis vectors of every part, in the units of the sequence; they are zero everywhere else. c = 1 of trajectories,
     # the first of which are constant; c = 3 of shapes, the first of which is the mean times the root of T.
     blocks: tuple[Block, ...]
@@ -119,7 +119,7 @@ class SpatialBasis:
 
     @property
     def varying(self) -> slice:
-        """Vectors whose coefficients are coded: all but the mean shape."""
+        """Slice of the vectors with coded coefficients: all but the mean shape."""
         return slice(0 if self.kind == "trajectories" else 1, None)
 
     @property
@@ -141,7 +141,7 @@ class SpatialBasis:
 
 
 def groups(rank: int) -> list[slice]:
-    """Return which basis vectors are in which stream: 12, 24, 48, ..."""
+    """Return the slice of basis vectors in every stream: 12, 24, 48, ... vectors."""
     ends, size = [0], GROUP
     while ends[-1] < rank:
         ends.append(min(ends[-1] + size, rank))
@@ -150,7 +150,7 @@ def groups(rank: int) -> list[slice]:
 
 
 def groups_of_parts(ranks: Sequence[int]) -> list[list[tuple[int, slice]]]:
-    """Return which vectors of which parts are in which stream: parts, and slices of their vectors."""
+    """Return the parts, and slices of their vectors, in every stream."""
     of_parts = [groups(rank) for rank in ranks]
     return [
         [(place, some[number]) for place, some in enumerate(of_parts) if number < len(some)]
@@ -174,7 +174,7 @@ def read_basis(
     parts, vectors = vertices_of(labels), [list[Float]() for _ in ranks]
     coders: dict[
         int, SignalCoder
-    ] = {}  # a coder takes more than a kilobyte a vertex: there is none before or after it is needed
+    ] = {}  # made on demand and freed after use, as a coder takes more than a kilobyte a vertex
     for reader, of_parts in zip(readers, groups_of_parts(ranks), strict=True):
         for place, group in of_parts:
             coder = coders.pop(place, None)
@@ -197,11 +197,7 @@ def read_basis(
 def assemble_basis(
     kind: BasisKind, vectors: Sequence[Float], parts: Sequence[Index], frame_count: int
 ) -> SpatialBasis:
-    """Return the basis of coded vectors ``(K, c, n)`` of all parts, without those that are zero; parts are vertices.
-
-    These have no coefficients. Coefficients are in the order of the groups, so that those of the first groups come
-    first.
-    """
+    """Return the basis of decoded vectors ``(K, c, n)`` of all parts, without zero ones, ordered by groups."""
     kept = [np.any(some, axis=(1, 2)) for some in vectors]
     if kind == "shapes":
         kept[0][:1] = True  # the mean, which may be zero

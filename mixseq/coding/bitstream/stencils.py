@@ -1,15 +1,14 @@
-r"""Weights to begin with, of signals over a mesh of which only the connectivity is known: what bends the mesh least.
+r"""Initial weights of signals over a mesh, from its connectivity, by least bending.
 
-A vertex :math:`v` that is taken away (`mixseq.coding.bitstream.signal_graph`) is between its neighbours, but on a
-curved surface not at their mean. The value is predicted that minimises the squares of mean slopes, at the vertex and at
-its neighbours,
+A removed vertex :math:`v` (`mixseq.coding.bitstream.signal_graph`) lies between its neighbours, but on a curved surface
+away from their mean. The predicted value minimises the squares of mean slopes, at the vertex and at its neighbours,
 
 .. math:: \sum_{i \in \{v\} \cup N(v)} \Bigl( \frac{1}{|N(i)|} \sum_{j \in N(i)} \frac{x_j - x_i}{l_{ij}} \Bigr)^2 ,
 
-with the neighbours :math:`N(i)` that are left when v is gone, and v, but not those across v. Lengths :math:`l_{ij}` are
-numbers of edges: one in the mesh, and as long as both sides together where an edge closes the hole that a vertex left.
-So a vertex is predicted from its neighbours, and from theirs; on a line of equal lengths with weights of -1/12, 7/12,
-7/12, -1/12. The energy is ours.
+with v and the neighbours :math:`N(i)` that are left when v is gone, without those across v. Lengths :math:`l_{ij}` are
+numbers of edges: one in the mesh, and the sum of both sides where an edge closes the hole of a removed vertex. So a
+vertex is predicted from its neighbours, and from theirs; on a line of equal lengths with weights of -1/12, 7/12, 7/12,
+-1/12.
 
 Frozen: changing this breaks files.
 """
@@ -27,14 +26,14 @@ from mixseq.coding.bitstream.signal_graph_kernels import renumbered
 from mixseq.compiled import compiled
 
 WIDEST = 16
-"""So many nodes are in a stencil at most: the neighbours, and those of largest weight. Frozen: breaks files."""
+"""Largest number of nodes in a stencil: the neighbours, and those of largest weight. Frozen: breaks files."""
 
 HUB = 32
-"""Slopes at nodes with more neighbours do not count, which takes too long. Frozen: breaks files."""
+"""Number of neighbours above which slopes at a node are ignored, to save time. Frozen: breaks files."""
 
 
 class Stencils(NamedTuple):
-    """What every node is predicted from, as long as nothing is known of the signals."""
+    """Neighbours and weights of every node, before any signal is known."""
 
     neighbours: Index  # (N, WIDEST) nodes before every node; the first counts[node] of a row count
     counts: Index  # (N,) number of neighbours of every node
@@ -45,7 +44,7 @@ _known: WeakKeyDictionary[SignalGraph, Stencils] = WeakKeyDictionary()
 
 
 def stencils(graph: SignalGraph) -> Stencils:
-    """Return the stencils of a graph of a mesh; of one over time, or of nodes without edges, its own weights."""
+    """Return the stencils of a mesh's graph; for a graph over time, or nodes without edges, its own weights."""
     if graph not in _known:
         _known[graph] = _stencils(graph)
     return _known[graph]
@@ -88,7 +87,7 @@ def _bend(
     counts: Index,
     weights: Float,
 ) -> None:
-    """Write the stencils of vertices that go, ``(n,)``, from lengths ``(2 E,)`` of edges before and ``(2 E',)`` after.
+    """Write the stencils of removed vertices ``(n,)``, from edge lengths ``(2 E,)`` before and ``(2 E',)`` after.
 
     Stencils have nodes' numbers: ``place`` (N,) of vertices.
     """
@@ -113,7 +112,7 @@ def _bend(
             number = 1
             for turn in range(
                 2
-            ):  # how many neighbours are left, without those across the vertex; then their shares
+            ):  # number of remaining neighbours, without those across the vertex; then their shares
                 own = 1.0 / (number * side)
                 for at in range(new_starts[around], new_starts[around + 1]):
                     other = new_beside[at]
@@ -161,7 +160,7 @@ def _lengths(
     new_beside: Index,
     lengths: Float,
 ) -> Float:
-    """Return the lengths ``(2 E',)`` of the edges after vertices went, from those before: always the shortest."""
+    """Return the lengths ``(2 E',)`` of edges after vertices were removed, always the shortest, from those before."""
     found = np.full(len(new_beside), np.inf)
     for vertex in range(len(starts) - 1):
         if new_starts[vertex] == new_starts[vertex + 1]:

@@ -1,11 +1,11 @@
-r"""Code texture coordinates on the polygons of a mesh: multiples of 1 / n, without loss.
+"""Code texture coordinates on the polygons of a mesh: multiples of 1 / n, without loss.
 
-First where the seams are (`mixseq.coding.bitstream.uv_seams`): which corners at a vertex have the same coordinates, and
-so are one *node*. Then the coordinates of nodes (`mixseq.coding.bitstream.uv_values`), predicted from the polygons on
-nodes. Both are bits in contexts of `mixseq.coding.bitstream.hashed_contexts`; behind them is the `decoded_check` of the
+First the seams (`mixseq.coding.bitstream.uv_seams`): which corners at a vertex have the same coordinates, and so are
+one *node*. Then the coordinates of nodes (`mixseq.coding.bitstream.uv_values`), predicted from the polygons on nodes.
+Both are bits in contexts of `mixseq.coding.bitstream.hashed_contexts`, followed by the `decoded_check` of the
 coordinates at all corners.
 
-The coordinate k is the float32 next to the float64 k / n. All that is decided is decided by whole numbers.
+The coordinate k is the float32 next to the float64 k / n. All decisions use integers.
 
 Frozen: changing this breaks old files (golden: ``tests/coding/golden/uvs.npz``).
 """
@@ -30,17 +30,11 @@ from mixseq.polygons import Polygons
 from mixseq.surface import CornerValues
 
 _MOST_BITS = 2 * (2 * LONGEST + 1)
-"""Bits of a pair of numbers at most. Free: memory is taken ahead."""
+"""Bits of a pair of numbers at most. Free: memory is allocated ahead."""
 
 
 def grid_numbers(values: FloatArray, steps: int) -> Index | None:
-    """Return coordinates ``(n, 2)`` in units of ``1 / steps``, None if they are no multiples of it, or too large.
-
-    Examples
-    --------
-    >>> grid_numbers(np.array([[0.5, 0.25]], dtype=np.float32), 4).tolist()
-    [[2, 1]]
-    """
+    """Return coordinates ``(n, 2)`` in units of ``1 / steps``; None if they are too large, or off the grid."""
     with np.errstate(invalid="ignore", over="ignore"):
         rounded = np.rint(values.astype(np.float64) * steps)
         if not (np.abs(rounded) <= LARGEST).all():
@@ -50,22 +44,22 @@ def grid_numbers(values: FloatArray, steps: int) -> Index | None:
 
 
 def grid_values(numbers: Index, steps: int) -> FloatArray:
-    """Return the coordinates that `grid_numbers` was given."""
+    """Invert `grid_numbers`: return the coordinates of numbers."""
     return (numbers / steps).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
 class CodedUVs:
-    """Texture coordinates that were coded."""
+    """Coded texture coordinates."""
 
-    data: bytes  # what decode_uvs is given
+    data: bytes  # input of decode_uvs
     corners: Corners  # corners on nodes: on pairs of coordinates
     copies: Copies  # which polygons have images
-    known: Known  # the coordinates of nodes, and how far they were from their guess
+    known: Known  # the coordinates of nodes, and their distances from the guesses
 
 
 def code_uvs(polygons: Polygons, vertex_count: int, numbers: Index, regions: Index | None = None) -> CodedUVs:
-    """Code coordinates in steps so that `decode_uvs` returns them: numbers ``(sum of counts, 2)``; regions ``(P,)``."""
+    """Code coordinates in steps for `decode_uvs`: numbers ``(sum of counts, 2)``; regions ``(P,)``."""
     keys = np.column_stack([polygons.indices, numbers])
     labels = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
     bits = bits_to_write(len(labels) * MOST_SEAM_BITS, SEAM_KINDS + VALUE_KINDS)
@@ -78,7 +72,7 @@ def code_uvs(polygons: Polygons, vertex_count: int, numbers: Index, regions: Ind
 
 
 def decode_uvs(data: bytes, polygons: Polygons, vertex_count: int, steps: int) -> CornerValues:
-    """Return the texture coordinates that `code_uvs` coded, as multiples of ``1 / steps``."""
+    """Return the texture coordinates written by `code_uvs`, as multiples of ``1 / steps``."""
     what = f"texture coordinates at {polygons.indices.size} corners"
     stream, expected = without_check(data)
     bits = bits_to_read(stream, SEAM_KINDS + VALUE_KINDS)
@@ -92,7 +86,7 @@ def decode_uvs(data: bytes, polygons: Polygons, vertex_count: int, steps: int) -
 
 
 def _walked_seams(bits: Bits, polygons: Polygons, vertex_count: int, labels: Index) -> tuple[Corners, int]:
-    """Walk over the seams; return corners on nodes, and how many nodes there are."""
+    """Code the seams; return corners on nodes, and the number of nodes."""
     corners = corners_of(polygons, vertex_count)
     nodes = np.full(len(labels), -1, dtype=np.int64)
     count = int(walk_seams(bits, corners, growing_order(corners), labels, nodes))
@@ -102,7 +96,7 @@ def _walked_seams(bits: Bits, polygons: Polygons, vertex_count: int, labels: Ind
 def _walked_values(
     bits: Bits, corners: Corners, values: Index, regions: Index | None
 ) -> tuple[Copies, Known]:
-    """Walk over the values ``(N, 2)``, which are found if they are decoded; return what is known then."""
+    """Code the values ``(N, 2)``, or decode them in place; return the copies and the known nodes."""
     order = growing_order(corners)
     copies = no_copies(corners, order)
     known = Known(values, np.zeros(len(values), dtype=np.bool_), np.zeros(len(values), dtype=np.int64))

@@ -1,19 +1,18 @@
-r"""Regions of texture coordinates that are copies of earlier ones: moved, turned, scaled, mirrored.
+r"""Regions of texture coordinates that are copies of earlier ones: translated, rotated, scaled, mirrored.
 
 The two sides of a character are usually unwrapped alike, and then packed: each piece is the mirror image of another
-one. So a polygon may have an *image*, a polygon of the same number of corners that was visited before it. Which corner
-is the image of its first one, and whether it is mirrored, is said where a *region* begins; from there the image of a
-polygon follows from that of a polygon beside it. With o a corner whose coordinates and whose image's are known, the one
-before or after x, or else the region's first, and :math:`p, q` two more of the region, far from each other, the copy of
-x is
+one. So a polygon may have an *image*, an earlier polygon with the same number of corners. The image of its first
+corner, and whether it is mirrored, is coded where a *region* begins; from there the image of a polygon follows from
+that of an adjacent one. With o a corner whose coordinates and whose image's are known, the one before or after x, or
+else the region's first, and :math:`p, q` two more of the region, far from each other, the copy of x is
 
 .. math:: x = o + \frac{q - p}{q' - p'}\, (x' - o')
 
-as complex numbers, where primes are images, conjugated if they are mirrored. As long as there is only one known corner
-it is moved, and mirrored in u.
+as complex numbers, where primes are images, conjugated if they are mirrored. With only one known corner the image is
+translated, and mirrored in u.
 
-Frozen: changing this breaks old files (golden: ``tests/coding/golden/uvs.npz``). numba keeps compiled loops by the text
-of their own file: who changes this module must change `mixseq.coding.bitstream.uv_values`, too.
+Frozen: changing this breaks old files (golden: ``tests/coding/golden/uvs.npz``). numba caches compiled loops by the
+text of their own file: edit `mixseq.coding.bitstream.uv_values` whenever this module changes.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from mixseq.coding.bitstream.uv_guesses import Guess, Known
 from mixseq.compiled import compiled
 
 _PRECISION = 17
-"""Bits of the numbers by which copies are turned and scaled. Frozen: breaks old files."""
+"""Bits of the numbers by which copies are rotated and scaled. Frozen: breaks old files."""
 
 
 class Copies(NamedTuple):
@@ -59,7 +58,7 @@ def no_copies(corners: Corners, order: Index) -> Copies:
 
 @compiled
 def image_of(corners: Corners, copies: Copies, corner: int) -> int:
-    """Return the image of a corner that follows from the polygon beyond the half-edge from it; -1 if there is none."""
+    """Return the image of a corner that follows from the polygon across the half-edge from it; -1 if there is none."""
     there = corners.twin[corner]
     if there < 0 or copies.region[corners.polygon[there]] < 0:
         return -1
@@ -72,7 +71,7 @@ def image_of(corners: Corners, copies: Copies, corner: int) -> int:
 
 @compiled
 def follow(corners: Corners, copies: Copies, polygon: int) -> bool:
-    """Give a polygon the image that follows from one beside it, its corners in order; return whether there is one."""
+    """Set a polygon's image from an adjacent polygon, its corners in order; return whether there is one."""
     for corner in range(corners.starts[polygon], corners.starts[polygon + 1]):
         image = image_of(corners, copies, corner)
         if image >= 0 and fits(corners, copies, polygon, corners.polygon[image]):
@@ -84,7 +83,7 @@ def follow(corners: Corners, copies: Copies, polygon: int) -> bool:
 
 @compiled
 def fits(corners: Corners, copies: Copies, polygon: int, image: int) -> bool:
-    """Whether a polygon can be the image of another one."""
+    """Return whether a polygon can be the image of another one."""
     starts, places = corners.starts, copies.places
     same = starts[image + 1] - starts[image] == starts[polygon + 1] - starts[polygon]
     return bool(same and places[image] < places[polygon])
@@ -94,7 +93,7 @@ def fits(corners: Corners, copies: Copies, polygon: int, image: int) -> bool:
 def give_image(
     corners: Corners, copies: Copies, corner: int, image: int, mirrored: bool, region: int
 ) -> None:
-    """Give a corner its image, and with it all corners of its polygon."""
+    """Set the image of a corner, and with it of all corners of its polygon."""
     polygon = corners.polygon[corner]
     copies.mirrored[polygon] = mirrored
     copies.region[polygon] = region
@@ -106,7 +105,7 @@ def give_image(
 
 @compiled
 def drop_anchor(corners: Corners, copies: Copies, known: Known, corner: int) -> None:
-    """Take a corner as an anchor of its region, if it is the first one, or its image farther from the first one's."""
+    """Make a corner an anchor of its region, if it is the first one, or its image farther from the first one's."""
     node, values, image = corners.node, known.values, copies.image[corner]
     anchors = copies.anchors[copies.region[corners.polygon[corner]]]
     if not (known.there[node[corner]] and known.there[node[image]]):
@@ -125,7 +124,7 @@ def drop_anchor(corners: Corners, copies: Copies, known: Known, corner: int) -> 
 
 @compiled
 def copy(corners: Corners, copies: Copies, known: Known, corner: int, guess: Guess) -> int:
-    """Make the guess at a corner a copy of its image; return from how many anchors, 0 if there is no copy."""
+    """Set the guess at a corner to the copy of its image; return its number of anchors, 0 if there is no copy."""
     node, values, there, images = corners.node, known.values, known.there, copies.image
     polygon = corners.polygon[corner]
     if copies.region[polygon] < 0 or not there[node[images[corner]]]:

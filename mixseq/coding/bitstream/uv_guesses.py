@@ -1,4 +1,4 @@
-r"""Guess the texture coordinates of a node from those around it.
+"""Guess the texture coordinates of a node from adjacent ones.
 
 With :math:`a, b` the corners before and after a corner x in a polygon that has it, the guesses are, in this order,
 
@@ -11,14 +11,14 @@ With :math:`a, b` the corners before and after a corner x in a polygon that has 
 `ANYWHERE`  the node that was known last, (0, 0) at the start
 ==========  =========================================================================================================
 
-each from nodes that are known (parallelograms: Touma and Gotsman 1998, *Triangle mesh compression*). Means round to the
-nearest whole number, halves up.
+each from known nodes (parallelograms: Touma and Gotsman 1998, *Triangle mesh compression*). Means round to the nearest
+integer, halves up.
 
-Where the guesses of `AROUND` are too far out, because the map is less even than the rule has it, :math:`a + b - z` is
-drawn back to the middle of *a* and *b*, by 3/8 of the way, rounded down.
+Where guesses `AROUND` overshoot, as the map is less even than the rule assumes, :math:`a + b - z` is drawn back to the
+middle of *a* and *b*, by 3/8 of the way, rounded down.
 
-Frozen: changing this breaks old files (golden: ``tests/coding/golden/uvs.npz``). numba keeps compiled loops by the text
-of their own file: who changes this module must change `mixseq.coding.bitstream.uv_values`, too.
+Frozen: changing this breaks old files (golden: ``tests/coding/golden/uvs.npz``). numba caches compiled loops by the
+text of their own file: edit `mixseq.coding.bitstream.uv_values` whenever this module changes.
 """
 
 from __future__ import annotations
@@ -33,36 +33,36 @@ from mixseq.coding.bitstream.growing import Corners, after, before
 from mixseq.compiled import compiled
 
 COPIED, AROUND, BEYOND, BESIDE, ANYWHERE = range(5)
-"""What a guess is made of. Frozen: breaks old files."""
+"""Kinds of guesses. Frozen: breaks old files."""
 
 
 class Guess(NamedTuple):
-    """A guess, and what is known about it."""
+    """A guess, and the facts about it used as contexts."""
 
     at: Index  # (2,) the guess
-    back: Index  # (2,) how far it is drawn back where such guesses are too far out
-    # (3,) what it is made of (AROUND, ...); of how many guesses it is the mean; how far these are apart, u and v added.
+    back: Index  # (2,) how far it is drawn back where such guesses overshoot
+    # (3,) kind (AROUND, ...); number of guesses averaged; their spread, u and v added.
     facts: Index
     low: Index  # (2,) least u and v of the guesses in the mean
     high: Index  # (2,) largest u and v of the guesses in the mean
 
 
 class Known(NamedTuple):
-    """Nodes so far."""
+    """Nodes known so far."""
 
     values: Index  # (N, 2) coordinates
     there: NDArray[np.bool_]  # (N,) whether they are known
-    sizes: Index  # (N,) how far they were from their guess, u and v added
+    sizes: Index  # (N,) distance from their guess, u and v added
 
 
 def no_guess() -> Guess:
-    """Return room for a guess."""
+    """Return an empty guess."""
     return Guess(*(np.zeros(size, dtype=np.int64) for size in (2, 2, 3, 2, 2)))
 
 
 @compiled
 def make_guess(corners: Corners, known: Known, corner: int, last: int, guess: Guess) -> None:
-    """Guess the coordinates at a corner; `last` is the node that was known last, -1 for none."""
+    """Guess the coordinates at a corner; `last` is the last known node, -1 for none."""
     node, twin, values, there = corners.node, corners.twin, known.values, known.there
     x = node[corner]
     for i in range(2):
@@ -119,7 +119,7 @@ def make_guess(corners: Corners, known: Known, corner: int, last: int, guess: Gu
 
 @compiled
 def _add(guess: Guess, i: int, value: int, count: int) -> None:
-    """Add one of the guesses of which the guess is the mean."""
+    """Add one of the guesses to be averaged."""
     guess.at[i] += value
     guess.low[i] = min(guess.low[i], value) if count else value
     guess.high[i] = max(guess.high[i], value) if count else value

@@ -1,13 +1,13 @@
-"""Which corners at a vertex have the same texture coordinates: where the seams are.
+"""Code seams: which corners at a vertex have the same texture coordinates.
 
 Polygons are visited in the order of `growing`, corners in that of the polygon. A corner takes the node (the pair of
-coordinates) of the polygon beyond the edge into it, or of that beyond the edge out of it, or another one that its
-vertex has already, the newest first; each of these is a bit, unless it was said already that it is not this one. If it
-takes none, it has a new node. Nodes are numbered as they come.
+coordinates) of the polygon across the edge into it, or of that across the edge out of it, or another one of its vertex,
+the newest first; each of these is a bit, unless it was excluded already. If it takes none, it has a new node. Nodes are
+numbered in order of first use.
 
-Frozen: changing this breaks old files (golden: ``tests/coding/golden/uvs.npz``). numba keeps compiled loops by the text
-of their own file, and this one contains those of `hashed_contexts`, `bit_models`, `arithmetic` and `growing`: who
-changes these must change this file, too. Format 3.
+Frozen: changing this breaks old files (golden: ``tests/coding/golden/uvs.npz``). numba caches compiled loops by the
+text of their own file, and this one inlines `hashed_contexts`, `bit_models`, `arithmetic` and `growing`: edit this file
+whenever these change. Format 3.
 """
 
 from __future__ import annotations
@@ -20,17 +20,16 @@ from mixseq.coding.bitstream.hashed_contexts import Bits, code, has_failed
 from mixseq.compiled import compiled
 
 SEAM_KINDS = 4
-"""Kinds of bits with weights of their own. Frozen: breaks old files."""
+"""Kinds of bits with mixing weights of their own. Frozen: breaks old files."""
 
 _INTO, _OUT, _OTHER, _BOTH = range(SEAM_KINDS)
-"""The node beyond the edge into the corner, beyond that out of it, another node, that of both edges. Frozen: breaks
-old files."""
+"""Node across the edge into the corner, across that out of it, another one, that of both. Frozen: breaks old files."""
 
 MOST_NODES = 32
-"""So many nodes of a vertex are looked at: time stays bounded. Frozen: breaks old files."""
+"""Nodes of a vertex that are searched, which bounds the time. Frozen: breaks old files."""
 
 MOST_SEAM_BITS = 2 + MOST_NODES
-"""Bits of a corner at most. Free: memory is taken ahead."""
+"""Bits of a corner at most. Free: memory is allocated ahead."""
 
 
 @compiled
@@ -93,7 +92,7 @@ def walk_seams(bits: Bits, corners: Corners, order: Index, labels: Index, nodes:
 
 @compiled
 def _along(one: int, other: int) -> int:
-    """Whether the other end of an edge has one node on both sides; 2 if that is not known."""
+    """Return whether the other end of an edge has one node on both sides; 2 if unknown."""
     return 2 if one < 0 or other < 0 else (1 if one == other else 0)
 
 

@@ -1,27 +1,26 @@
-"""The values of texture coordinates: how far they are from what is guessed, node by node.
+"""Code the values of texture coordinates: their differences from guesses, node by node.
 
-Polygons are visited in the order of `growing`, of the polygons on nodes. Of each, corners are looked at from the first
-one on that is known and has an unknown one after it, else from the first one; what is unknown is coded: the difference
-of u from its guess, then that of v. The guess is the copy of an image (`uv_copies`), or what lies around
-(`uv_guesses`).
+Polygons are visited in the order of `growing`, of the polygons on nodes. Their corners start from the first known one
+that has an unknown one after it, else from the first one. Unknown ones are coded: the difference of u from its guess,
+then that of v. The guess is the copy of an image (`uv_copies`), or from adjacent nodes (`uv_guesses`).
 
-*Images.* A polygon has the image that follows from one beside it. If none does, and it has unknown nodes, a number says
-whether a region begins with it: 0 for no, else how many polygons before it its image was visited; then another one,
-twice the place of the corner in that polygon that is the image of its first corner, plus 1 if it is mirrored. A polygon
-loses its image where a copy from two anchors was off by more than 8, and by more than the other guess.
+*Images.* A polygon has the image that follows from an adjacent one. If none does, and it has unknown nodes, a number
+codes whether a region begins with it: 0 for no, else how many polygons before it its image was visited; then another
+one, twice the place of the corner in that polygon that is the image of its first corner, plus 1 if it is mirrored. A
+polygon loses its image where a copy from two anchors was off by more than 8, and by more than the other guess.
 
-*Drawing back.* Whether guesses `AROUND` are drawn back is decided by what is lost by either, a sum of sizes as below
-that forgets 1/32 at every node that has such a guess.
+*Drawing back.* Whether guesses `AROUND` are drawn back is decided by the loss of either, a sum of sizes as below that
+forgets 1/32 at every node that has such a guess.
 
 *Numbers.* Whether the magnitude has a bit, a second one, a third, ..., until it has no more; then its bits after the
-highest, from high to low, and the sign of differences, which nobody expects. The contexts of the first are specified
-here. They tell how many bits there are beyond those expected: as often lately, of the neighbours, of the length of the
-edge across, of how far guesses are apart (of v: of u). A *size* is the number of bits of a number in 16ths: 16 for
-each, plus the four after the highest.
+highest, from high to low, and the sign of differences, without a model. The code here specifies the contexts of the
+first. They are bit counts beyond the expected ones: recent ones, those of the neighbours, of the length of the edge
+across, of the spread of guesses (of v: of u). A *size* is the number of bits of a number in 16ths: 16 for each, plus
+the four after the highest.
 
-Frozen: changing this breaks old files (golden: ``tests/coding/golden/uvs.npz``). numba keeps compiled loops by the text
-of their own file, and this one contains those of `hashed_contexts`, `bit_models`, `arithmetic`, `growing`, `uv_guesses`
-and `uv_copies`: who changes these must change this file, too. Format 3.
+Frozen: changing this breaks old files (golden: ``tests/coding/golden/uvs.npz``). numba caches compiled loops by the
+text of their own file, and this one inlines `hashed_contexts`, `bit_models`, `arithmetic`, `growing`, `uv_guesses` and
+`uv_copies`: edit this file whenever these change. Format 3.
 """
 
 from __future__ import annotations
@@ -45,54 +44,39 @@ from mixseq.coding.bitstream.uv_seams import SEAM_KINDS
 from mixseq.compiled import compiled
 
 _GROUPS = 4
-"""Guesses whose misses are alike: around and beyond, copied, beside, anywhere. Frozen: breaks old files."""
+"""Groups of guesses with similar errors: around and beyond, copied, beside, anywhere. Frozen: breaks old files."""
 
 VALUE_KINDS = 2 * _GROUPS + 2
-"""Kinds of bits with weights of their own, after those of seams: of u and v by group; of regions. Frozen: breaks old
-files."""
+"""Kinds of bits with mixing weights, after those of seams: u and v by group; regions. Frozen: breaks old files."""
 
 LONGEST = 40
 """Bits of the largest numbers. Frozen: breaks old files."""
 
 LARGEST = 1 << 26
-"""No coordinate is farther from 0, in steps. Frozen: breaks old files."""
+"""Largest magnitude of a coordinate, in steps. Frozen: breaks old files."""
 
 _TOLERATED = 8
-"""Copies that are farther off, and farther than another guess, are no copies. Frozen: breaks old files."""
+"""Error above which a copy worse than the other guess ends, in steps. Frozen: breaks old files."""
 
 _BACK, _PLACE = 2 * _GROUPS, 2 * _GROUPS + 1
-"""Numbers about regions. Frozen: breaks old files."""
+"""Kinds of the numbers of regions. Frozen: breaks old files."""
 
 _NONE = -1
-"""No node, of the type of nodes. Free: it saves a compilation."""
+"""No node, in the type of nodes. Free: saves a compilation."""
 
 _FIRST_SIZES = (64, 64, 160, 160)
-"""Sizes that are expected of the groups to begin with. Frozen: breaks old files."""
+"""Initial expected sizes of the groups. Frozen: breaks old files."""
 
 
 @compiled
 def walk_values(
     bits: Bits, corners: Corners, order: Index, copies: Copies, regions: Index, known: Known, guess: Guess
 ) -> None:
-    """Code the values of all nodes, or decode them; `bits.failed` says if that failed.
+    """Code the values of all nodes, or decode them; set `bits.failed` on failure.
 
-    Parameters
-    ----------
-    bits : Bits
-        The state.
-    corners : Corners
-        Corners on nodes.
-    order : (P,) int64
-        The order of polygons.
-    copies : Copies
-        No copies.
-    regions : (P,) int64
-        If coding, where regions begin: 0 for nowhere, else 1 plus twice the image of the first corner, plus 1 if it is
-        mirrored. It has to have been visited before.
-    known : Known
-        Values of all nodes if coding; no node is there.
-    guess : Guess
-        Room for a guess.
+    Polygons are visited in the order ``(P,)``; `copies`, `known` and `guess` start empty, but for the values of `known`
+    when coding. Then `regions` ``(P,)`` marks where they begin: 0 for nowhere, else 1 plus twice the image of the first
+    corner, which must have been visited, plus 1 if it is mirrored.
     """
     about, sizes = np.zeros(3, dtype=np.int64), np.zeros(4, dtype=np.int64)
     means = np.array(_FIRST_SIZES)
@@ -162,7 +146,7 @@ def walk_values(
 
 @compiled
 def _miss(values: Index, node: int, guess: Index) -> int:
-    """How far a node is from a guess."""
+    """Return the distance of a node from a guess."""
     missed: int = abs(values[node, 0] - guess[0]) + abs(values[node, 1] - guess[1])
     return missed
 
@@ -209,7 +193,7 @@ def _expect(
     about: Index,
     sizes: Index,
 ) -> None:
-    """Note what a guess is made of, and which sizes of misses can be expected."""
+    """Record the kind of a guess, and the expected sizes of its error."""
     a, b = corners.node[before(corners, corner)], corners.node[after(corners, corner)]
     near, edge = known.sizes[a] + known.sizes[b], 0
     if known.there[a] != known.there[b]:
@@ -247,7 +231,7 @@ def _number(bits: Bits, about: Index, sizes: Index, what: int, number: int) -> i
 
 @compiled
 def _beyond(length: int, size: int, shift: int) -> int:
-    """How many bits there are beyond the expected size, in units of ``2^shift`` 16ths: 1 to 63, 32 for none."""
+    """Return the number of bits beyond the expected size, in units of ``2^shift`` 16ths: 1 to 63, 32 for none."""
     return min(max(16 * length - size + 8 >> shift, -31), 31) + 32
 
 
@@ -260,7 +244,7 @@ def size_of(number: int) -> int:
 
 @compiled
 def _length(number: int) -> int:
-    """How many bits the magnitude of a number has."""
+    """Return the bit length of a number's magnitude."""
     rest, length = abs(number), 0
     while rest:
         rest >>= 1

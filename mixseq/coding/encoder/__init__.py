@@ -1,1 +1,1 @@
-"""Choose step, basis and parts of a compressed file. Free to change: any decoder reads what comes of it."""
+"""Choose step, basis and parts of a compressed file. Free to change: any decoder reads the result."""

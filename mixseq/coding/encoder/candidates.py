@@ -1,4 +1,4 @@
-"""What can be tried: kinds of basis, and numbers of parts, each on a coarse mesh first and then on the whole one."""
+"""Candidates to try: kinds of basis, and numbers of parts, first on a coarse mesh and then on the whole one."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from mixseq.coding.encoder.trial import Candidate
 from mixseq.frame_store import FrameStore
 
 SHAPES = 1.65
-"""Shapes are tried unless they have so many more bits, unpredicted: they are predicted better, but not that much."""
+"""Ratio of unpredicted bits up to which shapes are tried against trajectories, as they are predicted better."""
 
 PARTS = (3, 6, 12)
-"""So many parts are tried."""
+"""Numbers of parts that are tried."""
 
 NODES, LARGE = 8000, 1.5
-"""Candidates are compared on so many vertices, if there are so many times more."""
+"""Vertices of the coarse mesh for comparing candidates, used if the mesh has more than `LARGE` times as many."""
 
 KINDS: tuple[BasisKind, ...] = ("trajectories", "shapes")
 
@@ -35,7 +35,7 @@ Way = tuple[BasisKind, int]
 
 
 class Ways:
-    """What can be tried, on a coarse mesh and on the whole one."""
+    """Candidates on a coarse mesh and on the whole one."""
 
     def __init__(
         self,
@@ -69,7 +69,7 @@ class Ways:
         return shapes(self._components, 3**0.5 * self._least)
 
     def shapes_may_pay(self) -> bool:
-        """Whether shapes are not clearly worse than trajectories."""
+        """Return whether shapes are not clearly worse than trajectories."""
         other = self._candidate(self._shapes, self._labels[1], self._mesh)
         return _bits(other, step_of(other, self._error)) < SHAPES * _bits(self._one, self._step)
 
@@ -95,7 +95,7 @@ class Ways:
 
 
 class _Mesh(NamedTuple):
-    """Some vertices ``(n,)`` of a mesh, triangles of these, their graph, and which share of all they are."""
+    """Some vertices ``(n,)`` of a mesh, triangles of these, their graph, and their share of all vertices."""
 
     vertices: Index
     faces: NDArray[np.integer]
@@ -112,10 +112,7 @@ def _at(components: PrincipalComponents, vertices: Index) -> PrincipalComponents
 
 
 def expected_error(candidate: Candidate, step: float) -> float:
-    """Return about which error a step makes.
-
-    Squared, it is s^2 / 12 for every number of a vector and of its coefficients, or all of the vector, if that is less.
-    """
+    """Return the root of the expected squared error: s^2 / 12 per number of a vector, or all of it if that is less."""
     squares, rows = 0.0, candidate.components.curves[0].size
     for part in candidate.parts:
         numbers = part.width / candidate.share + rows
@@ -124,7 +121,7 @@ def expected_error(candidate: Candidate, step: float) -> float:
 
 
 def step_of(candidate: Candidate, error: float) -> float:
-    """Return the step that is expected to make an error."""
+    """Return the step with a given expected error."""
     low, high = 1e-12 * error, error
     for _ in range(60):
         step = float(np.sqrt(low * high))
@@ -133,6 +130,6 @@ def step_of(candidate: Candidate, error: float) -> float:
 
 
 def _bits(candidate: Candidate, step: float) -> float:
-    """Return how many bits one part would cost if nothing were known of its components but their norms."""
+    """Return the bits of one part if only the norms of its components are known."""
     [part] = candidate.parts
     return float(part.width * np.log2(np.maximum(part.norms / (step * part.width**0.5), 1.0)).sum())

@@ -1,7 +1,7 @@
-"""A mesh with fewer vertices, on which ways to code a large one are compared quickly.
+"""A mesh with fewer vertices, for comparing candidates on a large one.
 
-Its vertices are those that are coded first, its edges those that close the holes that the others leave
-(`mixseq.coding.bitstream.signal_graph`): what is coded of it is about what is coded first of the whole mesh.
+Its vertices are those coded first, its edges those that close the holes of the others
+(`mixseq.coding.bitstream.signal_graph`): its streams resemble the first ones of the whole mesh.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from mixseq.coding.bitstream.signal_graph import MOST, coarser_levels, mesh_neig
 
 
 def coarse_mesh(faces: NDArray[np.integer], vertex_count: int, most: int) -> tuple[Index, Index]:
-    """Take vertices away until there are few enough: faces ``(F, 3)``; result ``(n,)``, ``(E, 3)``."""
+    """Remove vertices until at most `most` are left: faces ``(F, 3)``; result ``(n,)``, ``(E, 3)``."""
     starts, beside = mesh_neighbours(faces, vertex_count)
     left = np.ones(vertex_count, dtype=bool)
     scratch = np.zeros((vertex_count, MOST), dtype=np.int64), np.zeros(vertex_count, dtype=np.int64)

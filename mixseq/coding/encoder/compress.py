@@ -1,6 +1,6 @@
-"""Compress a sequence to an error or a size, and measure the error of what was written by decoding it.
+"""Compress a sequence to an error or a size, and measure the error by decoding the result.
 
-The step is found by `mixseq.coding.encoder.search`; nothing is promised that was not measured.
+The step is found by `mixseq.coding.encoder.search`; guaranteed errors are measured ones.
 """
 
 from __future__ import annotations
@@ -40,31 +40,31 @@ def compress(
 ) -> CompressedSequence:
     """Compress a sequence.
 
-    It works on as many threads as `mixseq.mapping.thread_count` tells; bytes do not depend on that.
+    It works on `mixseq.mapping.thread_count` threads; the bytes are the same for any number.
 
     Parameters
     ----------
     sequence : MeshSequence or SequenceReader
         The animation.
     max_error : float, optional
-        Largest distance of a vertex from the original at any frame, as a fraction of the bounding box's diagonal in
-        the first frame: a promise.
+        Guaranteed largest distance of a vertex from the original at any frame, as a fraction of the bounding box's
+        diagonal in the first frame.
     kg : float, optional
         KG error in percent: root mean square distance, relative to that of the vertices from their centroid.
     size : int, optional
-        Number of bytes of the signals, in which the KG error is to be as small as it can be.
+        Number of bytes of the signals, for which the KG error is minimised.
     progress : callable, optional
-        Told about every stage.
+        Called at every stage.
     uv_error : float
-        Largest difference of a texture coordinate, of u and of v, from the original, in units of the texture's square:
-        a promise. By default a sixteenth of a texel of a texture of 4096 x 4096; 0 keeps all bits.
+        Guaranteed largest difference of a texture coordinate, of u and of v, from the original, in units of the
+        texture's square. By default a sixteenth of a texel of a texture of 4096 x 4096; 0 keeps all bits.
     uvs : bool
         Whether to keep texture coordinates.
     order : {"keep", "vertices", "free"}
-        What keeps its numbers: vertices and faces; vertices only; or neither. The other numbers are those that take the
-        fewest bytes; what is on vertices, faces and corners goes along.
+        Numbers to keep: of vertices and faces; of vertices only; or neither. The others are chosen for the fewest
+        bytes; attributes of vertices, faces and corners are reordered too.
     chunk : int
-        About so many frames, 16 or more, can be decoded, or be lost, without those of others. Fewer take more bytes.
+        About this many frames, 16 or more, are decoded together, or lost together. Small chunks take more bytes.
 
     Returns
     -------
@@ -114,7 +114,7 @@ def _check(max_error: float | None, kg: float | None, size: int | None) -> None:
 
 
 def _with_margin(bound: float, sequence: FrameStore) -> float:
-    """Leave room for the last digits, which are not the same on every machine, and for files of single precision."""
+    """Reduce a bound by the last digits, which vary between machines, and by the rounding of single-precision files."""
     largest = largest_coordinate(sequence.points)
     last = digits_end(largest)
     if bound < last:
@@ -129,7 +129,7 @@ def _with_margin(bound: float, sequence: FrameStore) -> float:
 
 
 def _deviation(sequence: FrameStore) -> float:
-    """Root of the sum of all squared distances from the centroids of the frames."""
+    """Return the root of the sum of all squared distances from the centroids of the frames."""
     squares = largest = 0.0
     for block in blocks_of(sequence.points):
         points = block.astype(np.float64)
@@ -149,7 +149,7 @@ def _found(
     kg: float | None,
     size: int | None,
 ) -> CompressedSequence:
-    """Return the streams that a search finds. What else it has found, some kB a vertex, goes with it."""
+    """Return the streams found by a search. Its other results, some kB a vertex, are freed."""
     search = Search(frames, mesh_graph(frames.header.faces, frames.header.vertex_count), stages, chunk)
     if max_error is not None:
         best = search.within(_with_margin(max_error * unit, frames))
@@ -175,7 +175,7 @@ def _found(
 def _checked(
     sequence: FrameStore, coded: CompressedSequence, bound: float | None, kg: float | None
 ) -> CompressedSequence:
-    """Decode what was coded, and measure its errors: nothing is promised that was not observed."""
+    """Decode the compressed sequence, and measure its errors."""
     model, between = decode(coded)
     unit = coded.parameters.diagonal
     squares = variation = largest = 0.0

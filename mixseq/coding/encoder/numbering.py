@@ -1,4 +1,4 @@
-"""Choose the numbers that vertices and polygons have in a compressed file: those that take the fewest bytes."""
+"""Choose the numbering of vertices and polygons in a compressed file that takes the fewest bytes."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Principal components of a part of the mesh, and the coefficients that are nearest to its motion.
+"""Principal components of a part of the mesh, and the coefficients nearest to its motion.
 
-Both are found in few coordinates: a part moves as the components of the whole mesh do, times what their vectors are at
-its vertices. So parts cost little, however many frames there are; and so do errors, for which no frame has to be made.
+Both are computed in few coordinates: the motion of a part is that of the components of the whole mesh, times their
+vectors at its vertices. So the cost of parts and errors does not grow with the number of frames.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from mixseq.coding.bitstream.spatial_basis import Block, Part
 from mixseq.coding.encoder.principal_components import PrincipalComponents
 
 VANISHING = 0.9
-"""Basis vectors without a number as large as this share of a step do not pay: rounding leaves next to none."""
+"""Largest number of a basis vector, in steps, below which the vector does not pay: rounding leaves next to nothing."""
 
 ZEROS = 2
-"""Basis vectors are coded until so many in a row do not pay."""
+"""Number of consecutive basis vectors that do not pay, after which no more are coded."""
 
 _AT_ONCE = 16
-"""So many vectors are computed at once."""
+"""Number of vectors computed at once."""
 
 
 class Fit(NamedTuple):
@@ -30,16 +30,16 @@ class Fit(NamedTuple):
 
     coefficients: Float  # (K, T, d) of the varying vectors, made unit vectors
     gram: Float  # (K, K) products of these vectors
-    squares: float  # sum of the squared distances that these coefficients leave
+    squares: float  # sum of the squared distances with these coefficients
 
     def squares_of(self, coefficients: Float) -> float:
-        """Return the sum of the squared distances that other coefficients ``(K, T, d)`` leave."""
+        """Return the sum of squared distances of the part with other coefficients ``(K, T, d)``."""
         apart = coefficients - self.coefficients
         return self.squares + float(np.vdot(apart, np.tensordot(self.gram, apart, 1)))
 
 
 class PartComponents:
-    """Principal components of a part of the mesh, computed as far as they are asked for."""
+    """Principal components of a part of the mesh, computed on demand."""
 
     def __init__(self, components: PrincipalComponents, part: Part, least: float) -> None:
         self.part, self.norms = part, components.norms
@@ -59,12 +59,12 @@ class PartComponents:
 
     @property
     def coordinates(self) -> int:
-        """Numbers c that a vector has at a vertex."""
+        """Number c of coordinates of a vector at a vertex."""
         return int(self._components.vectors.shape[1])
 
     @property
     def width(self) -> int:
-        """Numbers that a vector has."""
+        """Number of entries of a vector."""
         return int(self._loadings.shape[1])
 
     def vector(self, place: int) -> Float:
@@ -76,7 +76,7 @@ class PartComponents:
         return self._ready[place]
 
     def rank(self, step: float) -> int:
-        """Return how many vectors there are before `ZEROS` of them, or all that are left, that do not pay."""
+        """Return the number of vectors before `ZEROS` of them, or all that are left, that do not pay."""
         zeros = place = 0
         while place < len(self.norms) and zeros < ZEROS:
             zeros = zeros + 1 if np.abs(self.vector(place)).max() < VANISHING * step else 0
@@ -88,7 +88,7 @@ class PartComponents:
         count, flat = self._components.frame_count, block.vectors.reshape(len(block.vectors), -1)
         loadings, curves = self._loadings, self._components.curves.reshape(len(self._loadings), -1)
         shapes = self._components.kind == "shapes"
-        if shapes:  # what rounding the mean has changed is one more component
+        if shapes:  # the rounding error of the mean is one more component
             loadings = np.append(loadings, self._ready[0].reshape(1, -1) - flat[:1], axis=0)
             curves = np.append(curves, np.full((1, count), count**-0.5), axis=0)
             flat = flat[1:]
@@ -103,10 +103,7 @@ class PartComponents:
 
 
 def _turned(loadings: Float, least: float) -> tuple[Float, Float, Float]:
-    """Find the principal components of a part from the vectors ``(R, n)`` of the whole mesh at its vertices.
-
-    Shapes: result ``(K, R)``, ``(K,)``, ``(K,)``.
-    """
+    """Return a part's principal components ``(K, R)``, ``(K,)``, ``(K,)`` from the whole mesh's vectors ``(R, n)``."""
     means = loadings.mean(axis=1)
     gram = loadings @ loadings.T - loadings.shape[1] * np.outer(means, means)
     values, vectors = linalg.eigh(gram, check_finite=False)
@@ -116,10 +113,10 @@ def _turned(loadings: Float, least: float) -> tuple[Float, Float, Float]:
 
 
 def _solved(gram: Float, right: Float) -> Float:
-    """Solve the normal equations of vectors that are nearly orthogonal."""
+    """Solve the normal equations of nearly orthogonal vectors."""
     if not len(gram):  # a mean shape, and nothing that moves
         return right
-    # A trace of damping is for vectors that are the same, after rounding; then it takes back what the damping took.
+    # Slight damping allows vectors that are equal after rounding; a second solve corrects for it.
     factor = linalg.cho_factor(gram + 1e-9 * np.eye(len(gram)), check_finite=False)
     solved = linalg.cho_solve(factor, right, check_finite=False)
     return np.asarray(solved + linalg.cho_solve(factor, right - gram @ solved, check_finite=False))

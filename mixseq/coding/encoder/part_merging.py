@@ -1,15 +1,15 @@
-r"""Parts of the mesh with a basis each: near-rigid parts, merged as long as there are too many.
+r"""Parts of the mesh with a basis each: near-rigid parts, merged down to a number.
 
 Vertices that move with the same few bones need few components; all vertices together need as many as there are bones.
-So the mesh is cut into parts, as clustered principal components do (Sattler, Sarlette and Klein 2005, *Simple and
-efficient compression of animation sequences*), all with one step.
+So the mesh is cut into parts, as in clustered principal component analysis (Sattler, Sarlette and Klein 2005, *Simple
+and efficient compression of animation sequences*), all with one step.
 
-Merged are, again and again, the two parts whose union adds least to the error of the nearest rigid motions from the
-first frame,
+Repeatedly, the two parts are merged whose union adds least to the error of the nearest rigid motions from the first
+frame,
 
 .. math:: E(S) = \min_{R_t, c_t} \sum_{t,\, v \in S} |R_t x_0(v) + c_t - x_t(v)|^2,
 
-whether they touch or not: what hangs on the same bone may be in pieces.
+whether they touch or not: vertices on one bone may be in several pieces.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from mixseq.segmentation import segment
 from mixseq.topology import Topology
 
 FACES = 8
-"""Meshes with fewer faces for every part are not cut."""
+"""Faces per part, at least; smaller meshes are not cut."""
 
 FIRST = 24
-"""So many near-rigid parts are asked for to begin with."""
+"""Number of near-rigid parts to begin with."""
 
 FRAMES = 16
-"""So many frames, evenly spread, are looked at."""
+"""Number of evenly spread frames that are used."""
 
 
 def vertex_parts(sequence: FrameStore, counts: tuple[int, ...]) -> dict[int, Index]:
-    """Return labels ``(V,)`` of the vertices, for those of the numbers of parts that there can be, increasing."""
+    """Return labels ``(V,)`` of the vertices, for those of the numbers of parts that are possible, increasing."""
     header = sequence.header
     if len(header.faces) < FACES * counts[-1]:
         return {}
@@ -58,7 +58,7 @@ def vertex_parts(sequence: FrameStore, counts: tuple[int, ...]) -> dict[int, Ind
 
 
 def merged(points: NDArray[np.floating], labels: Index, counts: tuple[int, ...]) -> dict[int, Index]:
-    """Merge parts two by two: points ``(T, V, 3)``; labels ``(V,)``."""
+    """Merge parts pairwise: points ``(T, V, 3)``; labels ``(V,)``."""
     number = int(labels.max(initial=0)) + 1
     sums = _Sums.of(points, labels, number)
     own = sums.energies()

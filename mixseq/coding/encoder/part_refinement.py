@@ -1,15 +1,14 @@
-r"""Parts that take fewer bytes: vertices go to the part whose components tell their motion in the fewest bits.
+r"""Refine parts to take fewer bytes: vertices join the part whose components code their motion in the fewest bits.
 
-Near-rigid parts are only a beginning: a part is good if few components, of any motion, do for all of its vertices. The
-motion y of a vertex, in the coordinates of the principal components, is taken to be normal about the mean of the part.
-Rounded to steps :math:`\Delta` it takes about
+Near-rigid parts are the start. The motion y of a vertex, in the coordinates of the principal components, is taken to be
+normal about the mean of the part. Rounded to steps :math:`\Delta` it takes about
 
 .. math:: L_p(y) = \tfrac12 \log \det \Bigl(1 + \frac{C_p}{\Delta^2}\Bigr)
                    + \tfrac12 (y - m_p)^T (C_p + \Delta^2)^{-1} (y - m_p)
 
-natural bits, with the mean :math:`m_p` and the covariance :math:`C_p` of the part. Vertices go where that is least,
-after a mean with their neighbours, as borders cost bits, too. Then means and covariances are those of the new parts,
-and so on (Lloyd's iteration).
+nats, with the mean :math:`m_p` and the covariance :math:`C_p` of the part. Vertices join the part of least length,
+averaged with their neighbours, as borders cost bits, too. Then means and covariances are updated, and so on (Lloyd's
+iteration).
 """
 
 from __future__ import annotations
@@ -25,20 +24,20 @@ from mixseq.coding.encoder.principal_components import PrincipalComponents
 from mixseq.mapping import on_two_threads
 
 ROUNDS = 5
-"""Vertices change their parts so often at most."""
+"""Largest number of rounds in which vertices change parts."""
 
 SMALLEST = 8
-"""Parts do not get fewer vertices."""
+"""Smallest number of vertices of a part."""
 
 MODES = 64
-"""So many components of the whole mesh are looked at, at most."""
+"""Largest number of components of the whole mesh that are used."""
 
 VISIBLE = 0.1
-"""Components that move vertices less than this share of a step, on average, are not looked at."""
+"""Mean displacement of vertices by a component, in steps, below which it is ignored."""
 
 
 def refined(components: PrincipalComponents, labels: Index, faces: NDArray[np.integer], step: float) -> Index:
-    """Return better labels ``(V,)`` of the parts of a mesh, of which there are as many: faces ``(F, 3)``."""
+    """Return better labels ``(V,)`` for the same number of parts of a mesh: faces ``(F, 3)``."""
     number, vertices = int(labels.max()) + 1, len(labels)
     seen = np.count_nonzero(components.norms > VISIBLE * step * np.sqrt(vertices))
     motion = components.vectors[: min(max(seen, 1), MODES), 0]
@@ -66,13 +65,13 @@ class _Motion(NamedTuple):
 
 
 def _lengths(motion: _Motion, part: int) -> Float:
-    """Return about how many natural bits the motion of every vertex takes in a part."""
+    """Return the approximate code length in nats of every vertex's motion in a part."""
     everywhere, unit = motion.of_vertices, motion.step**2
     own = everywhere[:, motion.labels == part]
     mean = own.mean(axis=1)
     covariance = own @ own.T / own.shape[1] - np.outer(mean, mean)
     values, directions = linalg.eigh(covariance, subset_by_value=(unit, np.inf), check_finite=False)
-    # All other directions are as if nothing but rounding happened in them.
+    # All other directions are taken to have rounding errors only.
     scores = directions.T @ everywhere - (directions.T @ mean)[:, None]
     squares = motion.squares - 2 * (mean @ everywhere) + mean @ mean
     explained = (1 - unit / (values + unit)) @ np.square(scores, out=scores)

@@ -3,17 +3,17 @@ r"""Principal components of a sequence: the spatial basis before it is rounded.
 trajectories
     :math:`x_t(v) = m(t) + \sum_k u_k(t)\, b_k(v)`: principal components of the vertices' trajectories about their mean
     m. A basis vector :math:`b_k` has one number at each vertex, its coefficients :math:`u_k(t)` three coordinates. A
-    rigid part needs three of them, which are affine functions of the place. The best for most sequences.
+    rigid part needs three of them, affine functions of the position. The best for most sequences.
 shapes
     :math:`x_t(v) = m(v) + \sum_k u_k(t)\, b_k(v)`: principal components of the frames about their mean m. A basis
-    vector has three coordinates at each vertex, its coefficients are numbers. For meshes that have few vertices for
-    their frames' number.
+    vector has three coordinates at each vertex, its coefficients are numbers. For meshes with few vertices relative
+    to their frames.
 
 Both are optimal in the least-squares sense. If every number of :math:`b_k` and of :math:`u_k \|b_k\|` is rounded to a
 multiple of the same step, all of them cost the same bits and make the same error: reverse water-filling.
 
-Frames are looked at for the trajectories of the whole mesh only. These components, far fewer than there are frames, are
-all that is known of the sequence from there on: shapes and the components of parts are sums of them.
+Frames are read for the trajectories of the whole mesh only. Shapes and the components of parts are sums of these
+components, which are far fewer than the frames.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ from mixseq.disk_array import LargeArray, column_blocks, new_large_array
 from mixseq.frame_store import FrameStore
 
 MOST = 3000
-"""Principal components are found of so many rows or columns; of longer sequences, frames are left out for it."""
+"""Largest number of rows or columns for principal components; frames of longer sequences are skipped for it."""
 
 
 @dataclass(frozen=True, eq=False)
 class PrincipalComponents:
-    """What is known of a sequence: curves over time times vectors over the mesh, most important first."""
+    """Principal components of a sequence: curves over time times vectors over the mesh, most important first."""
 
-    kind: BasisKind  # what is compared: vertices or frames
+    kind: BasisKind  # components of trajectories or of shapes
     # (T, 3) mean of all vertices at every frame (trajectories), or of all frames at every vertex (shapes).
     mean: Float
     curves: Float  # (K, T, d) coefficients, orthonormal: d = 3 of trajectories, 1 of shapes
     # (K, c, V) basis vectors in the units of the sequence, orthogonal: c = 1 of trajectories, 3 of shapes.
     vectors: Float
-    left_out: float  # sum of squares of what components that are too small have of the sequence
+    left_out: float  # sum of squares of the components that were left out as too small
 
     @cached_property
     def norms(self) -> Float:
@@ -57,7 +57,7 @@ class PrincipalComponents:
 
 
 def trajectories(sequence: FrameStore, least: float) -> PrincipalComponents:
-    """Find the principal components of all vertices' trajectories."""
+    """Compute the principal components of all vertices' trajectories."""
     count = len(sequence.points)
     table, means = _centred(sequence, np.arange(count))
     stride = -(-min(table.shape) // MOST)
@@ -65,7 +65,7 @@ def trajectories(sequence: FrameStore, least: float) -> PrincipalComponents:
         curves = _leading(_gram_of_rows(table), least)
         vectors = _product(curves, table)
     else:
-        # Each of the frames that are looked at stands for those beside it.
+        # Each used frame stands for those beside it.
         some = table if stride == 1 else _centred(sequence, np.arange(0, count, stride))[0]
         scores = _scores(table, _directions(some, least / np.sqrt(stride)))
         curves = np.asarray(linalg.qr(scores, mode="economic")[0].T, dtype=np.float64)
@@ -80,7 +80,7 @@ def trajectories(sequence: FrameStore, least: float) -> PrincipalComponents:
 
 
 def shapes(components: PrincipalComponents, least: float) -> PrincipalComponents:
-    """Find the principal components of the frames from those of the trajectories."""
+    """Compute the principal components of the frames from those of the trajectories."""
     some = components.norms > 0
     curves, vectors, norms = components.curves[some], components.vectors[some, 0], components.norms[some]
     mean = components.mean.mean(axis=0)[:, None] + curves.mean(axis=1).T @ vectors
@@ -116,7 +116,7 @@ def _gram_of_rows(table: LargeArray) -> Float:
 
 
 def _directions(table: LargeArray, least: float) -> Float:
-    """Return orthogonal vectors ``(K, V)`` that rows ``(R, V)`` are nearly sums of."""
+    """Return orthogonal vectors ``(K, V)`` that nearly span rows ``(R, V)``."""
     height, width = table.shape
     if height <= width:
         return _product(_leading(_gram_of_rows(table), least), table)

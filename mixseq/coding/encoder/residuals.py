@@ -1,4 +1,4 @@
-r"""The residual layer of an encoder: where decoded frames are farther than a bound from the original, and how far."""
+"""The residual layer of an encoder: displacements where decoded frames are farther than a bound from the original."""
 
 from __future__ import annotations
 
@@ -19,13 +19,10 @@ def width(bound: float) -> float:
 
 
 def needed(apart: Float, bound: float) -> Index:
-    r"""Return the residuals that bring every vertex below a bound :math:`\varepsilon`.
+    r"""Return the residuals ``(T, V, 3)`` that bring differences ``(T, V, 3)`` within a bound :math:`\varepsilon`.
 
-    Where a decoded frame is further than the bound from the original, the difference is rounded to multiples of
-    :math:`w = 2 \varepsilon / \sqrt 3` in every coordinate. What is left is at most :math:`w / 2` in each, so at most
-    :math:`\varepsilon` in all. Everywhere else there is no residual.
-
-    Shapes: apart ``(T, V, 3)``; result ``(T, V, 3)``.
+    Where a difference exceeds the bound, it is rounded to multiples of :math:`w = 2 \varepsilon / \sqrt 3` in every
+    coordinate, which leaves at most :math:`w / 2` in each, so :math:`\varepsilon` in all. Elsewhere residuals are zero.
     """
     far = np.einsum("tvi,tvi->tv", apart, apart) > bound * bound
     return np.where(far[..., None], np.rint(apart / width(bound)), 0.0).astype(np.int64)

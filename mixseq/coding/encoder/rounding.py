@@ -1,8 +1,7 @@
-"""Round a basis, and its coefficients, to what a decoder will have.
+"""Round a basis, and its coefficients, to their decoded values.
 
-Parts know nothing of each other, so that two are rounded at a time: more would take more memory. What is rounded tells
-the error of a trial; its bytes take as long again, and are made by `code_basis` and `code_coefficients` if somebody
-asks for them.
+Parts are independent, and two are rounded at a time, to limit memory. Rounding determines the error of a trial; its
+bytes take as long again, and are made on demand by `code_basis` and `code_coefficients`.
 """
 
 from __future__ import annotations
@@ -22,18 +21,18 @@ from mixseq.coding.encoder.part_components import PartComponents
 from mixseq.mapping import on_two_threads
 
 CHUNK, FEWEST = 512, 16
-"""A chunk has about so many frames by default, and as few at least."""
+"""Number of frames in a chunk by default, approximately, and smallest number."""
 
 
 class RoundedPart(NamedTuple):
-    """Basis vectors ``(K, c, n)`` of a part as a decoder has them, and the signals ``K c`` that are coded for them."""
+    """Decoded basis vectors ``(K, c, n)`` of a part, and their ``K c`` signals for coding."""
 
     vectors: Float
     signals: list[Signal]
 
 
 def round_basis(parts: Sequence[PartComponents], step: float) -> list[RoundedPart]:
-    """Round the components of every part until they are zero, without the constant one of trajectories."""
+    """Round the components of every part until they vanish, without the constant one of trajectories."""
     return list(on_two_threads()(_round_part, step, parts))
 
 
@@ -62,7 +61,7 @@ def code_basis(rounded: Sequence[RoundedPart], labels: Index, graph: SignalGraph
 
 
 def chunks(frame_count: int, size: int = CHUNK) -> list[range]:
-    """Return the frames of every chunk, about so many."""
+    """Return the frames of every chunk of about `size` frames."""
     number = max(1, round(frame_count / size))
     ends = [frame_count * place // number for place in range(number + 1)]
     return [range(a, b) for a, b in pairwise(ends)]
@@ -93,7 +92,7 @@ def round_coefficients(
 
 
 def _round_chunk(numbers: Float, work: tuple[range, Index]) -> tuple[Float, list[Signal]]:
-    """Round the numbers ``(T, K, d)`` of one part in the frames of a chunk, those ``(n,)`` of its vectors."""
+    """Round the numbers ``(T, K, d)`` of one part, those ``(n,)`` of its vectors, in the frames of a chunk."""
     frames, places = work
     some = numbers[frames.start : frames.stop, places]
     coder, signals = SignalCoder(path_graph(len(frames)), some.shape[2]), list[Signal]()

@@ -1,13 +1,12 @@
-"""Find the quantisation step, the kind of basis and the parts that make the fewest bytes.
+"""Find the quantisation step, the kind of basis and the parts with the fewest bytes.
 
 The error grows with the step, the number of bytes shrinks; the step is found by secants on logarithms, because both are
-nearly powers of it. With a bound on every vertex there is a choice: few residuals of an accurate basis, or many of a
-coarse one; the cheapest of some steps is taken.
+nearly powers of it. A bound on every vertex trades few residuals of an accurate basis for many of a coarse one; the
+cheapest of some steps is taken.
 
-At the first step several numbers of parts are tried, and both kinds of basis unless the norms of the components leave
-no doubt, on the coarse vertices of large meshes. Every part has coefficients of its own, so that long sequences of few
-vertices are one part. Every trial says how wrong the guess of its step was, and the next
-begins with a better one.
+At the first step several numbers of parts are tried, and both kinds of basis unless the norms of the components exclude
+one, on the coarse vertices of large meshes. Every part has coefficients of its own, so that long sequences of few
+vertices are one part. Every trial corrects the guess of the step, from which the next one begins.
 """
 
 from __future__ import annotations
@@ -28,45 +27,45 @@ from mixseq.frame_store import FrameStore, digits_end, largest_coordinate
 from mixseq.progress import Stages
 
 ROUNDS = 6
-"""Steps that are tried at most."""
+"""Largest number of steps that are tried."""
 
 CLOSE = 0.01
-"""An error, or a size, may be below what was asked for by this share."""
+"""Share by which an error, or a size, may stay below the target."""
 
 SLOPE = 0.4
-"""About the power of the error with which sizes fall."""
+"""Approximate power of the error with which sizes fall."""
 
 FIRST = 0.002
-"""Error with which the search for a size begins, relative to the deviation."""
+"""Initial error of the search for a size, relative to the deviation."""
 
 RATIO = 0.42
-"""Error with which the search for a bound begins: root mean square, relative to the bound."""
+"""Initial error of the search for a bound: root mean square, relative to the bound."""
 
 RESTARTS, FAR, FARTHEST = 3, 3.0, 100.0
-"""Candidates for a size are compared again where the error will be so many times larger or smaller: so often, and each
-time at most so many times."""
+"""Limits of new comparisons for a size: their number, the ratio of errors that causes one, the largest ratio."""
 
 FACTOR = 1.5
 """Ratio of the steps that are tried for a bound."""
 
 NEARLY = 1.02
-"""The best two are tried with several steps, if their sizes at the first step are so near."""
+"""Ratio of sizes at the first step up to which the best two candidates are tried with several steps."""
 
 START = 6
-"""So many parts are tried first, then more or fewer as long as bytes become fewer."""
+"""Number of parts tried first; more or fewer are tried while bytes decrease."""
 
 LONG = 0.75
-"""Where coefficients of `START` parts take so many times the bytes of their basis, one part is tried next. Of 23
-sequences those above had the fewest bytes with one part, the others, below 0.61, with several or nearly so."""
+"""Ratio of the bytes of coefficients to basis, of `START` parts, above which one part is tried next. Of 23 sequences
+those above had the fewest bytes with one part, the others, below 0.61, with several or nearly so.
+"""
 
 GUESS = 0.9
-"""Error of the first step, relative to what is expected of it."""
+"""Error of the first step, relative to its expected error."""
 
 UNSEEN = 1e-5
-"""Errors that are so near to what is asked for are measured of frames: algebra does not see more."""
+"""Relative distance from the target below which errors are measured on frames, as algebra lacks the digits."""
 
 TINY = 1e-9
-"""Errors below this share of what is asked for are as good as none."""
+"""Share of the target to which smaller errors are clamped."""
 
 
 class Search:
@@ -88,7 +87,7 @@ class Search:
         return try_step(self._sequence, candidate, max(step, self._finest), self._chunk)
 
     def _first_trials(self, error: float) -> list[Trial]:
-        """Try candidates with steps that should make an error; return those that may be the best, best first."""
+        """Try candidates with steps of an expected error; return the possible best ones, best first."""
         least = 0.1 * error / float(np.sqrt(3 * len(self._sequence.points)))
         ways = Ways(self._sequence, self._graph, trajectories(self._sequence, least), least, error)
         found: list[tuple[float, Way, Trial]] = []
@@ -120,7 +119,7 @@ class Search:
         ]
 
     def with_error(self, error: float) -> Trial:
-        """Find the coarsest step whose error is below a given one (root of the sum of squares)."""
+        """Find the coarsest step with an error below a given one (root of the sum of squares)."""
         best: Trial | None = None
         trials = self._first_trials(error)
         while trials and (best is None or best.size > _size_at(trials[0], error)):
@@ -133,12 +132,12 @@ class Search:
             if squared_error(self._sequence, best.basis, best.coefficients) <= error**2:
                 break
             best = self._try(best.candidate, (1 - CLOSE / 3) * best.step)
-        if best is None:  # frames were left out of the components: the residual layer makes good for them
+        if best is None:  # skipped frames have errors, which the residual layer corrects
             return self.within(error / self._count**0.5)
         return best
 
     def with_size(self, size: int, deviation: float) -> Trial:
-        """Find the finest step that fits into a number of bytes; begin with an error of 0.2 % of the deviation."""
+        """Find the finest step that fits a number of bytes, starting from an error of 0.2 % of the deviation."""
         error = FIRST * deviation
         trials = self._first_trials(error)
         for _ in range(RESTARTS):
@@ -176,7 +175,7 @@ class Search:
 
 
 def _lowest(value: Callable[[Way], float], numbers: list[Way], start: Way) -> None:
-    """Look at values, from one on to the right or else to the left, as long as they fall."""
+    """Evaluate values from `start` to the right, or else to the left, while they fall."""
     first = place = numbers.index(start)
     value(numbers[place])
     for direction in (1, -1):
@@ -199,10 +198,7 @@ def _closest(
     last: Trial,
     power: float = 1.0,
 ) -> Trial | None:
-    """Return the trial with least room that is not below one, after some secants.
-
-    Room falls with the step as a power of the error. Trials are large: of others than the best only numbers are kept.
-    """
+    """Return the trial with least room of at least one, by secants; room falls as a power of the error."""
     slope, candidate = power * _slope(last), last.candidate
     best: Trial | None = None
     before: tuple[float, float] | None = None  # step and room
@@ -225,11 +221,11 @@ def _closest(
 
 
 def _size_at(trial: Trial, error: float) -> float:
-    """Return about how many bytes a trial would have if it had an error."""
+    """Return the approximate number of bytes of a trial at an error."""
     return float(trial.size * (max(trial.error, TINY * error) / error) ** SLOPE)
 
 
 def _slope(trial: Trial) -> float:
-    """Return about the power of the step with which the error grows."""
+    """Return the approximate power of the step with which the error grows."""
     finer, coarser = (expected_error(trial.candidate, trial.step * factor) for factor in (0.9, 1.1))
     return float(max(np.log(coarser / finer) / np.log(1.1 / 0.9), 0.1)) if finer > 0 else 1.0

@@ -1,7 +1,7 @@
-"""A trial: one compression with a given step, and the bytes and the error it comes to.
+"""A trial: one compression with a given step, its bytes and its error.
 
-The spatial basis is rounded first. The coefficients are then those nearest to the sequence with the basis *as a decoder
-has it*, which makes good for some of the error of rounding; then they are rounded.
+The spatial basis is rounded first. The coefficients are then fitted to the sequence with the *decoded* basis, which
+compensates some of the rounding error; then they are rounded.
 """
 
 from __future__ import annotations
@@ -34,24 +34,24 @@ from mixseq.frame_store import FrameStore, block_size, blocks_of
 from mixseq.mapping import on_threads, on_two_threads
 
 FINER = 0.35
-"""Bytes of a vertex that is coded late, relative to the mean of those before it: it is predicted better."""
+"""Bytes of a late-coded vertex, relative to the mean of those before it: it is predicted better."""
 
 MANY = 1 << 22
-"""More numbers are coded at once, whether bytes are asked for or not: until then they take 20 bytes each."""
+"""Count of numbers above which signals are coded at once, asked for or not: pending ones take 20 bytes each."""
 
 DIGITS = 1e-10
-"""Squared errors below this share of the squared motion are measured of frames: others have lost too many digits."""
+"""Share of the squared motion below which squared errors are measured on frames, as algebra loses too many digits."""
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A way to code a sequence: with its components, of one kind, and with these parts."""
+    """A way to code a sequence: its components, of one kind, and its parts."""
 
     components: PrincipalComponents  # principal components of the whole mesh
     parts: tuple[PartComponents, ...]  # principal components of every part
     graph: SignalGraph  # prediction graph of the whole mesh
     labels: Index  # (V,) part of every vertex
-    share: float = 1.0  # share of a larger mesh that these vertices are
+    share: float = 1.0  # these vertices' share of a larger mesh
 
     @classmethod
     def of(
@@ -63,7 +63,7 @@ class Candidate:
         least: float = 0.0,
         share: float = 1.0,
     ) -> Candidate:
-        """Make one with parts by labels ``(V,)``; components of parts with a norm below `least` left out."""
+        """Make a candidate with parts by labels ``(V,)``, without components of parts with a norm below `least`."""
         parts = parts_of(labels, faces) if labels.any() else whole(graph)
         found = tuple(on_two_threads()(_components_of, (components, least), parts))
         return cls(components, found, graph, labels, share)
@@ -82,7 +82,7 @@ class Streams(NamedTuple):
 
 
 class Coding:
-    """The streams of what is rounded, which are made when they are first asked for."""
+    """The streams of rounded signals, made when first asked for."""
 
     def __init__(self, candidate: Candidate, basis: list[RoundedPart], chunks: list[list[Signal]]) -> None:
         self._work: list[Callable[[], Any]] = [
@@ -92,9 +92,9 @@ class Coding:
 
     @cached_property
     def streams(self) -> Streams:
-        """The streams; one is made beside another."""
+        """The streams, made in parallel."""
         basis, *coefficients = on_threads()(_result_of, None, self._work)
-        self._work = []  # nothing of a trial takes as much memory as signals
+        self._work = []  # signals take the most memory of a trial
         return Streams(basis, tuple(coefficients))
 
 
@@ -106,17 +106,17 @@ def _result_of(_: None, work: Callable[[], Any]) -> Any:
 class Trial:
     """A sequence, rounded with one step."""
 
-    candidate: Candidate  # how it is coded
+    candidate: Candidate  # the way it is coded
     step: float  # the step, in the units of the sequence
-    # Number of basis vectors of every part that are coded; those that are zero are not in the basis.
+    # Number of coded basis vectors of every part, with zero ones, which are not in the basis.
     ranks: tuple[int, ...]
-    basis: SpatialBasis  # the basis as a decoder has it
-    coefficients: Float  # (T, K, d) its coefficients as a decoder has them
+    basis: SpatialBasis  # the decoded basis
+    coefficients: Float  # (T, K, d) its decoded coefficients
     spans: tuple[range, ...]  # frames of every chunk
     coding: Coding  # streams of both
     error: float  # root of the sum of all squared distances, without the residual layer
     residuals: tuple[bytes, ...] = ()  # the residual layer of every chunk, if there is a bound
-    bound: float | None = None  # what the residual layer is for
+    bound: float | None = None  # bound of the residual layer
 
     @property
     def chunks(self) -> tuple[Chunk, ...]:
@@ -136,13 +136,13 @@ class Trial:
 
     @property
     def basis_size(self) -> int:
-        """Number of bytes of the basis; if the vertices are a share of a larger mesh, about those of that."""
+        """Number of bytes of the basis; for a share of a larger mesh, about those of the whole."""
         finer = FINER * (1 / self.candidate.share - 1)
         return round((1 + finer) * sum(map(len, self.coding.streams.basis)))
 
     @property
     def size(self) -> int:
-        """Number of bytes; if the vertices are a share of a larger mesh, about those of that."""
+        """Number of bytes; for a share of a larger mesh, about those of the whole."""
         return self.signals + sum(map(len, self.residuals))
 
 
@@ -154,7 +154,7 @@ def try_step(sequence: FrameStore, candidate: Candidate, step: float, chunk: int
     basis = assemble_basis(candidate.components.kind, vectors, parts, len(sequence.points))
     fits = [part.fitted(block) for part, block in zip(candidate.parts, basis.blocks, strict=True)]
     scales, owners = basis.norms[basis.varying], basis.parts[basis.varying]
-    # Vectors over the larger mesh would be longer: their coefficients are as accurate as they would be then.
+    # Vectors over the larger mesh are longer: coefficients get the accuracy that they would have there.
     longer = candidate.share**-0.5
     nearest = in_order(basis, [fit.coefficients for fit in fits])
     decoded, signals = round_coefficients(basis, nearest * (longer / scales[:, None]), step, chunk)
@@ -173,7 +173,7 @@ def try_step(sequence: FrameStore, candidate: Candidate, step: float, chunk: int
 
 
 def in_order(basis: SpatialBasis, coefficients: Sequence[Float]) -> Float:
-    """Return coefficients ``(K, T, d)`` of all parts in the order in which they are coded, ``(T, K, d)``."""
+    """Return coefficients ``(K, T, d)`` of all parts in coding order, ``(T, K, d)``."""
     owners = basis.parts[basis.varying]
     ordered = np.empty((len(owners), *coefficients[0].shape[1:]))
     for place, some in enumerate(coefficients):
@@ -188,7 +188,7 @@ def squared_error(sequence: FrameStore, basis: SpatialBasis, coefficients: Float
 
 
 def decoded_blocks(basis: SpatialBasis, coefficients: Float) -> Iterator[Float]:
-    """Yield the frames of coefficients in blocks of those of `mixseq.frame_store.blocks_of`."""
+    """Yield decoded frames of coefficients in the blocks of `mixseq.frame_store.blocks_of`."""
     size = block_size(basis.vertex_count)
     for start in range(0, len(coefficients), size):
         yield basis.frames(coefficients[start : start + size])

@@ -1,6 +1,6 @@
-"""Round texture coordinates to a grid on the unit square, so that no coordinate is off by more than is asked for.
+"""Round texture coordinates to a grid on the unit square, within an error.
 
-The grid has an even number of steps, so that 0, 1/2 and 1, where textures end and tiles meet, stay what they are.
+The grid has an even number of steps, so that 0, 1/2 and 1, where textures end and tiles meet, are kept.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from mixseq.sequence_header import SequenceHeader, header_fields
 from mixseq.surface import CornerValues
 
 UV_ERROR = 2.0**-16
-"""What u and v may be off by, unless something else is asked for: 1/16 of a texel of a texture of 4096 x 4096."""
+"""Default largest error of u and v: 1/16 of a texel of a texture of 4096 x 4096."""
 
 MOST_UV_ERROR = 0.25
-"""Coarser grids have no steps between 0, 1/2 and 1."""
+"""Largest allowed error: coarser grids have no steps between 0, 1/2 and 1."""
 
 _MOST_STEPS = 1 << 23
-"""So far from 0, in steps, float32 still tells steps apart."""
+"""Largest coordinate in steps for which float32 separates adjacent steps."""
 
 
 def with_quantised_uvs(
     header: SequenceHeader, uv_error: float = UV_ERROR, uvs: bool = True
 ) -> tuple[SequenceHeader, int | None]:
-    """Return a header with rounded texture coordinates, and how many steps of the grid a unit has."""
+    """Return a header with rounded texture coordinates, and the number of grid steps per unit."""
     if not 0 <= uv_error <= MOST_UV_ERROR:
         raise SettingsError(f"uv_error is {uv_error}; a number from 0 to {MOST_UV_ERROR} is expected")
     exact = header.surface.uvs
@@ -45,7 +45,7 @@ def with_quantised_uvs(
 
 
 def _numbers_of_steps(uvs: CornerValues, error: float) -> list[int]:
-    """Return how many steps may do: as few as there can be, and so many that rounding to float32 does no harm."""
+    """Return candidate numbers of steps: the smallest possible, and one for which rounding to float32 does no harm."""
     largest = float(np.abs(uvs.values).max(initial=0.0))
     if not np.isfinite(largest):
         return []

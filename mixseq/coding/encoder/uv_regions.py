@@ -1,8 +1,8 @@
-"""Find regions of texture coordinates that are copies of earlier ones, and code coordinates with them or without.
+"""Find regions of texture coordinates that are copies of earlier ones, and code coordinates with or without them.
 
-A corner with the two beside it is a triangle, whose shape, the quotient of its sides as complex numbers, does not
-change when it is moved, turned or scaled. Corners of about the same shape are candidates for images. What follows from
-a candidate is compared with the coordinates, polygon by polygon, as far as they agree.
+A corner with its two neighbours is a triangle, whose shape, the quotient of its sides as complex numbers, is invariant
+to translation, rotation and scale. Corners of similar shape are candidates for images. The region grown from a
+candidate is compared with the coordinates, polygon by polygon, as far as they agree.
 """
 
 from __future__ import annotations
@@ -19,39 +19,35 @@ from mixseq.compiled import compiled
 from mixseq.polygons import Polygons
 
 _WIDE, _NARROW = (100, 0.2, 12.0), (12, 0.05, 24.0)
-"""How many candidates are looked at, how far their shapes may be from each other (in logarithms), and how many bits a
-region has to save."""
+"""Number of candidates, largest distance of their shapes (in logarithms), and bits that a region has to save."""
 
 _HEAVY = 8.0
-"""Bits of misses from which on it is asked whether a polygon begins a copy."""
+"""Bits of errors of a polygon from which it is tested as the start of a copy."""
 
 _MOST_ASKED = 4096
-"""It is asked of so many at most, those with the largest misses: time stays bounded."""
+"""Largest number of tested polygons, those with the largest errors first, which bounds the time."""
 
 _TRIED = 256
-"""So many polygons are looked at to find out what a candidate saves."""
+"""Number of polygons examined to estimate the saving of a candidate."""
 
 _OFF = 6.0, 0.01
-"""A copy may be off by so many steps, and by this share of its distance."""
+"""Tolerance of a copy: in steps, and as a share of its distance."""
 
 
 class _Search(NamedTuple):
-    """What is looked through."""
+    """Arrays of the search for regions."""
 
     corners: Corners  # corners on nodes
     places: Index  # (P,) when polygons are visited
     values: Index  # (N, 2) coordinates
-    bits: Float  # (N,) what the miss of a node takes without a copy
+    bits: Float  # (N,) bits of a node's error without a copy
     covered: NDArray[np.bool_]  # (P,) which polygons are copies already
     polygons: Index  # (P,) number of the last try that reached a polygon
     nodes: Index  # (N,) number of the last try that reached a node
 
 
 def encode_uvs(polygons: Polygons, vertex_count: int, numbers: Index) -> bytes:
-    """Code texture coordinates in steps in as few bytes as there are, without copies or with those that are found.
-
-    Shapes: numbers ``(sum of counts, 2)``.
-    """
+    """Code texture coordinates ``(sum of counts, 2)`` in steps, with or without copies, whichever is smallest."""
     plain = code_uvs(polygons, vertex_count, numbers)
     tried = [plain.data]
     for settings in (_WIDE, _NARROW):
@@ -62,7 +58,7 @@ def encode_uvs(polygons: Polygons, vertex_count: int, numbers: Index) -> bytes:
 
 
 def find_regions(coded: CodedUVs, candidates: int, apart: float, least: float) -> Index:
-    """Return where copies begin, as `code_uvs` takes it, in coordinates that were coded without any."""
+    """Return where copies begin, as `code_uvs` takes it, in coordinates coded without copies."""
     from scipy.spatial import cKDTree
 
     corners, places = coded.corners, coded.copies.places
@@ -127,9 +123,9 @@ def _shapes(corners: Corners, values: Index) -> tuple[Float, Index]:
 def _cover(
     search: _Search, stamp: int, polygon: int, image: int, mirrored: bool, most: int, mark: bool
 ) -> float:
-    """Return how many bits are saved if a polygon's first corner has an image, and what follows from that.
+    """Return the bits saved by giving a polygon's first corner an image, and growing the region from it.
 
-    The polygons that are part of it, of at most so many, are marked as covered if it is so.
+    With `mark`, the polygons of the region, at most `most`, are marked as covered.
     """
     corners, places, values = search.corners, search.places, search.values
     node, twin, starts = corners.node, corners.twin, corners.starts
@@ -195,7 +191,7 @@ def _cover(
 
 @compiled
 def _off(values: Index, x: int, y: int, p: int, p_image: int, q: int, q_image: int, mirrored: bool) -> float:
-    """Return how far a node is from where its image y, and p and q with theirs, say it is."""
+    """Return the distance of a node from its position predicted by its image y, and p and q with theirs."""
     sign = -1.0 if mirrored else 1.0
     here_u, here_v = values[q, 0] - values[p, 0], values[q, 1] - values[p, 1]
     there_u = values[q_image, 0] - values[p_image, 0]
