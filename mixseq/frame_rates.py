@@ -15,7 +15,7 @@ _ROUNDED = 0.005
 
 
 def exact_rate(fps: float, own: float | None = None) -> float:
-    """Return the NTSC rate nearest to a rounded one, 24000/1001 for 23.976; other rates, and `own`, are unchanged."""
+    """Return the NTSC rate of a rounded one (23.976: 24000/1001); other rates and multiples of `own` stay."""
     if own and fps > 0 and isfinite(fps):
         times = max(fps / own, own / fps)
         if abs(times - round(times)) < 1e-9:

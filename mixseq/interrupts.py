@@ -55,7 +55,7 @@ def unwinding() -> Iterator[None]:
             _end(number)
 
     def swallowed(usual: Callable[..., None], kind: type[BaseException], *arguments: Any) -> None:
-        """Receive exceptions raised while a C library called Python, which are printed and dropped."""
+        """Send the signal again if its exception was raised where a C library called Python, and is dropped."""
         if issubclass(kind, SystemExit | KeyboardInterrupt):
             come_again(signal.SIGINT if issubclass(kind, KeyboardInterrupt) else signal.SIGTERM)
         else:
@@ -113,7 +113,7 @@ def raise_swallowed() -> None:
 
 
 def answered() -> None:
-    """Mark the signal as handled, so that remaining work is not interrupted."""
+    """Mark the signal as handled: the remaining work is intended."""
     global _arrived
     _arrived = None
 

@@ -78,11 +78,7 @@ def on_threads(count: int | None = None) -> Executor:
 
 
 def on_two_threads() -> Executor:
-    """Return an executor that works on two threads, or on one if `thread_count` is 1.
-
-    For work of which each piece takes memory in proportion to all of the data, not to the piece: on as many threads as
-    there are cores it would take more memory on larger machines.
-    """
+    """Return an executor on at most two threads, for items whose memory grows with the whole data."""
     return on_threads(min(2, thread_count()))
 
 

@@ -101,7 +101,7 @@ class _Names(dict[str, Any]):
 
 
 def _taken(name: str, value: Any, wanted: tuple[Any, ...], arguments: Mapping[str, Any]) -> Any:
-    """Return the value that a path or a model stands for, else the value; `before` are the earlier arguments."""
+    """Return the value that a path or a model stands for, else the value; earlier `arguments` are read already."""
     names = {getattr(choice, "__name__", "") for choice in wanted}
     if isinstance(value, str | os.PathLike) and not any(_fits(value, choice) for choice in wanted):
         read = connected().reader_of(name, names)
@@ -148,7 +148,7 @@ def _fits(value: Any, hint: Any) -> bool:
 
 
 def _told(wanted: tuple[Any, ...]) -> str:
-    """Describe the expected type and its source."""
+    """Describe the expected type, and its source in mixseq."""
     names = [getattr(choice, "__name__", str(choice)) for choice in wanted if choice is not NoneType]
     cure = next((f" ({_CURES[name]})" for name in names if name in _CURES), "")
     return f"{' or '.join(_CALLED.get(name, name) for name in names)} is expected{cure}"

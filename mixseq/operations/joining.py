@@ -211,10 +211,7 @@ def _distinct(rows: Float) -> tuple[Float, Index]:
 
 
 def frames_of(sections: Sequence[ModelSection]) -> Float:
-    """Return the times ``(T,)`` of the frames of sections, increasing; both ends, if no frame is within.
-
-    A frame at the end of a section is left to the next one.
-    """
+    """Return the frame times ``(T,)`` of sections, increasing, or both ends; a frame at a seam is the later one's."""
     slack = 1e-6 / sections[0].model.header.fps
     start, end = sections[0].start, sections[-1].end
     times = [between(each.model.times, each.start - slack, each.end - slack) for each in sections]
