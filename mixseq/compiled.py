@@ -89,10 +89,7 @@ class _Cache(FunctionCache):
     _impl_class = _Kept
 
     def load_overload(self, signature: Any, target: Any) -> Any:
-        """Return a compiled function, None if it must be compiled.
-
-        It skips numba's `refresh`, which takes a quarter of a second; array arguments do not need it.
-        """
+        """Return a compiled function or None, without numba's `refresh`, which loads compilers in 0.25 s."""
         try:
             rtsys.initialize(target)
             return self._load_overload(signature, target)  # type: ignore[no-untyped-call]

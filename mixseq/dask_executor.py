@@ -154,7 +154,6 @@ def _call(pickled: bytes) -> Callable[[Any], Any]:
 
 
 def _apply(call: Callable[[Item], Result], item: bytes) -> Result:
-    """Apply the function on a worker."""
     with one_blas_thread():
         return call(pickle.loads(item))
 

@@ -56,23 +56,21 @@ class VolumeError:
 class Comparison:
     """What `compare` finds; formulas are at the head of this module.
 
-    Errors relative to zero, such as the KG error of a mesh whose vertices coincide, are 0 if nothing differs,
-    else infinite.
+    Errors relative to zero, such as the KG error of a mesh whose vertices coincide, are 0 if nothing differs, else
+    infinite.
 
     Attributes
     ----------
     frames, vertices : int
-        What was compared.
+        Size of the sequences.
     diagonal : float
         Unit of `rms_error`, `max_error` and `per_frame_max`, in the units of the reference.
     kg_percent : float
         Karni-Gotsman error.
     rms_error, max_error : float
         Distance of vertices, in diagonals.
-    worst_frame : int
-        Frame of the largest distance, and ...
-    worst_time : float
-        ... its time in seconds.
+    worst_frame, worst_time : int, float
+        Frame of the largest distance, and its time in seconds.
     edge_strain : Statistics
         Strain of the edges; edges of length zero in the reference are skipped.
     dihedral_degrees : Statistics

@@ -69,10 +69,7 @@ def _cycles(polygons: Polygons, size: int) -> tuple[Index, Index]:
 
 
 def match_triangles(ours: Polygons, theirs: Polygons, names: tuple[str, str]) -> Index:
-    """Return the other mesh's triangle ``(F,)`` for every triangle; either mesh may be triangulated.
-
-    Within polygons any triangle of the polygon is returned. Raises InvalidSequenceError if the polygons differ.
-    """
+    """Return triangles ``(F,)`` of the other mesh, within equal polygons; InvalidSequenceError if they differ."""
     if np.array_equal(ours.triangles, theirs.triangles):
         return np.arange(len(ours.triangles))
     found = matched(ours, theirs)

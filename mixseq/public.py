@@ -44,20 +44,7 @@ _CURES = {
 
 
 def public(function: Callable[P, R]) -> Callable[P, R]:
-    """Let a function take paths in place of file contents, and check the types of its arguments.
-
-    Examples
-    --------
-    >>> @public
-    ... def faster(fps: float, name: str = "walk"):
-    ...     return 2 * fps
-    >>> faster(24)
-    48
-    >>> faster("24")
-    Traceback (most recent call last):
-    ...
-    TypeError: faster: fps is of type str; number is expected
-    """
+    """Let a function take paths in place of file contents; TypeError for arguments of types outside its annotations."""
     parameters = signature(function)
 
     @cache

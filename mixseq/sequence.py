@@ -214,7 +214,7 @@ def _check_velocities(header: SequenceHeader, points: FloatArray, velocities: Fl
 
 
 def _rate_beside(times: ArrayLike, fps: float) -> float:
-    """Return the rate that a typed number means beside frames at known times.
+    """Return the typed rate if frame times are multiples of its period, else the exact rate.
 
     Examples
     --------

@@ -33,8 +33,7 @@ class SequenceHeader:
     times : (T,) float64
         Time of every frame in seconds, strictly increasing.
     fps : float
-        Frames per second of the time line the sequence lives on (USD: ``timeCodesPerSecond``). Times need
-        not be multiples of ``1 / fps``.
+        Frames per second of the time line (USD: ``timeCodesPerSecond``), not necessarily the spacing of times.
     up_axis : {"X", "Y", "Z"}
         Axis that points up.
     metres_per_unit : float
@@ -42,12 +41,12 @@ class SequenceHeader:
     name : str
         Name of the mesh.
     surface : Surface
-        Texture coordinates, hard edges, face sets, objects, and the file it came from.
+        Texture coordinates, hard edges, face sets, objects, and the source file.
 
     Raises
     ------
     InvalidSequenceError
-        If faces point outside the vertices, times do not increase, or a value is out of range.
+        If face indices exceed the vertices, times do not increase, or a value is out of range.
     """
 
     polygons: Polygons

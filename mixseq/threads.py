@@ -21,10 +21,7 @@ _limit = ExitStack()
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Limit BLAS and LAPACK to one thread in a context.
-
-    The limit holds for the whole process, from the first entry to the last exit on any thread.
-    """
+    """Limit BLAS and LAPACK of the process to one thread, from the first entry to the last exit on any thread."""
     global _users
     with _lock:
         if _users == 0:

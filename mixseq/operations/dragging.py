@@ -123,10 +123,7 @@ def _changes(model: Model, time: float, place: Float, plane: Plane) -> tuple[Flo
 
 
 def _spread_frames(points: Float, axes: Float, move: Float) -> Index:
-    """Return ids of points ``(N, k)`` of pose space to interpolate: the first, and others far apart in the plane.
-
-    They include a frame that the first point is dropped on by a move ``(2,)``.
-    """
+    """Return ids of points ``(N, k)`` to interpolate: the first, one hit by a move ``(2,)``, and others far apart."""
     places = points @ axes
     places -= places[0]
     nearest = np.linalg.norm(places, axis=1)

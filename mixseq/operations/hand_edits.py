@@ -17,8 +17,7 @@ from mixseq.sequence import MeshSequence, SequenceHeader, bounding_diagonal
 from mixseq.signals.model import Model
 
 MOVED, MOST = 1e-3, 0.9
-"""Displacement beyond which a vertex counts as moved, in diagonals; share of moved vertices that makes an edit
-doubtful."""
+"""Displacement of moved vertices, in diagonals, and their largest share in an edit without a warning."""
 
 
 def edited_difference(model: Model, time: float, points: ArrayLike | MeshSequence) -> tuple[Model, Float]:

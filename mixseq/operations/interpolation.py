@@ -67,10 +67,7 @@ class PoseInterpolator(PickledWithoutCaches):
         workers: Executor | None = None,
         **settings: Unpack[SpaceOptions],
     ) -> PoseInterpolator:
-        """Make a space of poses and encode them; parameters as of `interpolate`.
-
-        `among` are the indices ``(n,)`` of the poses to blend, by default all; the others serve segmentation only.
-        """
+        """Make a space of all poses, and encode those with indices `among`, by default all; see `interpolate`."""
         chosen = space_settings(space, placement=placement, parts=parts, joint_width=joint_width, **settings)
         check_frames(poses)
         count = poses.header.frame_count
@@ -100,11 +97,7 @@ class PoseInterpolator(PickledWithoutCaches):
         return self.space.dim
 
     def at(self, weights: ArrayLike) -> Float:
-        """Return the points ``(V, 3)`` of a blend with weights ``(n,)`` that add up to one.
-
-        Raises SettingsError for weights that are not one finite number for every pose or do not add up to one;
-        ReconstructionError if no mesh is found.
-        """
+        """Return the points ``(V, 3)`` of a blend with weights ``(n,)``; SettingsError unless they add up to one."""
         return self.at_with_reports(weights)[0]
 
     def at_with_reports(self, weights: ArrayLike) -> tuple[Float, list[ShellReport]]:

@@ -186,10 +186,7 @@ def _scaled_joint(model: Model, limb: Limb, gain: float) -> Float:
 
 
 def _with_rest(model: Model, limb: Limb) -> tuple[Model, Callable[[Float], Float]]:
-    """Return the model with pose coordinates for a part and its joints alone, and the map of time-signal steps to them.
-
-    Steps are ``(N, k)``, the new coordinates ``(N, rank)``.
-    """
+    """Return the model with pose coordinates for a part and its joints alone, and the map from time-signal steps."""
     share, metric = limb.joint() + limb.own_shape(), model.space.shape_weights
     some = np.flatnonzero(share * metric)
     dim, keys = model.pose.matrix.shape

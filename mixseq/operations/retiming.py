@@ -107,8 +107,7 @@ class Retiming:
     def section(cls, start: float, end: float, speed: float = 1.0, reverse: bool = False) -> Retiming:
         """Make the map that shows the source from `start` to `end` at a constant speed, forwards or backwards.
 
-        The output also begins at `start`. Raises `SettingsError` if the end is before the start, or the speed is not
-        positive.
+        The output also begins at `start`. SettingsError if the end is before the start, or the speed is not positive.
         """
         if not (np.isfinite(start) and np.isfinite(end) and start <= end):
             raise SettingsError(f"there is no time between the start, {start:g} s, and the end, {end:g} s")

@@ -32,10 +32,7 @@ def between(times: Float, start: float, end: float) -> Float:
 
 
 def sites_of(edges: Float, inner: Float) -> Float:
-    """Return interpolation sites for breakpoints `edges` ``(n,)`` and `inner` ``(m,)``.
-
-    These are the breakpoints, and one more in the first and last interval.
-    """
+    """Return sites: breakpoints `edges` ``(n,)`` and `inner` ``(m,)``, and one more in both end intervals."""
     inner = np.unique(inner)
     close = EQUAL * (edges[-1] - edges[0]) / (len(edges) + len(inner))
     after = np.clip(np.searchsorted(edges, inner), 1, len(edges) - 1)

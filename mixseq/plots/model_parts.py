@@ -85,10 +85,7 @@ def _vertices(count: int, kind: str = "") -> str:
 def _number_places(
     screen: Float, faces: IntArray, part_of_face: IntArray, limits: Limits
 ) -> dict[int, tuple[float, float]]:
-    """Find places of part numbers: the middle of the widest visible spot of each part.
-
-    Shapes: screen ``(V, 3)``; faces ``(F, 3)``; part_of_face ``(F,)``; limits ``(4,)``.
-    """
+    """Return the middle of the widest visible spot of each part: screen ``(V, 3)``; faces ``(F, 3)``."""
     left, right, bottom, top = limits
     seen = _seen_parts(screen, faces, part_of_face, limits)
     rows, columns = seen.shape

@@ -157,7 +157,6 @@ def _content(
     camera: tuple[float, float] | None,
     progress: Progress,
 ) -> Section:
-    """Choose the sections of the page, and compute their data."""
     match kind:
         case "embedding":
             return _embedding(model, frames)

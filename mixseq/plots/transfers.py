@@ -79,10 +79,7 @@ def parts_of_both(transfer: Transfer) -> tuple[Index, Index]:
 
 
 def heading(transfer: Transfer) -> float:
-    """Return the turn of the target from the source about the up axis, in degrees, 0 if unknown.
-
-    It is the best fit of the source's points at rest to those of the target, seen from above.
-    """
+    """Return the best-fit turn of the target at rest from the source about the up axis, in degrees, 0 if unknown."""
     matched = transfer.correspondence.matched
     source = y_up(
         transfer.correspondence.carry(transfer.source.rest)[matched], transfer.source.header.up_axis

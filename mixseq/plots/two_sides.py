@@ -20,10 +20,7 @@ def draw_segmentation(
     up_axis: str = "Y",
     title: str | None = None,
 ) -> None:
-    """Draw the parts and joints of a pose ``(V, 3)`` from two opposite sides, as a PNG.
-
-    `part_of_face` and `joint_of_face` ``(F,)`` are as for `segmentation_colours`.
-    """
+    """Draw parts and joints ``(F,)`` of a pose ``(V, 3)`` from two opposite sides, as a PNG."""
     colours = segmentation_colours(part_of_face, joint_of_face)
     sides = two_sides(points[None], up_axis)
     sheet = Sheet.of(1, 2, height_per_width(sides), title or "")

@@ -64,10 +64,7 @@ def page_mesh(
     max_error: float,
     progress: Progress = silent,
 ) -> PageMesh:
-    """Compress the poses of `gather` at times `elapsed` ``(n,)``, unless compressed already, and describe them.
-
-    `tops` are the ends of the colour scales; `max_error` is the bound in diagonals.
-    """
+    """Compress poses at `elapsed` ``(n,)`` within `max_error` diagonals; `tops` are ends of colour scales."""
     header = shown.mesh.header
     if shown.coded is None:
         centre = gathered.poses[:1][0].mean(axis=0, dtype=np.float64)
@@ -147,7 +144,6 @@ def _regular(elapsed: Float, fps: float) -> tuple[Float, float]:
 
 
 def _bare(coded: CompressedSequence) -> CompressedSequence:
-    """Return a compressed sequence without its surface data."""
     parameters = replace(coded.parameters, uv_steps=None, uv_error=None)
     return replace(coded, header=replace(coded.header, surface=Surface(), name=""), parameters=parameters)
 

@@ -20,8 +20,7 @@ from mixseq.sequence import SequenceHeader, check_block
 from mixseq.viewing.chart_data import signals_of
 
 TOGETHER = 2.0
-"""Ratio of the joint box to the smaller box up to which meshes of the same triangles are shown at one scale; metres
-beside centimetres would be a dot."""
+"""Ratio of joint to smaller box up to which meshes have one scale: metres beside centimetres would be a dot."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,11 +104,7 @@ def gather(
     workers: Executor | None = None,
     camera: tuple[float, float] | None = None,
 ) -> Gathered:
-    """Read the poses of a mesh at times `elapsed` ``(n,)`` once.
-
-    `first` are the header and the poses of the page's first mesh, None for itself; `camera` as in
-    `mixseq.scene.camera.seen_from`.
-    """
+    """Read the poses at times `elapsed` ``(n,)`` once; `first` are those of the page's first mesh, None for itself."""
     header = item.header
     same = first is None or np.array_equal(header.faces, first[0].faces)
     views: tuple[View, View] | None = None

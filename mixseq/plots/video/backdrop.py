@@ -36,15 +36,7 @@ STRIP = 2.0
 def panels_of(
     count: int, width: int, height: int, aspect: float, named: bool, barred: bool
 ) -> list[Rectangle]:
-    """Divide a picture into equal panels, in the number of columns that makes meshes largest.
-
-    `aspect` is the height per width of meshes; names (`named`) above and a colour bar (`barred`) below take a strip.
-
-    Examples
-    --------
-    >>> panels_of(2, 100, 50, 1.0, False, False)
-    [(slice(0, 50, None), slice(0, 50, None)), (slice(0, 50, None), slice(50, 100, None))]
-    """
+    """Divide a picture into equal panels, with as many columns as make meshes of an aspect largest."""
     strip = line_height(height)
     free = height - strip * barred
 

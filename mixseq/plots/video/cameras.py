@@ -41,7 +41,6 @@ def cameras_of(items: Sequence[DecodedItem], aim: Aim, fps: float) -> list[Camer
 
 
 def _camera(items: Sequence[DecodedItem], aim: Aim, fps: float) -> Camera:
-    """Return the camera of meshes with a common view."""
     first, frames = items[0], len(items[0].pose_of_frame)
     path = travel_path(first, fps) if aim.follow else np.zeros((frames, 3))
     low, high = np.full(3, np.inf), np.full(3, -np.inf)

@@ -41,8 +41,7 @@ GIF_PALETTE_FRAMES = 6
 """Number of frames, evenly spaced, whose colours make the palette of a GIF."""
 
 FASTEST_GIF = 50.0
-"""Largest GIF frame rate per second: GIF counts hundredths of seconds, and players slow down frames shorter than
-two."""
+"""Largest GIF frame rate, in 1/s: delays are in hundredths of seconds, and players slow down delays below two."""
 
 LONGEST_GIF = 655.0
 """Longest duration of one GIF picture, which may cover all frames, in seconds."""
@@ -99,7 +98,6 @@ def encode_film(target: Path, form: FilmFormat, draw: Draw, count: int, fps: flo
 
 
 def _write_webp(file: IO[bytes], pictures: Iterator[Picture], count: int, fps: float) -> None:
-    """Write frames as an endless WebP."""
     frames = map(pillow_module("Image").fromarray, pictures)
     least, most = WEBP_KEYFRAME_DISTANCES
     next(frames).save(

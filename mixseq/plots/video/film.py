@@ -154,7 +154,6 @@ def _colourings(
 
 
 def _check_mesh(item: SceneItem, original: SequenceHeader) -> None:
-    """Raise SettingsError for errors against another mesh."""
     header = item.header
     if not same_mesh(header, original):
         raise SettingsError(
@@ -185,7 +184,6 @@ def _layout(
     settings: FilmSettings,
     fps: float,
 ) -> Layout:
-    """Place panels and cameras, and draw the static parts."""
     width, height = settings.size
     meaning, part = _MEANING.get(settings.colour, ("", 1.0))
     frames = len(items[0].pose_of_frame)

@@ -28,7 +28,6 @@ def add_bridge(server: Any, heard: Callable[[Message], None]) -> None:
 
 
 def _frame(line: str) -> str:
-    """Return an iframe that adds the scripts to the page."""
     source = "\n".join([chart_scripts(), script("live_window.js"), script("live.js")])
     start = f"""<script>
 const text = {script_json(source)};

@@ -100,7 +100,6 @@ class Charts:
 
 
 def _fits(model: Model, plane: Plane) -> bool:
-    """Whether a plane fits a model."""
     try:
         model.known(plane)
     except SettingsError:

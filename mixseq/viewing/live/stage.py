@@ -30,9 +30,8 @@ WIDER = 0.02
 class LiveStage:
     """Meshes in the scene of a viser server; see `mixseq.viewing.playback.Stage`.
 
-    `material` is "standard", or "toon5" for machines without a graphics card; `report` is called with every shown
-    moment. `overlaid` and `following` (bodies stay in place, the ground moves) are initial states, `camera` the initial
-    view (`mixseq.scene.camera.seen_from`).
+    `report` is called with every shown moment. `overlaid` and `following` (bodies stay in place, the ground moves) are
+    initial states; `camera` as in `mixseq.scene.camera.seen_from`, `material` as in `ViewSettings`.
     """
 
     def __init__(
@@ -207,7 +206,6 @@ class LiveStage:
                     report(index, found)
 
     def _furnish(self) -> None:
-        """Set up light, ground and camera."""
         scene = self._server.scene
         scene.set_up_direction("+y")
         scene.configure_default_lights(cast_shadow=False)
