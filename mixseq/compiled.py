@@ -51,8 +51,8 @@ def inlined(function: Function) -> Function:
 def joined(function: Function) -> Function:
     """Compile a function that LLVM inlines into its callers: faster than `inlined`, and faster to compile.
 
-    Arguments keep their types. LLVM assumes that signed sums and products do not overflow; use `numpy.uint64` where
-    they shall.
+    Arguments keep their types. LLVM assumes that signed sums and products do not overflow; use `numpy.uint64` for
+    intended overflow.
     """
     made = numba.njit(forceinline=True, **_OPTIONS)(function)
     if made is not function:  # NUMBA_DISABLE_JIT
@@ -67,10 +67,10 @@ def _as_any_number(find: Callable[..., Any], arguments: Any, keywords: Mapping[s
 
 
 class _Kept(CompileResultCacheImpl):
-    """The cached form of a function: its code without numba's *environments*.
+    """The cached form of a function, without the *environments* of numba's own functions.
 
-    Environments create Python objects, which is unused here, and import numba's modules and SciPy's linear algebra on
-    loading: half the time until a compressed file is open.
+    Those create Python objects, which is unused here. Loading them imports numba's modules and SciPy's linear algebra:
+    half the time until a compressed file is open.
     """
 
     def reduce(self, made: Any) -> tuple[Any, ...]:

@@ -81,7 +81,7 @@ def unwinding() -> Iterator[None]:
 
 
 def unbroken(function: _Function) -> _Function:
-    """Defer signals to the end of a function that a C library calls and no exception may pass."""
+    """Defer signals to the end of a function called by a C library, where exceptions would be lost."""
     _unbroken.add(cast("FunctionType", function).__code__)
     return function
 

@@ -21,8 +21,8 @@ def into(model: Model, space: ShapeSpace) -> Model:
     """Return a model in another shape space of its mesh.
 
     Its frames are decoded and encoded again, and interpolated by cubic splines in the new space. They are equal as far
-    as the new space represents the shapes exactly. A model in that space already is returned as it is. The residual
-    layer is encoded with the frames, so the result has none.
+    as the new space represents the shapes exactly. A model in that space already is returned as it is.
+    The residual layer is encoded with the frames, so the result has none.
 
     Parameters
     ----------

@@ -43,7 +43,7 @@ Change = Callable[[Float, Float], Float]
 """From times ``(N,)`` and stances ``(N, 6)`` to changed stances ``(N, 6)``."""
 
 NEGLIGIBLE = 1e-3
-"""Smallest singular value of modes of a held part and its joints, as a fraction of the largest."""
+"""Size of modes of a held part and its joints below which they are left out, as a fraction of the largest."""
 
 STEP = 1.0
 """Largest turn added to a part between sites, in radians, so that whole turns are resolved."""
