@@ -1,4 +1,4 @@
-"""The command line, as ``mixseq`` or ``python -m mixseq``; Ctrl-C is heard while it is still being imported."""
+"""The command line, as ``mixseq`` or ``python -m mixseq``, with Ctrl-C handled from before the imports."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import NoReturn
 
 
 def _leave(number: int, frame: FrameType | None) -> NoReturn:
-    """End at once: nothing has begun yet, or everything is done."""
+    """Exit at once, as no work is under way."""
     if number == signal.SIGINT:
         os.write(2, b"mixseq: interrupted\n")
     os._exit(128 + number)
 
 
 def listen() -> None:
-    """Let Ctrl-C end the program at once, until it has begun to work."""
+    """Let Ctrl-C exit at once, until work begins."""
     for number in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(number) != signal.SIG_IGN:  # as in the background of a shell
             signal.signal(number, _leave)

@@ -1,7 +1,6 @@
-"""Names that users choose from, in Python and on the command line; importing them costs nothing.
+"""Names that users choose from, in Python and on the command line; cheap to import.
 
-What a name stands for is in the tables of the folders: `mixseq.segmentation.METHODS`, `mixseq.spaces.making`, and
-`mixseq.retargeting.transfer`.
+Their implementations are in `mixseq.segmentation.METHODS`, `mixseq.spaces.making` and `mixseq.retargeting.transfer`.
 """
 
 from __future__ import annotations
@@ -14,11 +13,11 @@ SPACES: tuple[SpaceName, ...] = get_args(SpaceName)
 
 PlacementName = Literal["anchored", "free"]
 PLACEMENTS: tuple[PlacementName, ...] = get_args(PlacementName)
-"""How parts are placed in the mixed space: by a pose each, or where lengths and angles put them."""
+"""How parts are placed in the mixed space: by a pose each, or by lengths and angles."""
 
 SegmentationName = Literal["motion", "silhouettes", "spanning-tree"]
 SEGMENTATIONS: tuple[SegmentationName, ...] = get_args(SegmentationName)
-"""How parts are found."""
+"""Methods of segmentation."""
 
 ProjectionName = Literal["steps", "dso"]
 PROJECTIONS: tuple[ProjectionName, ...] = get_args(ProjectionName)
@@ -26,7 +25,7 @@ PROJECTIONS: tuple[ProjectionName, ...] = get_args(ProjectionName)
 
 PoseForm = Literal["modes", "keys"]
 POSE_FORMS: tuple[PoseForm, ...] = get_args(PoseForm)
-"""What key shapes of a model are: mean and modes, or frames."""
+"""Key shapes of a model: mean and modes, or frames."""
 
 TransferName = Literal["mixed", "gradients"]
 TRANSFERS: tuple[TransferName, ...] = get_args(TransferName)
@@ -34,7 +33,7 @@ TRANSFERS: tuple[TransferName, ...] = get_args(TransferName)
 
 OrderName = Literal["keep", "vertices", "free"]
 ORDERS: tuple[OrderName, ...] = get_args(OrderName)
-"""What keeps its numbers in a compressed file: vertices and faces, vertices only, or neither."""
+"""What keeps its order in a compressed file: vertices and faces, vertices only, or neither."""
 
 StillName = Literal["draco", "plain", "none"]
 STILLS: tuple[StillName, ...] = get_args(StillName)
@@ -48,4 +47,4 @@ PICTURES: tuple[PictureKind, ...] = get_args(PictureKind)
 
 Colour = Literal["clay", "own", "parts", "error", "strain", "curvature"]
 COLOURS: tuple[Colour, ...] = get_args(Colour)
-"""What colours of meshes mean in films."""
+"""Colourings of meshes in films."""

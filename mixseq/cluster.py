@@ -1,4 +1,4 @@
-"""Work on several processes or machines: connecting to a cluster, or starting one here (extra ``dask``)."""
+"""Clusters of processes or machines: connect to one, or start one locally (extra ``dask``)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _ONE_THREAD = dict.fromkeys(
 
 @contextmanager
 def cluster(address: str) -> Iterator[Cluster]:
-    """Connect to a cluster, or start one here, for as long as the block lasts."""
+    """Connect to a cluster, or start a local one, for the duration of the block."""
     processes = _local_processes(address)
     distributed = dask_module("distributed")  # first: it brings the settings, of which we change one
     # Items may be blocks of frames: large, but never many at once, which is all that dask warns about.
@@ -58,7 +58,7 @@ def _local_processes(address: str) -> int:
 
 @contextmanager
 def _local(processes: int) -> Iterator[Any]:
-    """Start workers on this machine that leave nothing behind."""
+    """Start workers on this machine, with temporary files removed afterwards."""
     with (
         TemporaryDirectory(prefix="mixseq-", ignore_cleanup_errors=True) as folder,
         dask_module("dask.config").set({"temporary-directory": folder}),
@@ -89,7 +89,7 @@ def _local_cluster(processes: int, folder: str) -> Any:
 
 @contextmanager
 def _ignoring_interrupts() -> Iterator[None]:
-    """Start processes that Ctrl-C on the terminal does not reach: they are told to end by the one that it does."""
+    """Start processes that ignore Ctrl-C on the terminal; the main process ends them."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -101,7 +101,7 @@ def _ignoring_interrupts() -> Iterator[None]:
 
 
 def _check_scheduler(address: str) -> None:
-    """Refuse an address where nobody answers; a client that cannot connect would go on trying."""
+    """Raise ClusterError if no scheduler answers; a client would retry forever."""
 
     async def identity() -> None:
         async with dask_module("distributed").rpc(address) as scheduler:
@@ -116,7 +116,7 @@ def _check_scheduler(address: str) -> None:
 
 
 def _check_workers(client: Any, address: str) -> None:
-    """Refuse a cluster that has no workers, or where mixseq is another one."""
+    """Raise ClusterError if there are no workers, or one has another version of mixseq."""
 
     def installed() -> str:  # not a function of this module, which workers without mixseq could not load
         from mixseq.version import __version__ as version

@@ -1,11 +1,10 @@
-"""Inner loops, compiled by numba when they are first called, and kept on disk for the next run.
+"""Inner loops, compiled by numba on first call and cached on disk.
 
-Compiled functions release the interpreter's lock and add in the order in which they are written, so that their
-results have the same bits on any number of threads. Division by zero gives infinity, as in NumPy. Nobody calls them
-from C: without an entry for that they compile in about two thirds of the time.
+Compiled functions release the interpreter's lock and add in source order, so results are bitwise independent of the
+number of threads. Division by zero gives infinity, as in NumPy. Without an entry point for C they compile in about two
+thirds of the time.
 
-What is on disk may be cut short, by a crash or a full disk, and the disk may be full or not ours: then functions are
-compiled again, and a warning says so.
+If the cache on disk is damaged, or cannot be written, functions are compiled again, with a warning.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
 _DAMAGE = (pickle.UnpicklingError, EOFError, AttributeError, ImportError, LookupError, TypeError, ValueError)
-"""What damaged pickles raise."""
+"""Exceptions raised by damaged pickles."""
 
 
 def compiled(function: Function) -> Function:
@@ -45,15 +44,15 @@ def compiled(function: Function) -> Function:
 
 
 def inlined(function: Function) -> Function:
-    """Compile a function into those that call it."""
+    """Compile a function that numba inlines into its callers."""
     return cast(Function, numba.njit(inline="always", error_model="numpy")(function))
 
 
 def joined(function: Function) -> Function:
-    """Compile a function, and let LLVM put it into those that call it: quicker than `inlined`, in less time.
+    """Compile a function that LLVM inlines into its callers: faster than `inlined`, and faster to compile.
 
-    Its arguments keep their types. LLVM sees more of what numbers can be than it does of other functions, and takes for
-    granted that sums and products of numbers with a sign do not overflow: what shall overflow needs `numpy.uint64`.
+    Arguments keep their types. LLVM assumes that signed sums and products do not overflow; use `numpy.uint64` for
+    intended overflow.
     """
     made = numba.njit(forceinline=True, **_OPTIONS)(function)
     if made is not function:  # NUMBA_DISABLE_JIT
@@ -62,20 +61,20 @@ def joined(function: Function) -> Function:
 
 
 def _as_any_number(find: Callable[..., Any], arguments: Any, keywords: Mapping[str, Any]) -> Any:
-    """Find the version of a function for any numbers: of each that stands in the code, numba would compile its own."""
+    """Return the version of a function for variable numbers; for literals numba would compile one version each."""
     plain: Callable[[Any], Any] = unliteral
     return find(tuple(map(plain, arguments)), {name: plain(each) for name, each in keywords.items()})
 
 
 class _Kept(CompileResultCacheImpl):
-    """What is kept of a function: nothing of numba's own functions in it but their code.
+    """The cached form of a function, without the *environments* of numba's own functions.
 
-    Their *environments* would let them make Python's objects, which none does here. To load them numba imports their
-    modules, and one of these SciPy's linear algebra: half the time until a compressed file is open.
+    Those create Python objects, which is unused here. Loading them imports numba's modules and SciPy's linear algebra:
+    half the time until a compressed file is open.
     """
 
     def reduce(self, made: Any) -> tuple[Any, ...]:
-        """Return what can be pickled."""
+        """Return the arguments for a pickle."""
         *rest, environments = super().reduce(made)  # type: ignore[no-untyped-call]
         return (*rest, tuple(each for each in environments if not _is_of_numba(each)))
 
@@ -85,16 +84,12 @@ def _is_of_numba(environment: Any) -> bool:
 
 
 class _Cache(FunctionCache):
-    """numba's folder of compiled functions, which cannot make a run fail."""
+    """numba's cache of compiled functions, with errors turned into recompilation."""
 
     _impl_class = _Kept
 
     def load_overload(self, signature: Any, target: Any) -> Any:
-        """Return a compiled function, None if it must be compiled.
-
-        Without what numba's own does first, `refresh`: to load all that functions may be compiled from takes a
-        quarter of a second, and what is compiled needs only the memory of arrays.
-        """
+        """Return a compiled function or None, without numba's `refresh`, which loads compilers in 0.25 s."""
         try:
             rtsys.initialize(target)
             return self._load_overload(signature, target)  # type: ignore[no-untyped-call]
@@ -111,7 +106,7 @@ class _Cache(FunctionCache):
         return None
 
     def save_overload(self, signature: Any, made: Any) -> None:
-        """Keep a compiled function."""
+        """Save a compiled function."""
         try:
             super().save_overload(signature, made)  # type: ignore[no-untyped-call]
         except OSError as error:

@@ -1,8 +1,7 @@
-"""An executor whose work is done by the workers of a cluster, with dask.distributed (extra ``dask``).
+"""An executor on the workers of a cluster, with dask.distributed (extra ``dask``).
 
-The same function, shared object and items give the same results in the same order as `mixseq.mapping.serially`. A
-worker that dies costs time, not results. Everything that a task needs is part of a task that the scheduler can send
-again, the shared object too: data that is merely *scattered* is gone with its worker [1]_.
+Results and their order are those of `mixseq.mapping.serially`, also if a worker dies. Every task carries its input,
+including the shared object, so that the scheduler can resend it; *scattered* data would be lost with its worker [1]_.
 
 References
 ----------
@@ -31,7 +30,7 @@ Result = TypeVar("Result")
 
 
 class Cluster:
-    """An `Executor` over the workers of a cluster; made by `cluster`."""
+    """An `Executor` on the workers of a cluster; made by `cluster`."""
 
     def __init__(self, client: Any) -> None:
         self._client = client
@@ -39,10 +38,7 @@ class Cluster:
     def __call__(
         self, function: Callable[[Shared, Item], Result], shared: Shared, items: Iterable[Item]
     ) -> Iterator[Result]:
-        """Yield ``function(shared, item)`` for every item, in order.
-
-        Items are taken as results are: there are never more under way than keep the workers busy.
-        """
+        """Yield ``function(shared, item)`` in the order of the items, which are consumed as workers become free."""
         ahead: deque[Any] = deque()
         submit = self._prepare(function, shared)
         many = 2 * self._threads()
@@ -61,9 +57,8 @@ class Cluster:
     ) -> Iterator[tuple[Item, Callable[[], Result]]]:
         """Yield every item when it is done, in any order, with a function that returns or raises its result.
 
-        For work that takes long and may kill its worker, with little that is shared. To dask whatever a worker that
-        dies has taken on is suspicious, so workers get no more than they work on. A neighbour may still be given up
-        with the one that kills; so what was given up is tried once more at the end, with nothing beside it.
+        For long work that may kill its worker, with a small shared object. As dask blames all tasks of a dead worker,
+        workers get only what they work on. Tasks that dask gave up are retried once at the end, each alone.
         """
         suspects = []
         for item, future in self._as_done(function, shared, items, self._threads):
@@ -81,7 +76,7 @@ class Cluster:
         items: Iterable[Item],
         most: Callable[[], int],
     ) -> Iterator[tuple[Item, Any]]:
-        """Yield items with their futures when they are done; never more than `most` are under way."""
+        """Yield items with their futures as they are done, with at most `most` under way."""
         dumps, name = dask_module("distributed.protocol.pickle").dumps, _name(function)
         waiting = iter(items)
         ahead: dict[Any, Item] = {}
@@ -103,18 +98,18 @@ class Cluster:
             self._cancel(ahead)
 
     def _threads(self) -> int:
-        """Return how many threads the workers have now, at least 1: there may be some again soon."""
+        """Return the current number of worker threads, at least 1, as workers may come back."""
         with _connected():
             threads: dict[str, int] = self._client.nthreads()
         return max(1, sum(threads.values()))
 
     def _cancel(self, futures: Iterable[Any]) -> None:
-        """Leave work undone; without a connection there is none, which is no reason to hide another error."""
+        """Cancel futures; errors of a lost connection are ignored, to keep the original error."""
         with suppress(ClusterError), _connected():
             self._client.cancel(list(futures))
 
     def _prepare(self, function: Callable[..., Any], shared: object) -> Callable[[Any], Any]:
-        """Return what submits an item."""
+        """Return a function that submits an item."""
         # Pickled here, so that dask does not look for tasks in what it carries.
         dumps, name = dask_module("distributed.protocol.pickle").dumps, _name(function)
         with _connected():
@@ -136,7 +131,7 @@ _LOST = "the connection to the scheduler of the cluster was lost; start again"
 
 @contextmanager
 def _connected() -> Iterator[None]:
-    """Turn what dask raises without a connection into an error of ours."""
+    """Convert dask's connection errors to ClusterError."""
     closed = (
         dask_module("distributed.client").ClosedClientError,
         dask_module("distributed.comm").CommClosedError,
@@ -148,24 +143,23 @@ def _connected() -> Iterator[None]:
 
 
 def _name(function: Callable[..., Any]) -> str:
-    """Return how tasks are named: by their names dask knows those that take as long as each other."""
+    """Return the name of tasks, by which dask groups those of similar duration."""
     return f"mixseq-{getattr(function, '__name__', 'work')}"
 
 
 def _call(pickled: bytes) -> Callable[[Any], Any]:
-    """Return the function with what is shared, on a worker; others copy it from there."""
+    """Bind the function to the shared object on a worker; other workers copy it from there."""
     function, shared = pickle.loads(pickled)
     return partial(function, shared)
 
 
 def _apply(call: Callable[[Item], Result], item: bytes) -> Result:
-    """Do the work, on a worker."""
     with one_blas_thread():
         return call(pickle.loads(item))
 
 
 def _apply_alone(work: bytes) -> Any:
-    """Do work that brings everything that it needs, on a worker."""
+    """Apply the function to self-contained work on a worker."""
     function, shared, item = pickle.loads(work)
     with one_blas_thread():
         return function(shared, item)
@@ -190,7 +184,7 @@ def _result(future: Any) -> Any:
 
 
 def dask_module(module: str) -> Any:
-    """Import a module when it is needed."""
+    """Import a module of dask on first use."""
     try:
         return import_module(module)
     except ImportError as error:

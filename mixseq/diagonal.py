@@ -1,7 +1,7 @@
-"""The unit of lengths and errors, the diagonal of a bounding box, and lengths in it at any scale.
+"""The diagonal of a bounding box, the unit of lengths and errors, at any scale.
 
-Squares of lengths below 1e-154 or above 1e154 do not fit into a double. So exponents are shifted before lengths are
-squared. That changes no digit: wherever squares fit anyway, results are the same to the last bit.
+Squares of lengths below 1e-154 or above 1e154 overflow double precision, so exponents are shifted before squaring.
+Results are bitwise equal wherever squares fit anyway.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class Diagonal:
 
     @classmethod
     def of(cls, points: FloatArray) -> Diagonal:
-        """Measure points ``(V, 3)``."""
+        """Measure the bounding box of points ``(V, 3)``."""
         low, high = (
             np.asarray(corner, dtype=np.float64) for corner in (points.min(axis=0), points.max(axis=0))
         )
@@ -35,11 +35,11 @@ class Diagonal:
 
     @property
     def length(self) -> float:
-        """The length in the units of the points; infinite if it does not fit."""
+        """Length in the units of the points; infinite on overflow."""
         with np.errstate(over="ignore"):
             return float(np.ldexp(self.fraction, self.exponent))
 
     def shifted(self, lengths: FloatArray) -> Float:
-        """Return lengths over ``2**exponent``: of the size of `fraction` if they are of that of the diagonal."""
+        """Return lengths divided by ``2**exponent``, which brings those near the diagonal near `fraction`."""
         with np.errstate(over="ignore", under="ignore"):
             return np.asarray(np.ldexp(lengths, -self.exponent), dtype=np.float64)

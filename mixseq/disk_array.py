@@ -1,7 +1,7 @@
-"""Arrays of numbers that may be larger than memory: written row by row, read by rows or by columns.
+"""Arrays that may be larger than memory: written by rows, read by rows or columns.
 
-What is learned from a sequence takes all its frames at a few coordinates (the Gram matrix), or all coordinates of a few
-frames. A small one is in memory. A large one is on disk, tile by tile, so that both are read in long runs:
+Fitting reads all frames at a few coordinates (the Gram matrix), or all coordinates of a few frames. Small arrays are in
+memory, large ones on disk in tiles, so that both are read in long runs:
 
 >>> array = new_large_array((3, 2))
 >>> array[0:3] = np.arange(6).reshape(3, 2)
@@ -25,16 +25,16 @@ from numpy.typing import DTypeLike, NDArray
 from mixseq.errors import OutputError
 
 IN_MEMORY = 1 << 28
-"""Arrays of up to so many bytes are in memory."""
+"""Size in bytes up to which arrays are in memory."""
 
 _COLUMNS = 1 << 14
 _BLOCK = 1 << 23  # numbers in a block of columns, where there are so many rows that fewer columns must do
 
 
 class DiskArray:
-    """A array ``(T, ...)`` in a file that has no name: it vanishes with the object, or with the process.
+    """An array ``(T, ...)`` in an unnamed file that is deleted with the object or the process.
 
-    Rows are set by slices, and read by slices or indices, as those of an array; several threads may read at a time.
+    Rows are set by slices, and read by slices or indices; several threads may read at a time.
     """
 
     def __init__(self, shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> None:
@@ -80,7 +80,7 @@ class DiskArray:
         return flat.reshape(len(wanted), *self.shape[1:])
 
     def columns(self) -> Iterator[tuple[slice, NDArray[Any]]]:
-        """Yield blocks of columns of the flattened rows: where they are, and all their rows ``(T, C)``."""
+        """Yield column slices of the flattened rows, and blocks ``(T, C)``."""
         for columns in self._tiles():
             yield columns, self._read(0, len(self), columns)
 
@@ -109,20 +109,17 @@ def _close(file: IO[bytes]) -> None:
 
 
 LargeArray = NDArray[Any] | DiskArray
-"""An array, or what has no place in memory."""
+"""An array in memory or on disk."""
 
 
 def new_large_array(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> LargeArray:
-    """Make a array ``(T, ...)`` to be filled."""
+    """Return an empty array ``(T, ...)``, on disk if it is large."""
     size = np.dtype(dtype).itemsize * int(np.prod(shape, dtype=np.int64))
     return np.empty(shape, dtype) if size <= IN_MEMORY else DiskArray(shape, dtype)
 
 
 def column_blocks(array: LargeArray) -> Iterator[tuple[slice, NDArray[Any]]]:
-    """Yield a array ``(T, W)`` in blocks of columns: where they are, and all their rows ``(T, C)``.
-
-    The blocks are the same, wherever the array is.
-    """
+    """Yield column slices and blocks ``(T, C)`` of an array ``(T, W)``, the same in memory and on disk."""
     if isinstance(array, DiskArray):
         yield from array.columns()
         return

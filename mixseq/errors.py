@@ -1,4 +1,4 @@
-"""Everything that can go wrong, as one tree.
+"""The tree of errors.
 
 ::
 
@@ -17,7 +17,7 @@
 
     MixseqWarning              data that a format cannot hold, or that was repaired
 
-Messages name the file, frame, part or face, and what would fix it.
+Messages name the file, frame, part or face, and the fix.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Packages whose names are imported when they are first used, so that who needs one of them does not wait for all."""
+"""Lazy packages: names are imported on first use, to keep import times short."""
 
 from __future__ import annotations
 
@@ -9,18 +9,7 @@ from typing import Any, NamedTuple
 
 
 def forwarded(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
-    """Return the ``__getattr__`` of a package whose names are in the modules that `homes` tells.
-
-    Examples
-    --------
-    >>> find = forwarded(__name__, {"sqrt": "math"})
-    >>> find("sqrt")(9)
-    3.0
-    >>> find("root")
-    Traceback (most recent call last):
-    ...
-    AttributeError: module 'mixseq.forwarding' has no attribute 'root'
-    """
+    """Return the ``__getattr__`` of a package, with the modules of its names from `homes`."""
 
     def find(name: str) -> Any:
         if name not in homes:
@@ -33,12 +22,12 @@ def forwarded(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
 
 
 class Facade(NamedTuple):
-    """The package above all others: its public names, and its readers of files in the place of arguments."""
+    """The top package: its public names, and readers of files for arguments."""
 
     find: Callable[[str], Any]
     """Return a public object by its name; raises AttributeError."""
     reader_of: Callable[[str, Collection[str]], Callable[[str, Mapping[str, Any]], Any] | None]
-    """Return the reader for an argument, by its name and its types' names: from path and other arguments to value."""
+    """Return the reader for an argument by its name and type names: a function of a path and the other arguments."""
 
 
 _facade: list[Facade] = []
@@ -50,5 +39,5 @@ def connect(facade: Facade) -> None:
 
 
 def connected() -> Facade:
-    """Return the facade, which the package `mixseq` sets: modules below it do not import it."""
+    """Return the facade set by the package `mixseq`, which lower modules do not import."""
     return _facade[0]

@@ -1,7 +1,7 @@
-"""Frame rates of television: what people mean who type 23.976, and how rates are shown.
+"""Frame rates of television: exact values of typed rates such as 23.976, and their display.
 
-NTSC's rates are 1000/1001 of whole numbers, 24000/1001 = 23.976023... Typed numbers are rounded; taken as they are, a
-shot that begins at frame 1001 is off by a thousandth of a frame at once, and no frame falls on another's grid.
+NTSC rates are 1000/1001 of whole numbers, 24000/1001 = 23.976023... With the rounded value, a shot that begins at frame
+1001 would be off by a thousandth of a frame, and frames would miss the grid.
 """
 
 from __future__ import annotations
@@ -11,19 +11,11 @@ from math import isfinite
 NTSC_RATES = tuple(1000 * whole / 1001 for whole in (24, 30, 48, 60, 120))
 
 _ROUNDED = 0.005
-"""A rate that is nearer to one of NTSC's than this is that one, rounded to two digits or more."""
+"""Largest distance of a rounded rate from an NTSC rate: that of two digits or more."""
 
 
 def exact_rate(fps: float, own: float | None = None) -> float:
-    """Return the frames per second that a typed number means.
-
-    Examples
-    --------
-    >>> exact_rate(23.976) == 24000 / 1001, exact_rate(29.97) == 30000 / 1001, exact_rate(25.0)
-    (True, True, 25.0)
-    >>> exact_rate(47.952, own=23.976)
-    47.952
-    """
+    """Return the NTSC rate of a rounded one (23.976: 24000/1001); other rates and multiples of `own` stay."""
     if own and fps > 0 and isfinite(fps):
         times = max(fps / own, own / fps)
         if abs(times - round(times)) < 1e-9:
@@ -32,13 +24,7 @@ def exact_rate(fps: float, own: float | None = None) -> float:
 
 
 def rate_text(fps: float) -> str:
-    """Return a rate in words; NTSC's exactly.
-
-    Examples
-    --------
-    >>> rate_text(24000 / 1001), rate_text(25), rate_text(23.976)
-    ('24000/1001 (23.976)', '25', '23.976')
-    """
+    """Format a rate, NTSC's exactly: "24000/1001 (23.976)"."""
     for rate in NTSC_RATES:
         if abs(fps - rate) < 1e-9 * rate:
             return f"{round(1001 * rate)}/1001 ({rate:.3f})"

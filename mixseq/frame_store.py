@@ -1,11 +1,10 @@
-"""Sequences that can be looked at in any order: in memory, or copied to a temporary array as they are read once.
+"""Sequences with random access: in memory, or copied to a temporary array while they are read once.
 
-Files are read from their first frame to the last, and often slowly. What is learned from a sequence looks at it several
-times, and at single frames. So what streams is copied once, and all that follows is the same for both.
+Files are read sequentially and often slowly, while fitting needs several passes and single frames. Streams are copied
+once; all later work is the same for both.
 
-Here is also decided what double precision can hold. Lengths are squared, and their squares multiplied; so a mesh may be
-no smaller than `SMALLEST` and no larger than `LARGEST`. Small errors cannot be told beside large coordinates:
-`digits_end`.
+Limits of double precision: as squared lengths are multiplied, meshes must be between `SMALLEST` and `LARGEST`. Small
+errors vanish beside large coordinates: `digits_end`.
 """
 
 from __future__ import annotations
@@ -24,22 +23,22 @@ from mixseq.sequence import Frames, MeshSequence, SequenceHeader, bounding_diago
 _AT_ONCE = 8, 1 << 20  # frames, and vertices, in a block: at most 24 MB of float64, unless one frame is more
 
 SMALLEST, LARGEST = 1e-60, 1e60
-"""Diagonals of the first frame, and coordinates, in the units of the sequence; the values are ours."""
+"""Bounds of the diagonal of the first frame, and of coordinates, in the units of the sequence."""
 
 _LAST_DIGITS = 2.0**-40
-"""What of a coordinate is lost in computations, at most, as long as nothing cancels out; the value is ours."""
+"""Largest relative error of a coordinate in computations without cancellation."""
 
 
 @dataclass(frozen=True, eq=False)
 class FrameStore:
-    """A sequence whose points can be looked at in any order."""
+    """A sequence with random access to its points."""
 
     header: SequenceHeader  # everything but the points
     points: LargeArray  # (T, V, 3) the points
 
 
 def frame_store(frames: Frames, progress: Progress = silent) -> FrameStore:
-    """Return a sequence with points that can be looked at in any order, a copy unless it is in memory."""
+    """Return a sequence with random access to its points, a copy unless it is in memory."""
     store = (
         FrameStore(frames.header, frames.points)
         if isinstance(frames, MeshSequence)
@@ -92,22 +91,19 @@ def largest_coordinate(points: LargeArray) -> float:
 
 
 def farthest(points: LargeArray) -> float:
-    """Return how far vertices of points ``(T, V, 3)`` get from the middle of the first frame, along an axis.
-
-    It is the largest coordinate of a sequence that was moved to the origin.
-    """
+    """Return the largest distance along an axis of points ``(T, V, 3)`` from the middle of the first frame."""
     first = points[:1][0].astype(np.float64)
     middle = (first.min(axis=0) + first.max(axis=0)) / 2
     return max(float(np.abs(block - middle).max(initial=0.0)) for block in blocks_of(points))
 
 
 def digits_end(coordinate: float) -> float:
-    """Return the smallest bound that can be computed to beside a coordinate, in its units."""
+    """Return the smallest error bound that is computable beside a coordinate, in its units."""
     return coordinate * _LAST_DIGITS
 
 
 def block_size(vertex_count: int) -> int:
-    """Return how many frames to work on at once: it depends on the mesh only, so that results do not on others."""
+    """Return the number of frames per block; it depends on the mesh only, so results are reproducible."""
     most, vertices = _AT_ONCE
     return max(1, min(most, vertices // vertex_count))
 

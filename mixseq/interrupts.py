@@ -1,11 +1,9 @@
-"""Signals that end the work by an exception, so that what is half done is cleaned up, and that nothing swallows.
+"""Signals that end work by an exception, with cleanup, and that no library swallows.
 
-What a handler raises is raised wherever Python happens to be. If that is inside a library in C that called Python, a
-module that is being imported or a callback, the library may print or drop it, and the work goes on: USD does so with
-an interrupt that falls into ``import pxr``; HDF5 dies of one that falls into its file. So signals wait until imports
-are done, and functions that are `unbroken`, come again when they were seen to be swallowed, and are looked for once
-more before a file gets its name. All this is for programs, as the command line: whoever uses the library decides what
-a signal does.
+Python raises a handler's exception at any point. Inside a C library that called Python (an import, a callback) it may
+be dropped: USD drops interrupts during ``import pxr``; HDF5 crashes on one in its file. So signals are deferred until
+imports and `unbroken` functions return, raised again if swallowed, and checked before a file gets its final name. This
+is for programs such as the command line; in the library the caller handles signals.
 """
 
 from __future__ import annotations
@@ -31,7 +29,7 @@ _unbroken: set[CodeType] = set()
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 _arrived: int | None = None
-"""The signal that is to end the work, from when it came until the work has ended."""
+"""The signal that ends the work, from its arrival until the end of the work."""
 
 
 @contextmanager
@@ -57,7 +55,7 @@ def unwinding() -> Iterator[None]:
             _end(number)
 
     def swallowed(usual: Callable[..., None], kind: type[BaseException], *arguments: Any) -> None:
-        """What was raised while a library in C called Python: it is printed and lost, and the work goes on."""
+        """Send the signal again if its exception was raised where a C library called Python, and is dropped."""
         if issubclass(kind, SystemExit | KeyboardInterrupt):
             come_again(signal.SIGINT if issubclass(kind, KeyboardInterrupt) else signal.SIGTERM)
         else:
@@ -83,14 +81,14 @@ def unwinding() -> Iterator[None]:
 
 
 def unbroken(function: _Function) -> _Function:
-    """Let signals wait for the end of a function, which a library in C calls that no exception may pass through."""
+    """Defer signals to the end of a function called by a C library, where exceptions would be lost."""
     _unbroken.add(cast("FunctionType", function).__code__)
     return function
 
 
 @contextmanager
 def held() -> Iterator[None]:
-    """Let signals wait for the end of the block."""
+    """Defer signals to the end of the block."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -109,13 +107,13 @@ def held() -> Iterator[None]:
 
 
 def raise_swallowed() -> None:
-    """End the work here, if it goes on though a signal came."""
+    """Raise the exception of a signal that was swallowed."""
     if _arrived is not None and threading.current_thread() is threading.main_thread():
         _end(_arrived)
 
 
 def answered() -> None:
-    """Say that the work ends as the signal asks: what is still done is meant."""
+    """Mark the signal as handled: the remaining work is intended."""
     global _arrived
     _arrived = None
 

@@ -1,11 +1,10 @@
-"""Work on many items at once: results come in order, and are the same whoever does it.
+"""Executors: parallel map over many items, with ordered and reproducible results.
 
-Everything that is done frame by frame goes through an *executor*: a function of something shared (a model, a
-space) and of an item (a block of frames). What does the work, the caller's thread, several threads, or the workers
-of a cluster, is chosen by the caller; the function knows nothing of it, and the same item has the same result.
+All frame-wise work goes through an *executor*: a function of a shared object (a model, a space) and an item (a block of
+frames). The caller chooses the caller's thread, several threads or the workers of a cluster; the same item has the same
+result on each.
 
-Where each piece of work needs the one before, as in a stream of bits, it can still be done beside something else: that
-is `InTurn`.
+Sequential work, such as a stream of bits, can run beside other work: `InTurn`.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from mixseq.errors import MixseqError, SettingsError
 from mixseq.threads import one_blas_thread
 
 _AHEAD = 4
-"""So many pieces of work wait for `InTurn` at most: what they hold stays small."""
+"""Largest number of pieces of work that wait for `InTurn`, to bound memory."""
 
 Shared = TypeVar("Shared")
 Item = TypeVar("Item")
@@ -30,20 +29,20 @@ Result = TypeVar("Result")
 class Executor(Protocol):
     """Applies ``function(shared, item)`` to every item, and yields the results in the order of the items.
 
-    Items are taken as results are: a long sequence is never in memory as a whole. `function` is a plain function
-    of a module and `shared` can be pickled, so that both can go to another machine.
+    Items are consumed lazily, so long sequences are never in memory as a whole. `function` is a plain function of a
+    module and `shared` can be pickled, so that both can be sent to another machine.
     """
 
     def __call__(
         self, function: Callable[[Shared, Item], Result], shared: Shared, items: Iterable[Item]
     ) -> Iterator[Result]:
-        """Yield the results."""
+        """Yield the results in the order of the items."""
 
 
 def serially(
     function: Callable[[Shared, Item], Result], shared: Shared, items: Iterable[Item]
 ) -> Iterator[Result]:
-    """Do the work in the caller's thread."""
+    """Apply the function in the caller's thread."""
     for item in items:
         with one_blas_thread():
             result = function(shared, item)
@@ -51,13 +50,7 @@ def serially(
 
 
 def on_threads(count: int | None = None) -> Executor:
-    """Return an executor that works on `count` threads; by default on `thread_count`.
-
-    Examples
-    --------
-    >>> list(on_threads(2)(pow, 2, range(5)))
-    [1, 2, 4, 8, 16]
-    """
+    """Return an executor on `count` threads, by default `thread_count`."""
     threads = thread_count() if count is None else count
     if threads == 1:
         return serially
@@ -85,33 +78,19 @@ def on_threads(count: int | None = None) -> Executor:
 
 
 def on_two_threads() -> Executor:
-    """Return an executor that works on two threads, or on one if `thread_count` is 1.
-
-    For work of which each piece takes memory in proportion to all of the data, not to the piece: on as many threads as
-    there are cores it would take more memory on larger machines.
-    """
+    """Return an executor on at most two threads, for items whose memory grows with the whole data."""
     return on_threads(min(2, thread_count()))
 
 
 class InTurn:
-    """One thread, on which one piece of work after the other is done; the caller's if `thread_count` is 1.
-
-    Examples
-    --------
-    >>> found, turns = [], InTurn()
-    >>> for number in range(5):
-    ...     turns.take(lambda number=number: found.append(number))
-    >>> turns.wait()
-    >>> found
-    [0, 1, 2, 3, 4]
-    """
+    """One thread that runs pieces of work in order; the caller's if `thread_count` is 1."""
 
     def __init__(self) -> None:
         self._pool = ThreadPoolExecutor(1) if thread_count() > 1 else None
         self._waiting: deque[Future[None]] = deque()
 
     def take(self, work: Callable[[], None], large: bool = True) -> None:
-        """Do a piece of work after those that were given before it; at once if it is not `large`."""
+        """Run a piece of work after those given before; in the caller's thread if it is not `large`."""
         if self._pool is None or not large:
             self.wait()
             work()
@@ -121,19 +100,19 @@ class InTurn:
         self._waiting.append(self._pool.submit(work))
 
     def wait(self) -> None:
-        """Return when all of it is done; an error of it is raised here, or when more is given."""
+        """Wait for all work; its errors are raised here, or by the next `take`."""
         while self._waiting:
             self._waiting.popleft().result()
 
 
 def _check_process(process: int) -> None:
-    """Refuse to wait for threads that a fork did not copy."""
+    """Raise MixseqError in a forked process, which lacks the threads."""
     if os.getpid() != process:
         raise MixseqError("this iteration began before the process was forked; begin another one here")
 
 
 def thread_count() -> int:
-    """Return how many threads to use: ``MIXSEQ_THREADS``, else as many as this process has cores."""
+    """Return the number of threads to use: ``MIXSEQ_THREADS``, by default the cores available to this process."""
     wanted = os.environ.get("MIXSEQ_THREADS")
     if wanted:
         if not (wanted.isdigit() and int(wanted) > 0):

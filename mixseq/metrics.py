@@ -1,4 +1,4 @@
-r"""How far one mesh sequence is from another: positions, lengths, angles, volume.
+r"""Distances between two mesh sequences: positions, lengths, angles, volume.
 
 With :math:`A, B` the points ``(T, V, 3)`` of the reference and of the other sequence, and d the diagonal of the
 bounding box of A's first frame:
@@ -10,8 +10,8 @@ bounding box of A's first frame:
 - *dihedral error* of a hinge: the difference of its angles, by the shorter way around, in degrees
 - *volume error* of a frame: :math:`|\mathrm{vol}_B / \mathrm{vol}_A - 1|`
 
-Frames are compared a few at a time, in float64, at any scale (`mixseq.diagonal`). Percentiles are exact: they need only
-the largest thousandth of all values.
+Frames are compared in blocks, in float64, at any scale (`mixseq.diagonal`). Percentiles are exact, as the largest
+thousandth of all values is kept.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ from mixseq.statistics import RunningStatistics, Statistics
 from mixseq.topology import Topology
 
 SAME_TIME = 1e-6
-"""Times that differ by less than this fraction of a frame are the same."""
+"""Largest difference of equal times, as a fraction of a frame."""
 
 FLAT = 1e-6
-"""A face lower than this, relative to its longest side, has no normal to speak of."""
+"""Height of a face relative to its longest side below which its normal is undefined."""
 
 _BLOCK = 50_000  # vertices compared at once, some 40 MB of temporaries
 
@@ -56,23 +56,21 @@ class VolumeError:
 class Comparison:
     """What `compare` finds; formulas are at the head of this module.
 
-    Errors relative to zero, such as the KG error of a mesh whose vertices coincide, are 0 if nothing differs,
-    else infinite.
+    Errors relative to zero, such as the KG error of a mesh whose vertices coincide, are 0 if nothing differs, else
+    infinite.
 
     Attributes
     ----------
     frames, vertices : int
-        What was compared.
+        Size of the sequences.
     diagonal : float
         Unit of `rms_error`, `max_error` and `per_frame_max`, in the units of the reference.
     kg_percent : float
         Karni-Gotsman error.
     rms_error, max_error : float
         Distance of vertices, in diagonals.
-    worst_frame : int
-        Frame of the largest distance, and ...
-    worst_time : float
-        ... its time in seconds.
+    worst_frame, worst_time : int, float
+        Frame of the largest distance, and its time in seconds.
     edge_strain : Statistics
         Strain of the edges; edges of length zero in the reference are skipped.
     dihedral_degrees : Statistics
@@ -97,7 +95,7 @@ class Comparison:
     per_frame_max: Float
 
     def as_dict(self, per_frame: bool = False) -> dict[str, Any]:
-        """Return plain numbers for JSON, with None for what is infinite; `per_frame_max` only if asked for."""
+        """Return plain numbers for JSON, with None for infinite values, and `per_frame_max` if `per_frame`."""
         plain = asdict(self)
         plain["per_frame_max"] = self.per_frame_max.tolist()
         if not per_frame:
@@ -110,22 +108,21 @@ class Comparison:
 def compare(a: Frames, b: Frames) -> Comparison:
     """Measure how far a sequence is from a reference.
 
-    Both may be larger than memory: give what `mixseq.open_sequence` returns.
+    Both may be larger than memory, see `mixseq.open_sequence`.
 
     Parameters
     ----------
     a : MeshSequence or SequenceReader
         The reference.
     b : MeshSequence or SequenceReader
-        The same mesh at the same times; its vertices may have the numbers that a compressed file gave them
-        (``order="free"``).
+        The same mesh at the same times; vertices may be renumbered by a compressed file (``order="free"``).
 
     Raises
     ------
     InvalidSequenceError
-        If vertices, faces, or times differ; the message says what.
+        If vertices, faces, or times differ; the message states the difference.
     FormatError
-        If a file that is read turns out to be damaged.
+        If a file that is read is damaged.
 
     Examples
     --------
@@ -182,16 +179,7 @@ def compare(a: Frames, b: Frames) -> Comparison:
 
 
 def shared_frames(a: SequenceHeader, b: SequenceHeader) -> NDArray[np.int64] | None:
-    """Find the frames ``(T,)`` of b at the times of a, or None if b lacks one of them.
-
-    Examples
-    --------
-    >>> from mixseq.creature import walk_cycle
-    >>> walk = walk_cycle(frames=3)
-    >>> slow, fast = walk.header, walk.header.with_times(np.arange(5) / 48, fps=48)
-    >>> shared_frames(slow, fast).tolist(), shared_frames(fast, slow)
-    ([0, 2, 4], None)
-    """
+    """Return the frame indices ``(T,)`` of b at the times of a, or None if b lacks one of them."""
     after = np.clip(np.searchsorted(b.times, a.times), 1, max(b.frame_count - 1, 1))
     before = after - 1
     after = np.minimum(after, b.frame_count - 1)
@@ -202,9 +190,10 @@ def shared_frames(a: SequenceHeader, b: SequenceHeader) -> NDArray[np.int64] | N
 
 
 def comparable(a: Frames, b: SequenceHeader) -> tuple[Frames, Renumbering]:
-    """Return a sequence with vertices in the order of another one of the same mesh, and how they were numbered.
+    """Return `a` with vertices in the order of `b`, and their renumbering.
 
-    Polygons may be in any order; vertices in the same one, or one of both in that of a compressed file.
+    Polygons may be in any order; vertices in the same one, or one of both in that of a compressed file. Raises
+    InvalidSequenceError if meshes or times differ.
     """
     header = a.header
     for what, one, other in (
@@ -231,7 +220,7 @@ def comparable(a: Frames, b: SequenceHeader) -> tuple[Frames, Renumbering]:
 
 
 def _numbering(a: SequenceHeader, b: SequenceHeader) -> Renumbering | None:
-    """Return how the vertices of a mesh are numbered in another one, None if it is another mesh."""
+    """Return the renumbering of the vertices of a mesh in another one, None if the meshes differ."""
     found = numbering_of(b.polygons, a.polygons, object_sizes(a))
     if found is None and (back := numbering_of(a.polygons, b.polygons, object_sizes(b))) is not None:
         found = replace(as_it_is(a.polygons, a.vertex_count), vertices=back.inverse.vertices)
@@ -239,7 +228,7 @@ def _numbering(a: SequenceHeader, b: SequenceHeader) -> Renumbering | None:
 
 
 def paired_blocks(a: Frames, b: Frames, size: int) -> Iterator[tuple[Float, Float]]:
-    """Yield the points of both, `size` frames at a time, however they are read, as float64."""
+    """Yield the points of both in blocks ``(B, V, 3)`` of `size` frames, as float64."""
     x, y = (chain.from_iterable(each.blocks(size)) for each in (a, b))
     while frames := list(islice(x, size)):
         others = list(islice(y, size))
@@ -266,7 +255,7 @@ def _gather_angles(angles: RunningStatistics, topology: Topology, x: Float, y: F
 
 
 def _volumes(points: Float, faces: NDArray[np.int32]) -> Float:
-    """Signed volume ``(B,)``: the tetrahedra between every face and the centroid."""
+    """Return signed volumes ``(B,)``, summed over tetrahedra of faces and centroid."""
     centred = points - points.mean(axis=1, keepdims=True)
     p, q, r = (centred[:, faces[:, corner]] for corner in range(3))
     return np.asarray(np.einsum("tfi,tfi->t", p, np.cross(q, r)) / 6)
@@ -287,7 +276,7 @@ def _ratio(value: float, unit: float) -> float:
 
 
 def _finite(value: Any) -> Any:
-    """Replace what JSON has no number for."""
+    """Replace infinite and nan values, which JSON lacks, by None."""
     if isinstance(value, dict):
         return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, list):

@@ -1,4 +1,4 @@
-"""Objects that compute some of what they know once: ahead of threads that share it, and left out of their pickles."""
+"""Dataclasses with cached results: computed ahead of threads that share them, and left out of pickles."""
 
 from __future__ import annotations
 
@@ -10,18 +10,14 @@ Made = TypeVar("Made")
 
 
 class PickledWithoutCaches:
-    """A dataclass that is pickled as its fields, and made of them again.
-
-    What it computed and kept (cached properties) stays behind: it is large, parts of it, such as factored matrices,
-    cannot be pickled, and it follows from the fields.
-    """
+    """A dataclass that is pickled as its fields, without cached properties, which may be large or not picklable."""
 
     def constants(self) -> Iterable[object]:
-        """Return what is computed once and used again and again, such as factored matrices."""
+        """Return the cached results, such as factored matrices."""
         return ()
 
     def prepared(self) -> Self:
-        """Compute all `constants`, and theirs, so that threads that share the object do not all do so; return it."""
+        """Compute all `constants` recursively, before threads share the object, and return it."""
         for each in self.constants():
             if isinstance(each, PickledWithoutCaches):
                 each.prepared()

@@ -1,8 +1,7 @@
-"""The polygons of one mesh found among those of another one with the same vertices.
+"""Correspondence of the polygons of two meshes with the same vertices.
 
-Programs keep the order of vertices and change that of polygons, as Blender does, which groups the faces of OBJ files by
-material; and they begin polygons at other corners. So a polygon is the cycle of its vertices, wherever it is listed and
-wherever it begins: two polygons are the same if their cycles are, in the same direction.
+Programs keep the order of vertices but may reorder polygons (Blender groups faces of OBJ files by material) and rotate
+their corners. A polygon is therefore identified by the directed cycle of its vertices.
 """
 
 from __future__ import annotations
@@ -19,23 +18,14 @@ from mixseq.polygons import Polygons
 
 @dataclass(frozen=True, eq=False)
 class PolygonMatch:
-    """Which polygon and which corner of another mesh those of a mesh are."""
+    """Indices of the corresponding polygons and corners in another mesh."""
 
     polygons: Index
     corners: Index
 
 
 def matched(ours: Polygons, theirs: Polygons) -> PolygonMatch | None:
-    """Return how polygons are found among others, None if they are not the same.
-
-    Examples
-    --------
-    >>> ours = Polygons(np.array([4, 3]), np.array([0, 1, 2, 3, 3, 2, 4]))
-    >>> theirs = Polygons(np.array([3, 4]), np.array([4, 3, 2, 2, 3, 0, 1]))
-    >>> found = matched(ours, theirs)
-    >>> found.polygons.tolist(), found.corners.tolist()
-    ([1, 0], [5, 6, 3, 4, 1, 2, 0])
-    """
+    """Return the polygons and corners of `theirs` for those of `ours`, None if the meshes differ."""
     if ours.same_as(theirs):
         return PolygonMatch(np.arange(len(ours.counts)), np.arange(ours.indices.size))
     own, other = in_canonical_order(ours), in_canonical_order(theirs)
@@ -51,16 +41,9 @@ def matched(ours: Polygons, theirs: Polygons) -> PolygonMatch | None:
 
 
 def in_canonical_order(polygons: Polygons) -> PolygonMatch:
-    """Return which polygons and corners are first, second, ... in an order that cycles alone tell.
+    """Return polygon and corner indices in an order that depends on cycles only.
 
-    The smallest polygons come first, those of a size in lexicographic order; each begins where its list of vertices is
-    the first of all its rotations in that order.
-
-    Examples
-    --------
-    >>> found = in_canonical_order(Polygons(np.array([4, 3]), np.array([2, 3, 0, 1, 4, 3, 2])))
-    >>> found.polygons.tolist(), found.corners.tolist()
-    ([1, 0], [6, 4, 5, 2, 3, 0, 1])
+    Polygons are sorted by size, then lexicographically; each begins at its lexicographically first rotation.
     """
     cycles = [_cycles(polygons, size) for size in np.unique(polygons.counts).tolist()]
     none = [np.zeros(0, dtype=np.int64)]
@@ -86,10 +69,7 @@ def _cycles(polygons: Polygons, size: int) -> tuple[Index, Index]:
 
 
 def match_triangles(ours: Polygons, theirs: Polygons, names: tuple[str, str]) -> Index:
-    """Return the other mesh's triangle ``(F,)`` for every triangle; within a polygon any of its triangles.
-
-    Meshes may be cut into triangles, one of them or both.
-    """
+    """Return triangles ``(F,)`` of the other mesh, within equal polygons; InvalidSequenceError if they differ."""
     if np.array_equal(ours.triangles, theirs.triangles):
         return np.arange(len(ours.triangles))
     found = matched(ours, theirs)
@@ -105,14 +85,7 @@ def match_triangles(ours: Polygons, theirs: Polygons, names: tuple[str, str]) ->
 
 
 def difference(ours: Polygons, theirs: Polygons, names: tuple[str, str]) -> str:
-    """Return the first polygon that one of two meshes has and the other has not, in words; "" if there is none.
-
-    Examples
-    --------
-    >>> ours, theirs = (Polygons.from_triangles([[0, 1, 2], [2, 1, last]]) for last in (3, 4))
-    >>> difference(ours, theirs, ("A", "B"))
-    'polygon 1 of A (vertices 2 1 3) is not in B'
-    """
+    """Describe the first polygon that one of two meshes lacks, "" if there is none."""
     for one, other, (name, beside) in ((ours, theirs, names), (theirs, ours, names[::-1])):
         left = Counter(_keys(other))
         for polygon, key in enumerate(_keys(one)):

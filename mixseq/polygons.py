@@ -1,4 +1,4 @@
-"""The faces of a mesh as authored, and their triangles."""
+"""The polygons of a mesh, and their triangulation."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mixseq.errors import InvalidSequenceError
 
 
 def frozen(array: NDArray[Any]) -> NDArray[Any]:
-    """Return a read-only view, so that a frozen dataclass is frozen all the way down."""
+    """Return a read-only view of an array, for frozen dataclasses."""
     view = array.view()
     view.flags.writeable = False
     return view
@@ -62,8 +62,7 @@ class Polygons:
     def triangles(self) -> NDArray[np.int32]:
         """Triangulation ``(F, 3)``: a fan about each polygon's first corner.
 
-        By index only, never by shape: a pose-dependent triangulation would give every frame another
-        connectivity.
+        It depends on indices only, so that connectivity is the same in every frame.
 
         Examples
         --------
@@ -92,9 +91,7 @@ class Polygons:
 
 
 def reversed_corners(counts: IntArray, *, keep_first: bool) -> NDArray[np.intp]:
-    """Return the order of corners that turns every polygon around: corner ``c`` becomes the old ``order[c]``.
-
-    Twice, it changes nothing.
+    """Return corner indices that reverse every polygon, an involution: new corner ``c`` is old ``order[c]``.
 
     Shapes: counts ``(P,)``.
 
@@ -113,7 +110,7 @@ def reversed_corners(counts: IntArray, *, keep_first: bool) -> NDArray[np.intp]:
 
 
 def as_indices(values: ArrayLike, what: str) -> NDArray[np.int32]:
-    """Return whole numbers as int32, or raise an error that says what they should have been."""
+    """Return whole numbers as int32; InvalidSequenceError with the name `what` for other types or ranges."""
     array = np.asarray(values)
     if array.size and not np.issubdtype(array.dtype, np.integer):
         raise InvalidSequenceError(f"{what} have type {array.dtype}; integers are expected")

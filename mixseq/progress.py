@@ -1,4 +1,4 @@
-"""How long work tells how far it is: a callback, so that the core prints nothing."""
+"""Progress callbacks of long work."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 Progress = Callable[[int, int, str], None]
-"""Called with (steps done, steps in all, what is being done)."""
+"""Called with (steps done, total steps, description of the work)."""
 
 
 def silent(done: int, total: int, what: str) -> None:
-    """Tell nobody."""
+    """Ignore progress."""
 
 
 @dataclass(frozen=True)
 class Stages:
     """Progress of several stages as one."""
 
-    progress: Progress  # told about all of them
+    progress: Progress  # called for all of them
     count: int  # number of stages
     frames: int  # steps of every stage
 
     def at(self, first: int, stages: int = 1) -> Progress:
-        """Return what tells how far one stage is, or several of them."""
+        """Return the progress callback of one stage, or of several."""
 
         def tell(done: int, total: int, what: str) -> None:
             self.progress(

@@ -1,8 +1,8 @@
-"""What public functions take: the types that their annotations name, and files in the place of what files hold.
+"""Arguments of public functions: checks of annotated types, and files in place of their contents.
 
-Where a sequence or a model is wanted, or markers, contacts, a map, labels, keys of a retiming, a path does: it is read
-first (`mixseq_io.given`). Where a sequence is wanted and no model, a model is sampled at its frames. Anything else of
-another type is a `TypeError` that names the argument. Values are the functions' own business.
+Paths in place of sequences, models, markers, contacts, maps, labels or keys of a retiming are read first
+(`mixseq_io.given`). A model in place of a sequence is sampled at its frames. Other types raise a `TypeError` that names
+the argument. Values are checked by the functions.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _CALLED = {
     "ndarray": "array",
     "str": "text",
 }
-"""What types are called that have other names for users."""
+"""Names of types in messages."""
 
 _CURES = {
     "Model": "mixseq.fit makes one of a sequence, mixseq.load reads one",
@@ -44,20 +44,7 @@ _CURES = {
 
 
 def public(function: Callable[P, R]) -> Callable[P, R]:
-    """Let a function take paths for what files hold, and refuse arguments of other types than its annotations name.
-
-    Examples
-    --------
-    >>> @public
-    ... def faster(fps: float, name: str = "walk"):
-    ...     return 2 * fps
-    >>> faster(24)
-    48
-    >>> faster("24")
-    Traceback (most recent call last):
-    ...
-    TypeError: faster: fps is of type str; number is expected
-    """
+    """Let a function take paths in place of file contents; TypeError for arguments of types outside its annotations."""
     parameters = signature(function)
 
     @cache
@@ -91,7 +78,7 @@ def public(function: Callable[P, R]) -> Callable[P, R]:
 
 
 class _Names(dict[str, Any]):
-    """Names of annotations that are only imported for type checking: the public ones."""
+    """Names of annotations that are imported for type checking only: the public ones."""
 
     def __missing__(self, name: str) -> Any:
         try:
@@ -101,7 +88,7 @@ class _Names(dict[str, Any]):
 
 
 def _taken(name: str, value: Any, wanted: tuple[Any, ...], arguments: Mapping[str, Any]) -> Any:
-    """Read what a path stands for, and sample a model; else the value as it is. Arguments before it are taken."""
+    """Return the value that a path or a model stands for, else the value; earlier `arguments` are read already."""
     names = {getattr(choice, "__name__", "") for choice in wanted}
     if isinstance(value, str | os.PathLike) and not any(_fits(value, choice) for choice in wanted):
         read = connected().reader_of(name, names)
@@ -112,7 +99,7 @@ def _taken(name: str, value: Any, wanted: tuple[Any, ...], arguments: Mapping[st
 
 
 def _choices(hint: Any) -> tuple[Any, ...]:
-    """Return what a union is of; what is like an array, a union itself, counts as an array and numbers."""
+    """Return the members of a union; array-likes count as an array and numbers."""
     found = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
     if complex not in found:
         return found
@@ -125,7 +112,7 @@ def _choices(hint: Any) -> tuple[Any, ...]:
 
 
 def _fits(value: Any, hint: Any) -> bool:
-    """Whether a value is of a type, as far as can be told from outside."""
+    """Whether a value is of a type, as far as can be checked without reading it."""
     origin = get_origin(hint) or hint
     if origin is Any:
         return True
@@ -148,7 +135,7 @@ def _fits(value: Any, hint: Any) -> bool:
 
 
 def _told(wanted: tuple[Any, ...]) -> str:
-    """Say what is expected, and where it is from."""
+    """Describe the expected type, and its source in mixseq."""
     names = [getattr(choice, "__name__", str(choice)) for choice in wanted if choice is not NoneType]
     cure = next((f" ({_CURES[name]})" for name in names if name in _CURES), "")
     return f"{' or '.join(_CALLED.get(name, name) for name in names)} is expected{cure}"

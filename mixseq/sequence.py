@@ -1,8 +1,8 @@
-"""The neutral form of an animation cache: one fixed mesh, new vertex positions every frame.
+"""Mesh sequences: one fixed mesh, with new vertex positions in every frame.
 
-`SequenceHeader` is everything about a sequence but its points; `MeshSequence` adds them. Readers stream
-``(header, blocks of points)``; `Frames` is what they and `MeshSequence` have in common. Sequences are validated here
-and by their headers, and nowhere else: whoever holds a `MeshSequence` holds a sound one.
+`SequenceHeader` is a sequence without its points; `MeshSequence` adds them. Readers stream
+``(header, blocks of points)``; `Frames` is their common interface with `MeshSequence`. Sequences are validated here and
+in their headers only: every `MeshSequence` is valid.
 """
 
 from __future__ import annotations
@@ -93,9 +93,9 @@ class MeshSequence(SequenceHeader):
         faces : (F, 3) array_like or Polygons
             Triangles, or polygons where there are quads or n-gons.
         times : (T,) array_like, optional
-            Seconds; without it frames follow each other at `fps`.
+            Seconds; by default frames follow each other at `fps`.
         fps : float, optional
-            Frames per second, 24 if nothing tells; 23.976 means 24000/1001, see `mixseq.frame_rates`.
+            Frames per second, by default 24; 23.976 means 24000/1001, see `mixseq.frame_rates`.
         up_axis, metres_per_unit, name
             See `SequenceHeader`.
 
@@ -126,12 +126,12 @@ class MeshSequence(SequenceHeader):
     def from_header(
         cls, header: SequenceHeader, points: FloatArray, velocities: FloatArray | None = None
     ) -> MeshSequence:
-        """Make a sequence of a header and its points."""
+        """Make a sequence from a header and points ``(T, V, 3)``."""
         return cls(points=points, velocities=velocities, **header_fields(header))
 
     @property
     def header(self) -> SequenceHeader:
-        """The sequence without its points."""
+        """Header of the sequence, without points."""
         return SequenceHeader(**header_fields(self))
 
     def with_points(self, points: FloatArray) -> MeshSequence:
@@ -145,7 +145,7 @@ class MeshSequence(SequenceHeader):
 
     @cached_property
     def diagonal(self) -> float:
-        """Length of the bounding box's diagonal in the first frame, the unit that errors are quoted in."""
+        """Diagonal of the bounding box of the first frame, the unit of errors."""
         return bounding_diagonal(self.points[0])
 
     def __len__(self) -> int:
@@ -157,7 +157,7 @@ class Frames(Protocol):
 
     @property
     def header(self) -> SequenceHeader:
-        """Everything but the points."""
+        """Header of the sequence, without points."""
 
     def blocks(self, size: int = ...) -> Iterator[FloatArray]:
         """Iterate over the points in blocks ``(B, V, 3)`` of at most `size` frames, from the first one on."""
@@ -169,14 +169,14 @@ def bounding_diagonal(points: FloatArray) -> float:
 
 
 def collect(header: SequenceHeader, blocks: Iterable[FloatArray]) -> MeshSequence:
-    """Gather streamed blocks ``(B, V, 3)`` of points into one sequence."""
+    """Join blocks ``(B, V, 3)`` of points to one sequence."""
     parts = [_as_points(block) for block in blocks]
     points = np.concatenate(parts) if parts else np.zeros((0, header.vertex_count, 3), dtype=np.float32)
     return MeshSequence.from_header(header, points)
 
 
 def check_frames(frames: object) -> None:
-    """Refuse what is no sequence."""
+    """Raise InvalidSequenceError if the argument is no sequence."""
     if not isinstance(getattr(frames, "header", None), SequenceHeader):
         raise InvalidSequenceError(
             f"a MeshSequence or an open sequence is expected, not {type(frames).__name__}; read files "
@@ -185,7 +185,7 @@ def check_frames(frames: object) -> None:
 
 
 def check_block(header: SequenceHeader, points: FloatArray, first_frame: int) -> None:
-    """Check a block of frames against its header: points ``(B, V, 3)``."""
+    """Validate a block of points ``(B, V, 3)`` against its header."""
     if points.ndim != 3 or points.shape[2] != 3:
         raise InvalidSequenceError(f"points have shape {points.shape}; (frames, vertices, 3) is expected")
     if points.shape[1] != header.vertex_count:
@@ -214,7 +214,7 @@ def _check_velocities(header: SequenceHeader, points: FloatArray, velocities: Fl
 
 
 def _rate_beside(times: ArrayLike, fps: float) -> float:
-    """Return the rate that a typed number means beside frames at known times.
+    """Return the typed rate if frame times are multiples of its period, else the exact rate.
 
     Examples
     --------
@@ -231,7 +231,7 @@ def _rate_beside(times: ArrayLike, fps: float) -> float:
 
 
 def _as_points(points: ArrayLike) -> FloatArray:
-    """Return C-ordered float32 or float64 points of three dimensions; other numbers become float64."""
+    """Return C-ordered float32 or float64 points of three dimensions; other types become float64."""
     array = np.asarray(points)
     if array.dtype not in (np.float32, np.float64):
         try:

@@ -1,4 +1,4 @@
-"""Everything about an animation cache but its points: the mesh, and the times of its frames."""
+"""The header of a mesh sequence: the mesh, and the times of its frames."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ UP_AXES = ("X", "Y", "Z")
 DEFAULT_FPS = 24.0
 
 MOST_FRAMES = 10_000_000
-"""More would be a slip of the rate or of the speed."""
+"""Largest number of frames, to catch wrong rates and speeds."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -33,8 +33,7 @@ class SequenceHeader:
     times : (T,) float64
         Time of every frame in seconds, strictly increasing.
     fps : float
-        Frames per second of the time line the sequence lives on (USD: ``timeCodesPerSecond``). Times need
-        not be multiples of ``1 / fps``.
+        Frames per second of the time line (USD: ``timeCodesPerSecond``), not necessarily the spacing of times.
     up_axis : {"X", "Y", "Z"}
         Axis that points up.
     metres_per_unit : float
@@ -42,12 +41,12 @@ class SequenceHeader:
     name : str
         Name of the mesh.
     surface : Surface
-        Texture coordinates, hard edges, face sets, objects, and the file it came from.
+        Texture coordinates, hard edges, face sets, objects, and the source file.
 
     Raises
     ------
     InvalidSequenceError
-        If faces point outside the vertices, times do not increase, or a value is out of range.
+        If face indices exceed the vertices, times do not increase, or a value is out of range.
     """
 
     polygons: Polygons
@@ -85,29 +84,23 @@ class SequenceHeader:
 
     @property
     def objects(self) -> tuple[MeshObject, ...]:
-        """The meshes that the sequence joins, at least one: the sequence itself if nothing else is known."""
+        """The joined meshes, at least one: by default the whole sequence."""
         whole = MeshObject(self.name, "", self.vertex_count, len(self.polygons.counts))
         return self.surface.objects or (whole,)
 
     def frame_number(self, index: int) -> str:
-        """Return the number of a frame, as it is shown."""
+        """Return the number of a frame index as text."""
         return frame_text(self.times[index], self.fps)
 
     def frame_name(self, index: int) -> str:
-        """Return what people call a frame, by its number; with its index where that is another one, for Python."""
+        """Return the name of a frame by its number, with its index where that differs."""
         if not 0 <= index < self.frame_count:
             return f"frame {index}"
         number = self.frame_number(index)
         return f"frame {number}" if number == f"{index}" else f"frame {number} (index {index})"
 
     def index_of(self, number: float) -> int:
-        """Return the index of the frame with a number.
-
-        Raises
-        ------
-        SettingsError
-            If there is no such frame.
-        """
+        """Return the index of the frame with a number; SettingsError if there is none."""
         misses = np.abs(self.times * self.fps - number)
         index = int(misses.argmin())
         if misses[index] > NEAR:
@@ -116,17 +109,11 @@ class SequenceHeader:
 
     @property
     def frame_numbers(self) -> str:
-        """The first and the last frame number in words, "1001 to 1096"."""
+        """First and last frame number as text, "1001 to 1096"."""
         return " to ".join(dict.fromkeys(frame_text(time, self.fps) for time in self.times[[0, -1]]))
 
     def numbered_from(self, first: float) -> SequenceHeader:
-        """Return the header with its times moved to where the first frame has this number.
-
-        Raises
-        ------
-        SettingsError
-            If it is not finite.
-        """
+        """Return the header with its times moved so that the first frame has a number; SettingsError if not finite."""
         if not np.isfinite(first):
             raise SettingsError(f"start_frame is {first}; a number is expected")
         numbers = (self.times - self.times[0]) * self.fps
@@ -145,12 +132,12 @@ class SequenceHeader:
 
 
 def header_fields(header: SequenceHeader) -> dict[str, Any]:
-    """Return the header's fields by name, to make another header or a sequence of them."""
+    """Return the fields of the header by name, for another header or a sequence."""
     return {field: getattr(header, field) for field in SequenceHeader.__dataclass_fields__}
 
 
 def frame_times(start: float, end: float, fps: float, slack: float = 1e-6) -> NDArray[np.float64]:
-    """Return the times ``(T,)`` of frames from one time on, at a rate, up to another time."""
+    """Return frame times ``(T,)`` from `start` to at most `end` at a rate; SettingsError for too many frames."""
     if (end - start) * fps >= MOST_FRAMES:
         raise SettingsError(
             f"{end - start:g} s at {fps:g} frames per second make more than {MOST_FRAMES:,} frames; give less"

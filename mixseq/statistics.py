@@ -1,4 +1,4 @@
-"""Running statistics: root mean square, 99.9th percentile, maximum of values that come in blocks, in little memory."""
+"""Running statistics of streamed values in little memory: root mean square, 99.9th percentile, maximum."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Statistics:
 
 
 class RunningStatistics:
-    """Collect values block by block, and keep only what `Statistics` needs: the sum of squares and the largest."""
+    """Accumulate `Statistics` block by block, from the sum of squares and the largest values."""
 
     def __init__(self, total: int) -> None:
         self._total = total
@@ -32,7 +32,7 @@ class RunningStatistics:
         self._largest = np.zeros(0)
 
     def add(self, values: Float) -> None:
-        """Take another block of values ``(n,)``, none of them negative; those that are not finite are skipped."""
+        """Add non-negative values ``(n,)``; those that are not finite are skipped."""
         values = values[np.isfinite(values)]
         self._count += values.size
         self._squares += float(np.square(values).sum())
@@ -45,7 +45,7 @@ class RunningStatistics:
         self._largest = largest
 
     def result(self) -> Statistics:
-        """Return the statistics of all values; zeros if there were none."""
+        """Return the statistics of all values; zeros for none."""
         if not self._count:
             return Statistics(rms=0.0, p999=0.0, max=0.0, skipped=self._total)
         above = self._count - int(np.ceil(PERCENTILE * self._count))

@@ -1,7 +1,7 @@
-"""What a mesh has besides its faces: texture coordinates, colours, hard edges, face sets, the objects it consists of.
+"""Mesh data besides faces: texture coordinates, colours, hard edges, face sets, and joined objects.
 
-None of it takes part in any computation: it is carried from file to file, so that a character comes back with its
-textures and materials. The field's terms differ from format to format:
+It takes no part in computations, and is carried from file to file with the textures and materials of a character.
+Formats name it differently:
 
 ====================  ========================  =====================  ==========================
 here                  USD                       Alembic                glTF
@@ -29,9 +29,9 @@ from mixseq.polygons import Polygons, as_indices, frozen
 SUBDIVISIONS = ("none", "catmullClark", "loop", "bilinear")
 
 NO_UV = (0.0, 0.0)
-"""What corners get that have no texture coordinates, beside others that have some."""
+"""Texture coordinates of corners that have none, in meshes where others have some."""
 WHITE = (1.0, 1.0, 1.0, 1.0)
-"""What corners get that have no colour, beside others that have one."""
+"""Colour (RGBA) of corners that have none, in meshes where others have one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,53 +51,35 @@ class CornerValues:
 
     @classmethod
     def of_corners(cls, values: FloatArray) -> CornerValues:
-        """Make them of the values ``(sum of counts, k)`` of all corners: equal ones are one row."""
+        """Make them from the values ``(sum of counts, k)`` of all corners; equal values become one row."""
         rows, indices = np.unique(values, axis=0, return_inverse=True)
         return cls(rows, indices.reshape(-1))
 
     @property
     def at_corners(self) -> FloatArray:
-        """The values ``(sum of counts, k)``, one per corner."""
+        """Values ``(sum of counts, k)``, one per corner."""
         return self.values[self.indices]
 
     def taken(self, corners: IntArray) -> CornerValues:
-        """Return the values of some corners, in the order in which these are given."""
+        """Return the values of the given corners, in their order."""
         return CornerValues(self.values, self.indices[corners])
 
     def at_vertices(self, vertices: IntArray, count: int, default: Sequence[float]) -> NDArray[np.float32]:
-        """Return the values ``(count, k)`` of vertices, each that of its first corner.
-
-        Shapes: vertices ``(sum of counts,)``.
-
-        Examples
-        --------
-        >>> corners = CornerValues([[0], [1]], [0, 1, 1])
-        >>> corners.at_vertices(np.array([0, 1, 0]), 3, [-1]).tolist()
-        [[0.0], [1.0], [-1.0]]
-        """
+        """Return the values ``(count, k)`` of vertices at their first corners; vertex of every corner ``(n,)``."""
         values = np.tile(np.asarray(default, dtype=np.float32), (count, 1))
         values[vertices[::-1]] = self.at_corners[::-1]
         return values
 
     def one_per_vertex(self, vertices: IntArray) -> bool:
-        """Whether all corners of a vertex have the same value, nan or not; `vertices` has that of every corner."""
+        """Whether all corners of a vertex have the same value, or nan; vertex of every corner ``(n,)``."""
         default = np.zeros(self.values.shape[1])
         own = self.at_vertices(vertices, int(vertices.max(initial=-1)) + 1, default.tolist())
         return np.array_equal(own[vertices], self.at_corners, equal_nan=True)
 
     def welded(self, vertices: IntArray) -> CornerValues:
-        """Return the same values at all corners, where what is equal at a vertex is one row.
+        """Return the values with bitwise equal rows at a vertex merged; vertex of every corner ``(n,)``.
 
-        Applications write a row for every corner, or for every corner of a triangle. Rows are equal if all their bits
-        are. Those that several vertices share stay shared, so that there are never more rows than before.
-
-        Shapes: vertices ``(sum of counts,)``.
-
-        Examples
-        --------
-        >>> corners = CornerValues([[0, 0], [0, 1], [0, 0], [0, 0]], [0, 1, 2, 3])
-        >>> corners.welded(np.array([5, 6, 5, 7])).indices.tolist()
-        [0, 1, 0, 2]
+        Rows shared by several vertices stay shared, so the number of rows never grows.
         """
         from scipy.sparse import coo_array, csgraph
 
@@ -132,7 +114,7 @@ class FaceSet:
 
 @dataclass(frozen=True)
 class MeshObject:
-    """One of the meshes that a sequence joins: a run of its vertices, and the run of polygons on them."""
+    """A mesh joined into a sequence: a range of its vertices, and the range of polygons on them."""
 
     name: str
     path: str
@@ -143,7 +125,7 @@ class MeshObject:
 
 @dataclass(frozen=True)
 class Origin:
-    """The file that a sequence was read from, on which a writer of the same format may lay new points."""
+    """The source file of a sequence, into which a writer of the same format may write new points."""
 
     format: str
     path: str
@@ -151,35 +133,17 @@ class Origin:
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Surface:
-    """What a mesh has besides its faces.
+    """Mesh data besides faces."""
 
-    Parameters
-    ----------
-    uvs : CornerValues, optional
-        Texture coordinates (u, v), v upwards.
-    colours : CornerValues, optional
-        Colours (red, green, blue, alpha), from 0 to 1. They are linear where a file's format says what they are, as
-        glTF and USD do; the numbers of other formats are kept as they are.
-    hard_edges : (sum of counts,) int32, optional
-        Normals are not stored, because they move with the points. This tells how to compute them: corners with
-        the same number share one normal. Without it all corners of a vertex do, and every edge is smooth.
-    face_sets : tuple of FaceSet
-        Named sets of polygons, with their materials.
-    objects : tuple of MeshObject
-        The meshes that the sequence joins, in order; empty if nothing is known of them.
-    subdivision : {"none", "catmullClark", "loop", "bilinear"}
-        How renderers subdivide the mesh, all objects that have no scheme of their own.
-    origin : Origin, optional
-        The file it was read from.
-    """
-
-    uvs: CornerValues | None = None
+    uvs: CornerValues | None = None  # texture coordinates (u, v), v upwards
+    # (red, green, blue, alpha) from 0 to 1, linear in formats with a defined colour space (glTF, USD), else unchanged.
     colours: CornerValues | None = None
+    # (sum of counts,) int32: corners of equal number at a vertex share a normal; None if all edges are smooth.
     hard_edges: IntArray | None = None
-    face_sets: tuple[FaceSet, ...] = ()
-    objects: tuple[MeshObject, ...] = ()
-    subdivision: str = "none"
-    origin: Origin | None = None
+    face_sets: tuple[FaceSet, ...] = ()  # named sets of polygons, with their materials
+    objects: tuple[MeshObject, ...] = ()  # joined meshes, in order; empty if unknown
+    subdivision: str = "none"  # scheme of objects without their own: none, catmullClark, loop, bilinear
+    origin: Origin | None = None  # the file it was read from
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "face_sets", tuple(self.face_sets))
@@ -194,7 +158,7 @@ class Surface:
 
     @property
     def subdivisions(self) -> tuple[str, ...]:
-        """How renderers subdivide each of the objects, or the mesh if nothing is known of them."""
+        """Subdivision schemes of the objects, or of the mesh if it has no objects."""
         own = tuple(
             self.subdivision if each.subdivision is None else each.subdivision for each in self.objects
         )
@@ -214,7 +178,7 @@ class Surface:
         return f"Surface({', '.join(f'{name}={value}' for name, value in held.items() if value)})"
 
     def check(self, polygons: Polygons, vertex_count: int) -> None:
-        """Check that everything fits the mesh."""
+        """Raise InvalidSequenceError if the data do not fit the mesh."""
         corners = polygons.indices.size
         for what, on, width in (("texture coordinates", self.uvs, 2), ("colours", self.colours, 4)):
             if on is not None:
@@ -235,13 +199,7 @@ class Surface:
 
 
 def by_first_use(numbers: IntArray) -> Index:
-    """Return numbers that are equal where these are, 0, 1, 2, ... as they come: hard edges tell no more.
-
-    Examples
-    --------
-    >>> by_first_use(np.array([7, 3, 7, 5])).tolist()
-    [0, 1, 0, 2]
-    """
+    """Renumber to 0, 1, 2, ... in the order of first occurrence, as only equality matters in hard edges."""
     _, first, number = np.unique(numbers, return_index=True, return_inverse=True)
     rank = np.empty(len(first), dtype=np.int64)
     rank[np.argsort(first)] = np.arange(len(first))

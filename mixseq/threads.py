@@ -1,7 +1,7 @@
-"""One thread for linear algebra, so that results do not depend on the number of threads.
+"""Limit of linear algebra to one thread, so that results do not depend on the number of threads.
 
-A library that splits a matrix product over threads adds numbers in another order, and the last bits change; small
-products, of which we have many, get slower on top.
+Splitting a matrix product over threads changes the order of sums, and with it the last bits. Small products, which
+dominate here, get slower.
 """
 
 from __future__ import annotations
@@ -21,11 +21,7 @@ _limit = ExitStack()
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Enter a context in which BLAS and LAPACK use one thread.
-
-    The limit holds for the whole process. It is set by the first who enters and lifted by the last who leaves,
-    whatever threads they are on.
-    """
+    """Limit BLAS and LAPACK of the process to one thread, from the first entry to the last exit on any thread."""
     global _users
     with _lock:
         if _users == 0:
@@ -41,7 +37,7 @@ def one_blas_thread() -> Iterator[None]:
 
 
 def _renew_lock() -> None:
-    """Replace the lock in a forked process, where a thread that is not there may hold it."""
+    """Replace the lock in a forked process, where a missing thread may hold it."""
     global _lock
     _lock = Lock()
 
@@ -57,7 +53,7 @@ def _one_thread() -> AbstractContextManager[object]:
 
 @lru_cache(maxsize=1)
 def _controller(modules: int) -> Any:
-    """Find the libraries, which takes milliseconds: again only when modules, and perhaps libraries, were loaded."""
+    """Find the libraries, which takes milliseconds; again only if modules were loaded since."""
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()

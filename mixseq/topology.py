@@ -1,11 +1,9 @@
-"""Connectivity of a triangle mesh: edges, hinges, adjacency, components, and what is wrong with it.
+"""Connectivity of a triangle mesh: edges, hinges, adjacency, components and defects.
 
-Everything here follows from the faces alone, never from vertex positions, and is computed once when first
-asked for.
+All results follow from the faces, independent of vertex positions, and are computed once on first use.
 
-A *hinge* is an edge together with two faces that meet in it. Where exactly two faces meet there is one hinge;
-a non-manifold edge with k faces has k - 1 of them, chained in the order of the faces, so that the lengths and
-hinge angles of a mesh fix its shape also where it is not a manifold.
+A *hinge* is an edge together with two faces that meet in it. A non-manifold edge with k faces has k - 1 hinges, chained
+in the order of the faces, so that lengths and hinge angles determine the shape of non-manifold meshes too.
 """
 
 from __future__ import annotations
@@ -80,7 +78,7 @@ class Topology(PickledWithoutCaches):
 
     @cached_property
     def _hinge_sides(self) -> Index:
-        """The sides ``(H, 2)``, numbered face by face, that are the edge of every hinge in its two faces."""
+        """Sides ``(H, 2)``, numbered face by face, of every hinge in its two faces."""
         edge_of_side = self._sorted_edges[1]
         order = np.argsort(edge_of_side, kind="stable")
         same, face = np.diff(edge_of_side[order]) == 0, order // 3
@@ -93,7 +91,7 @@ class Topology(PickledWithoutCaches):
         return self.hinges_at(slice(None))
 
     def hinges_at(self, some: Index | slice) -> Index:
-        """Return some of the `hinges`; of a large mesh all take much memory."""
+        """Return some of the `hinges` ``(h, 4)``, to save memory on large meshes."""
         # The first face gives the direction a -> b, so the angle's sign follows that face's orientation.
         first, second = self._hinge_sides[some].T
         corners = first, _next(first), _next(_next(first)), _next(_next(second))
@@ -176,12 +174,12 @@ class Topology(PickledWithoutCaches):
 
 
 def _next(sides: Index) -> Index:
-    """Return the sides of the same faces that come next; the first corners of these are the second ones of those."""
+    """Return the next side in the same face, whose first corner is the second one of the side."""
     return np.where(sides % 3 == 2, sides - 2, sides + 1)
 
 
 def _symmetric(pairs: Index, count: int) -> sparse.csr_array:
-    """Make the matrix ``(count, count)`` that has a one for every pair ``(n, 2)``, and one for its reverse."""
+    """Return the symmetric matrix ``(count, count)`` with ones at pairs ``(n, 2)`` and their transposes."""
     places = (
         np.concatenate([pairs[:, ::-1], pairs]).astype(np.int32).T
     )  # of sorted pairs: rows come out sorted
@@ -196,7 +194,7 @@ def vertices_of(topology: Topology, faces: Mask) -> Mask:
 
 
 def vertices_near(topology: Topology, vertices: Mask, rings: int) -> Mask:
-    """Mark the vertices ``(V,)`` that are at most so many edges from a marked one."""
+    """Mark the vertices ``(V,)`` at most `rings` edges from a marked one."""
     near = vertices.copy()
     ring = np.flatnonzero(near)
     for _ in range(rings):
@@ -207,16 +205,13 @@ def vertices_near(topology: Topology, vertices: Mask, rings: int) -> Mask:
 
 
 def hinges_inside(topology: Topology, faces: Mask) -> Index:
-    """Return the numbers of the hinges between two of the marked faces ``(F,)``, ascending."""
+    """Return the indices of hinges between two of the marked faces ``(F,)``, ascending."""
     first, second = topology.hinge_faces.T
     return np.flatnonzero(faces[first] & faces[second])
 
 
 def face_patches(topology: Topology, faces: Mask) -> NDArray[np.int64]:
-    """Number the hinge-connected patches of the marked faces; other faces get -1.
-
-    Patches are numbered in the order of their first face.
-    """
+    """Number the hinge-connected patches ``(F,)`` of the marked faces, in order of their first face; -1 elsewhere."""
     patch = np.full(len(topology.faces), -1, dtype=np.int64)
     chosen = np.flatnonzero(faces)
     pairs = topology.hinge_faces[hinges_inside(topology, faces)]
@@ -238,14 +233,7 @@ def split_labels(topology: Topology, labels: IntArray) -> NDArray[np.int64]:
 
 
 def spread(topology: Topology, depth: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Let values spread over the mesh, losing one per edge: ``max_b (depth_b - hops(v, b))``, at least 0.
-
-    Examples
-    --------
-    >>> chain = Topology(np.array([[0, 1, 2], [1, 2, 3], [2, 3, 4], [3, 4, 5]]), 6)
-    >>> spread(chain, np.array([2, 0, 0, 0, 0, 0])).tolist()
-    [2, 1, 1, 0, 0, 0]
-    """
+    """Propagate values ``(V,)`` over edges with a decrement of one: ``max_b (depth_b - hops(v, b))``, at least 0."""
     result = np.maximum(depth, 0)
     for _ in range(int(result.max(initial=0)) - 1):
         first, second = (result > 1)[topology.edges.T]

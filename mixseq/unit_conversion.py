@@ -1,8 +1,8 @@
-"""Sequences turned so that another axis points up, and scaled to another unit of length.
+"""Conversion of sequences to another up axis and another unit of length.
 
 The up axis is turned by a quarter turn about the axis that is neither the old nor the new one: from Y to Z the point
-(x, y, z) becomes (x, -z, y), as programs do that exchange files between both. So coordinates change places and signs,
-without rounding; only another unit rounds.
+(x, y, z) becomes (x, -z, y), the usual convention. Coordinates are permuted and change signs without rounding; only a
+change of unit rounds.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ UNITS = {"mm": 0.001, "cm": 0.01, "m": 1.0, "km": 1000.0, "in": 0.0254, "ft": 0.
 """Units of length by name, in metres."""
 
 _UNITS_NOT_TOLD = ("Alembic",)
-"""Formats whose files do not tell their units, so that a writer cannot see that a sequence is in others."""
+"""Formats without units in their files, whose writers cannot detect another unit."""
 
 
 @dataclass(frozen=True, eq=False)
 class UnitConversion:
-    """How points are turned and scaled."""
+    """A turn to another up axis and a scale to another unit."""
 
     up_axis: str
     metres_per_unit: float
@@ -38,7 +38,7 @@ class UnitConversion:
     def of(
         cls, header: SequenceHeader, up_axis: str | None = None, units: str | float | None = None
     ) -> UnitConversion:
-        """Return how a sequence is turned and scaled; parameters and errors are those of `convert_units`."""
+        """Make the conversion of a sequence; parameters and errors as of `convert_units`."""
         up = header.up_axis if up_axis is None else up_axis
         if up not in UP_AXES:
             raise SettingsError(f"up_axis is {up!r}; one of {', '.join(UP_AXES)} is expected")
@@ -47,7 +47,7 @@ class UnitConversion:
 
     @property
     def changes(self) -> bool:
-        """Whether there is anything to turn or scale."""
+        """Whether the turn or the scale is not the identity."""
         return self.scale != 1.0 or not np.array_equal(self.turn, np.eye(3))
 
     def header(self, header: SequenceHeader) -> SequenceHeader:
@@ -71,7 +71,7 @@ class UnitConversion:
         return scaled
 
     def blocks(self, blocks: Iterable[FloatArray]) -> Iterator[FloatArray]:
-        """Turn and scale blocks as they come."""
+        """Turn and scale streamed blocks ``(B, V, 3)``."""
         return map(self.values, blocks)
 
 
@@ -81,24 +81,23 @@ def convert_units(
 ) -> MeshSequence:
     """Return a sequence turned so that an axis points up, and scaled to a unit of length.
 
-    Points and velocities change, so that the mesh has the size and the stance in the world that it had. Whoever only
-    wants to say what a file does not tell gives `up_axis` and `metres_per_unit` to `mixseq.read`.
+    Points and velocities change, so that size and orientation in the world stay. To set metadata that a file lacks,
+    give `up_axis` and `metres_per_unit` to `mixseq.read` instead.
 
     Parameters
     ----------
     sequence : MeshSequence
         The sequence.
     up_axis : {"X", "Y", "Z"}, optional
-        Axis that points up afterwards; by default that of the sequence.
+        New up axis, by default that of the sequence.
     units : str or float, optional
-        Unit of length afterwards: a name of `UNITS`, such as "cm", or its length in metres; by default that of the
-        sequence.
+        New unit of length: a name of `UNITS`, such as "cm", or metres; by default that of the sequence.
 
     Returns
     -------
     MeshSequence
-        The same frames in other coordinates, of the same precision. It forgets a file in Alembic that it came from, as
-        that does not tell its units.
+        The same frames in other coordinates, of the same precision. The origin in an Alembic file is dropped, as that
+        has no units.
 
     Raises
     ------
@@ -121,13 +120,7 @@ def convert_units(
 
 
 def metres_of(units: str | float) -> float:
-    """Return the length of a unit in metres.
-
-    Examples
-    --------
-    >>> metres_of("cm"), metres_of("0.5"), metres_of(2)
-    (0.01, 0.5, 2.0)
-    """
+    """Return the length of a unit in metres, by name or as a positive number or text; else SettingsError."""
     if units in UNITS:
         return UNITS[str(units)]
     try:
@@ -142,13 +135,7 @@ def metres_of(units: str | float) -> float:
 
 
 def _turn(old: str, new: str) -> Float:
-    """Return the quarter turn ``(3, 3)`` that takes an axis to another one, or none.
-
-    Examples
-    --------
-    >>> (_turn("Y", "Z") @ [1, 2, 3]).tolist(), (_turn("X", "Y") @ [1, 2, 3]).tolist()
-    ([1.0, -3.0, 2.0], [-2.0, 1.0, 3.0])
-    """
+    """Return the quarter turn ``(3, 3)`` from one up axis to another, or the identity."""
     turn = np.eye(3)
     if old != new:
         first, second = UP_AXES.index(old), UP_AXES.index(new)

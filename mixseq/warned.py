@@ -1,4 +1,4 @@
-"""Hearing our warnings, to show them somewhere."""
+"""Forwarding of mixseq's warnings to a display."""
 
 from __future__ import annotations
 

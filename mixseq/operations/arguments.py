@@ -1,4 +1,4 @@
-"""Arguments of operations from the tables of a script: what a key may hold follows from the parameter's annotation."""
+"""Arguments of operations from tables of a script: the value of a key follows from the parameter's annotation."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from mixseq.signals.model import Model
 
 
 class Readers(NamedTuple):
-    """How to read files; the core knows no formats."""
+    """Readers of files, injected because the core has no file formats."""
 
     model: Callable[[Path], Model]  # reader of model files
     mesh: Callable[[Path], MeshSequence]  # reader of mesh files
@@ -33,11 +33,11 @@ InSeconds = Callable[[Any, float, Unit], Any]
 
 
 class WrongTypeError(Exception):
-    """A value that a key does not hold."""
+    """A value of the wrong type for a key."""
 
 
 class Key(NamedTuple):
-    """What a key of a table means."""
+    """The meaning of a key of a table."""
 
     parameter: str  # parameter of the operation that its value is for
     required: bool  # whether there is no default
@@ -50,7 +50,7 @@ class Key(NamedTuple):
 
 
 def keys_of(function: Callable[..., Model]) -> dict[str, Key]:
-    """Return the keys of an operation: all parameters but the model that a script can give."""
+    """Return the keys of an operation: its parameters that a script can set, without the model."""
     hints, marked = get_type_hints(function), get_type_hints(function, include_extras=True)
     _, *parameters = signature(function).parameters.values()
     keys = {}
@@ -75,7 +75,7 @@ _NAMES = {bool: "true or false", int: "a whole number", float: "a number", str: 
 
 
 def _holds(hint: Any) -> str:
-    """Say what a parameter with an annotation may hold; nothing, if no value of TOML is any good."""
+    """Return a description of the values that an annotation allows; empty if TOML has none."""
     origin, choices = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):
         return " or ".join(filter(None, map(_holds, choices)))
@@ -100,7 +100,7 @@ def _fits(value: Any, hint: Any) -> bool:
 
 
 def _path(value: Any, folder: Path, readers: Readers) -> Path:
-    """Return a file that a script may read: what comes with it, not what else there is on the machine."""
+    """Return a file that a script may read: in its folder, `readers.folders`, or below."""
     if not isinstance(value, str) or "\0" in value:
         raise WrongTypeError
     path = folder / value
@@ -200,7 +200,7 @@ FILES: Mapping[str, tuple[str, str, Read]] = {
     "keys": ("keys", "pairs of output and source times, as a list or a CSV or TOML file,", _keys),
     "weight": ("weight", "a number, or pairs of time and weight as a list or a CSV file,", _weight),
 }
-"""Parameters that are no plain values, in all operations: key in a script, what it holds, and how it is read."""
+"""Parameters without plain values, in all operations: key in a script, description of its value, reader."""
 
 TIMES: Mapping[str, InSeconds] = {"keys": _keys_in_seconds, "weight": _weight_in_seconds}
-"""Those of them that hold times."""
+"""Conversions to seconds of those parameters that hold times."""

@@ -1,4 +1,4 @@
-"""Two models of one mesh in one space, with the same key shapes, so that their signals add up."""
+"""Two models of one mesh in one space, with the same key shapes, so that their signals can be added."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from mixseq.threads import one_blas_thread
 def into(model: Model, space: ShapeSpace) -> Model:
     """Return a model in another shape space of its mesh.
 
-    Its frames are decoded and encoded again; between them the motion is the cubic spline in the new space. They are
-    the same frames, as far as the new space tells all shapes of the mesh exactly. A model that is in the space
-    already stays as it is. The residual layer is encoded with the frames, so the result has none.
+    Its frames are decoded and encoded again, and interpolated by cubic splines in the new space. They are equal as far
+    as the new space represents the shapes exactly. A model in that space already is returned as it is.
+    The residual layer is encoded with the frames, so the result has none.
 
     Parameters
     ----------
@@ -43,9 +43,9 @@ def into(model: Model, space: ShapeSpace) -> Model:
 def together(first: Model, second: Model) -> tuple[Model, Model]:
     """Return two models of one mesh in one space, with the same pose and shape signals.
 
-    The space is that of the first one. If that is a basis space, which has few shapes, it is one that has those of
-    both, or that of the second one, if it is of another kind. Where key shapes differ, both get those of both. Pose
-    space then has the weights of the key shapes as its coordinates.
+    The space is that of the first model. A basis space is extended to the shapes of both, or replaced by the second
+    space if that is of another kind. Where key shapes differ, both models get all of them, with their weights as pose
+    space.
     """
     _check_meshes(first, second)
     space, *carries = first.space.joined(second.space)
@@ -67,7 +67,7 @@ def together(first: Model, second: Model) -> tuple[Model, Model]:
 
 
 def _weights_of(model: Model, start: int, count: int) -> Curve:
-    """Return the weights of all but the first of `count` key shapes; those of the model begin at number `start`."""
+    """Return the weights of all but the first of `count` key shapes; those of the model begin at index `start`."""
     weights = np.zeros((len(model.time.times), count))
     weights[:, start : start + len(model.shapes)] = model.pose.weights(model.time.values)
     return Curve(model.time.times, weights[:, 1:])

@@ -1,12 +1,12 @@
-r"""Drag: a place on the curve that a motion is in the plane is moved, and the motion next to it follows.
+r"""Drag: pull a point of the time curve in the embedding; the motion around it follows.
 
 The pose at a place is interpolated from the pulled point and from frames spread over the plane, by the cardinal weights
 of `mixseq.operations.sketch`: :math:`c^*(y)`. The correction is interpolated by the same weights, so a point that is
-pulled to one of these frames becomes that frame. Two frames that are near each other in the plane, and far apart in
-pose space, would make :math:`c^*` steep; one of them is left out.
+pulled to one of these frames becomes that frame. Of two frames that are close in the plane and far apart in pose space,
+which would make :math:`c^*` steep, one is left out.
 
 The embedding of a model (`Model.embedding`) is affine in pose space, :math:`y(t) = A^T (c(t) - \bar c)`. Where the
-interpolated pose misses the place by :math:`\Delta y`, the step that changes the shape least is along the two principal
+interpolated pose misses the place by :math:`\Delta y`, the step of least shape change is along the two principal
 directions P of the plane (`mixseq.signals.mds_embedding`),
 
 .. math:: \delta = c^*(y) - c^*(y(t_0)) + P\, (A^T P)^+ \Delta y .
@@ -15,8 +15,8 @@ The change fades out on both sides,
 
 .. math:: c(t) \to c(t) + w(t)\, \delta, \qquad w(t_0) = 1, \qquad w(t) = 0 \text{ for } |t - t_0| \ge \text{reach},
 
-with a weight of three cubics on each side, two times continuously differentiable. So the result is a cubic spline
-again: exactly, with seven knots more. The correction changes by the same weight.
+with a C2 weight of three cubics on each side, so the result is an exact cubic spline with seven more knots. The
+correction changes by the same weight.
 """
 
 from __future__ import annotations
@@ -40,22 +40,22 @@ from mixseq.signals.mds_embedding import Plane
 from mixseq.signals.model import Model
 
 REACH = 1 / 8
-"""Default reach, as a fraction of the motion. Ours."""
+"""Default reach, as a fraction of the duration."""
 
 FRAMES = 2
-"""Shortest default reach, in frames. Ours."""
+"""Shortest default reach, in frames."""
 
 SPREAD_FRAMES = 64
 """Largest number of frames that poses are interpolated from."""
 
 STEEPEST = 2.0
-"""Largest distance of two of these in pose space per distance in the plane, as a multiple of the mean."""
+"""Largest distance in pose space per distance in the plane of two of these frames, as a multiple of the mean."""
 
 DROPPED = 1e-3
-"""A point is dropped on a frame that is nearer than this fraction of the largest distance in the plane."""
+"""Distance below which a point is dropped on a frame, as a fraction of the largest distance in the plane."""
 
 SAME_PLACE = 1e-6
-"""Frames closer than this fraction of the largest distance in the plane have one place."""
+"""Distance below which frames share a place, as a fraction of the largest distance in the plane."""
 
 
 @public
@@ -64,35 +64,33 @@ def drag(
 ) -> Model:
     """Return the model with its curve in the embedding pulled to a place.
 
-    The pose is interpolated from frames near that place. Where bodies are does not change. The residual layer is
-    kept.
+    The pose is interpolated from frames near that place. The placement of bodies stays. The residual layer is kept.
 
     Parameters
     ----------
     model : Model
         The motion.
     time : float
-        Time of the point that is pulled, in seconds.
+        Time of the pulled point, in seconds.
     to : (2,) array_like
-        Where to, in the coordinates of `Model.embedding`, in diagonals. If the embedding is a line, the point goes as
-        near as it can.
+        Target in the coordinates of `Model.embedding`, in diagonals; if the embedding is a line, the nearest point of
+        it.
     reach : float, optional
-        Over how many seconds the change fades on both sides; by default an eighth of the motion, at least two frames.
+        Seconds over which the change fades on both sides; by default an eighth of the motion, at least two frames.
     plane : Plane, optional
-        The embedding that is meant, the `Model.plane` of a model with the same pose and shape signals; by default that
-        of `model`. The result has another one of its own: give the plane of the first model if you drag again and again
-        and look at one picture.
+        The embedding of `to`: the `Model.plane` of a model with the same pose and shape signals; by default that of
+        `model`. The result has another plane: for repeated drags in one picture give the plane of the first model.
 
     Returns
     -------
     Model
-        ``result.embedding([time], plane)`` is `to`, with the plane that was meant.
+        ``result.embedding([time], plane)`` is `to`.
 
     Raises
     ------
     SettingsError
         If the time is outside the model, `to` is no place, the reach is too short, the plane is of another model, or
-        the embedding is one point: the shape does not change, so there is nowhere to go.
+        the embedding is one point.
     """
     place = _place(to)
     time = snapped(model, time)
@@ -125,10 +123,7 @@ def _changes(model: Model, time: float, place: Float, plane: Plane) -> tuple[Flo
 
 
 def _spread_frames(points: Float, axes: Float, move: Float) -> Index:
-    """Return which of points ``(N, k)`` of pose space to interpolate: the first, and others far apart in the plane.
-
-    A frame that the first point is dropped on, by a move ``(2,)``, is always one of them.
-    """
+    """Return ids of points ``(N, k)`` to interpolate: the first, one hit by a move ``(2,)``, and others far apart."""
     places = points @ axes
     places -= places[0]
     nearest = np.linalg.norm(places, axis=1)
@@ -151,7 +146,7 @@ def _spread_frames(points: Float, axes: Float, move: Float) -> Index:
 
 
 def _pulled(curve: Curve, time: float, reach: float, change: Float) -> Curve:
-    """Return a curve with a change ``(k,)`` at a time, which fades over `reach` seconds on both sides."""
+    """Return a curve with a change ``(k,)`` at a time, fading to zero over `reach` seconds on both sides."""
     if not change.any():
         return curve
     ends = np.array([curve.start, curve.end])
@@ -165,7 +160,7 @@ def _pulled(curve: Curve, time: float, reach: float, change: Float) -> Curve:
 
 
 def default_reach(model: Model) -> float:
-    """Return over how many seconds the change of a drag fades on both sides, if nothing else is asked for."""
+    """Return the default reach of a drag, in seconds."""
     return max(REACH * (model.end - model.start), FRAMES / model.header.fps)
 
 

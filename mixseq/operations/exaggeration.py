@@ -1,9 +1,9 @@
-r"""More or less of a motion: how parts stand to each other and how their shape changes, about the mean.
+r"""Exaggerate or damp a motion: scale relative poses and shapes of parts about their mean.
 
 .. math:: c(t) \to \bar c + \text{gain}\, (c(t) - \bar c)
 
-with the time signal c, whose mean is over the frames. In the mixed shape space a point of pose space is a pose of the
-whole character, wherever it stands. The correction is scaled alike.
+with the time signal c and its mean over the frames. In the mixed shape space a point of pose space is a pose of the
+whole character, independent of its place. The correction is scaled in the same way.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ LARGEST_GAIN = 1000.0
 def exaggerate(model: Model, gain: float, modes: Sequence[int] | None = None) -> Model:
     """Return the model with its motion exaggerated or damped.
 
-    The time signal is scaled about its mean over the frames. A body goes and turns where it did; how its parts stand
-    to each other, and their shape, change by more or less. The residual layer is kept.
+    The time signal is scaled about its mean over the frames. The path of the body stays; relative poses and shapes of
+    its parts change. The residual layer is kept.
 
     Parameters
     ----------
@@ -37,8 +37,8 @@ def exaggerate(model: Model, gain: float, modes: Sequence[int] | None = None) ->
     gain : float
         1 changes nothing, 0 freezes all at the mean, more than 1 exaggerates, less damps.
     modes : sequence of int, optional
-        Scale these coordinates of pose space alone, from 0 on, and no correction: in a model that was fitted the modes,
-        the largest first.
+        Scale only these coordinates of pose space, from 0 on, and no correction. In a fitted model they are the modes,
+        largest first.
 
     Raises
     ------
@@ -67,6 +67,6 @@ def _scaled(model: Model, curve: Curve, gains: Float) -> Curve:
 
 
 def check_gain(gain: float) -> None:
-    """Refuse what no motion survives."""
+    """Raise SettingsError for gains above `LARGEST_GAIN` in size, or not a number."""
     if not abs(gain) <= LARGEST_GAIN:
         raise SettingsError(f"gain is {gain}; a number is expected, at most {LARGEST_GAIN:g} in size")

@@ -1,4 +1,4 @@
-r"""Filters: a motion without its fastest changes.
+r"""Filters: remove the fastest changes of a motion.
 
 A smoothing spline f through values y minimises
 
@@ -9,8 +9,8 @@ halved at the period P for
 
 .. math:: \lambda = (\sqrt 2 - 1)\, (P / 2 \pi)^4 .
 
-Lines stay as they are. What a line is for other numbers a steady turn is for rotations, :math:`\exp(\omega t)\, R`,
-with the mean :math:`\omega` of angular velocities: quaternions are smoothed as seen from it.
+Lines stay unchanged. Their counterpart for rotations is a steady turn, :math:`\exp(\omega t)\, R`, with the mean
+:math:`\omega` of angular velocities: quaternions are smoothed relative to it.
 """
 
 from __future__ import annotations
@@ -32,19 +32,18 @@ from mixseq.signals.model import Model
 from mixseq.spaces.base import ShapeSpace
 
 FEWEST = 5
-"""Values that a smoothing spline needs."""
+"""Smallest number of values of a smoothing spline."""
 
 LONGEST = 1e9
-"""Periods of more steps all leave a line."""
+"""Largest period in mean steps; beyond it only a line is left."""
 
 
 @public
 def smooth(model: Model, seconds: Seconds) -> Model:
     """Return the model without changes that are faster than a period: time, placement and correction.
 
-    A sine of this period loses half its power. Of the amplitude, 0.13 are left at half the period, 0.97 at twice
-    the period. Near the ends, over about a period, less is certain and less is smoothed.
-    The residual layer is left out.
+    A sine of this period loses half its power. At half the period 0.13 of the amplitude are left, at twice the period
+    0.97. Within about a period of the ends smoothing is weaker. The residual layer is left out.
 
     Parameters
     ----------
@@ -69,25 +68,25 @@ def smooth(model: Model, seconds: Seconds) -> Model:
 
 @dataclass(frozen=True, eq=False)
 class SteadyTurn:
-    """How the r rotations of placements turn on the whole."""
+    """Mean turning of the r rotations of placements."""
 
     space: ShapeSpace  # the space of the placements
     rates: Float  # (r, 3) mean angular velocities, in radians per second
 
     @classmethod
     def of(cls, space: ShapeSpace, placement: Curve) -> SteadyTurn:
-        """Find how a placement turns, by what it does from knot to knot."""
+        """Fit the mean angular velocity to a placement, from knot to knot."""
         turns = normalised(space.poses(placement.values).rotations)
         steps = vectors(rotations_of(product(turns[1:], inverse(turns[:-1]))))
         lasting = placement.end - placement.start
         return cls(space, steps.sum(axis=0) / (lasting if lasting > 0 else 1.0))
 
     def without(self, times: Float, placements: Float) -> Float:
-        """Return placements ``(N, P)`` at times ``(N,)`` as they are without it."""
+        """Remove the steady turn from placements ``(N, P)`` at times ``(N,)``."""
         return self._turned(times, placements, -1.0)
 
     def again(self, times: Float, placements: Float) -> Float:
-        """Return placements ``(N, P)`` at times ``(N,)`` with it; the inverse of `without`."""
+        """Add the steady turn to placements ``(N, P)`` at times ``(N,)``; the inverse of `without`."""
         return self._turned(times, placements, 1.0)
 
     def _turned(self, times: Float, placements: Float, sign: float) -> Float:
@@ -97,7 +96,7 @@ class SteadyTurn:
 
 
 def smoothed(curve: Curve, frames: Float, seconds: float, steady: SteadyTurn | None = None) -> Curve:
-    """Smooth a curve by what it is at its knots and at the frames ``(T,)``; a placement but for a steady turn."""
+    """Smooth a curve by its values at knots and frames ``(T,)``; a placement relative to a steady turn."""
     ends = np.array([curve.start, curve.end])
     inner = np.concatenate([curve.times, frames])
     times = np.union1d(ends, between(inner, *ends))
@@ -121,7 +120,7 @@ def smoothed(curve: Curve, frames: Float, seconds: float, steady: SteadyTurn | N
 
 
 def _line(times: Float, values: Float, weights: Float) -> Curve:
-    """Return the line next to values: what smoothing leaves alone, and would lose digits of if it were strong."""
+    """Fit a line to values ``(N, k)``: it is invariant to smoothing, and strong smoothing would lose its digits."""
     middle = np.average(times, weights=weights)
     mean = np.average(values, axis=0, weights=weights)
     away = weights * (times - middle)

@@ -1,4 +1,4 @@
-"""Frames edited by hand: whether one is the model's, what was changed, and key shapes exchanged for it."""
+"""Frames edited by hand: validation, the difference to the model, and replaced key shapes."""
 
 from __future__ import annotations
 
@@ -17,14 +17,11 @@ from mixseq.sequence import MeshSequence, SequenceHeader, bounding_diagonal
 from mixseq.signals.model import Model
 
 MOVED, MOST = 1e-3, 0.9
-"""A vertex has moved if it did by more than this, in diagonals; an edit is doubtful if more than this share has."""
+"""Displacement of moved vertices, in diagonals, and their largest share in an edit without a warning."""
 
 
 def edited_difference(model: Model, time: float, points: ArrayLike | MeshSequence) -> tuple[Model, Float]:
-    """Return what the edit of a frame adds to key shapes, and the same motion in a space that has the edit.
-
-    Shapes: points ``(V, 3)``; result ``(S,)``.
-    """
+    """Return the model in a space that can represent the edit ``(V, 3)``, and its key shape difference ``(S,)``."""
     edited, before = checked_points(points, model.header), model(time)
     space, carry = model.space.with_shape(edited - before)
     model = replace(model, space=space, shapes=carry(model.shapes))
@@ -36,17 +33,17 @@ def edited_difference(model: Model, time: float, points: ArrayLike | MeshSequenc
 def swap_key(model: Model, key: int, points: ArrayLike | MeshSequence) -> Model:
     """Put an edited mesh in the place of a key shape.
 
-    For models whose key shapes are frames, ``mixseq.fit(sequence, pose="keys")``: an artist takes the frame of a key,
-    reworks it, and the whole sequence follows, as much as the key is part of every frame. The residual layer is kept.
+    For models whose key shapes are frames, ``mixseq.fit(sequence, pose="keys")``: the whole sequence follows the edit,
+    in proportion to the weight of the key in every frame. The residual layer is kept.
 
     Parameters
     ----------
     model : Model
         The motion.
     key : int
-        Number of the key shape, from 0 on. `Model.key_frames` tells its frame.
+        Number of the key shape, from 0 on, see `Model.key_frames`.
     points : (V, 3) array_like or MeshSequence of one frame
-        That frame with vertices moved, in the units of the sequence. Vertices that were not moved stay where they are.
+        That frame with vertices moved, in the units of the sequence.
 
     Raises
     ------
@@ -70,7 +67,7 @@ def swap_key(model: Model, key: int, points: ArrayLike | MeshSequence) -> Model:
 
 
 def checked_points(points: ArrayLike | MeshSequence, header: SequenceHeader) -> Float:
-    """Return an edited frame ``(V, 3)``, if it is one of this mesh."""
+    """Validate an edited frame of the mesh and return its points ``(V, 3)``."""
     if isinstance(points, MeshSequence):
         if points.frame_count != 1:
             raise SettingsError(f"the edited mesh has {points.frame_count} frames; one is expected")
@@ -94,7 +91,7 @@ def checked_points(points: ArrayLike | MeshSequence, header: SequenceHeader) -> 
 
 
 def _doubt(before: Float, edited: Float, time: float) -> None:
-    """Warn if an edit is hardly one of this frame."""
+    """Warn if most vertices were moved."""
     apart = np.linalg.norm(edited - before, axis=1) / (bounding_diagonal(before) or 1.0)
     moved = int(np.count_nonzero(apart > MOVED))
     if moved > MOST * len(edited):
@@ -107,13 +104,13 @@ def _doubt(before: Float, edited: Float, time: float) -> None:
 
 
 def _same_surface(one: Polygons, other: Polygons) -> bool:
-    """Whether polygons have the same edges, but for diagonals of those that one of them has cut into triangles."""
+    """Whether polygons have the same edges, except for diagonals where one of them is triangulated."""
     whole, cut = ({tuple(side) for side in _sides(polygons).tolist()} for polygons in (one, other))
     return whole <= cut or cut <= whole
 
 
 def _sides(polygons: Polygons) -> NDArray[np.int64]:
-    """The sides of polygons ``(E, 2)``, smaller vertex first."""
+    """Return the sides of polygons ``(E, 2)``, smaller vertex first."""
     ends = np.cumsum(polygons.counts)
     following = np.arange(1, len(polygons.indices) + 1)
     following[ends - 1] = ends - polygons.counts

@@ -2,14 +2,11 @@ r"""Blends of any number of poses: the operator A of the paper, then the project
 
 .. math:: x(w) = P\Bigl(\sum_i w_i\, s_i\Bigr), \qquad \sum_i w_i = 1
 
-In the mixed space (paper, Section 2.2) rigid parts are registered to each other over all poses first (Williams and
-Bennamoun), so that their vertices blend linearly; lengths and angles of joints blend linearly; rotations as
-quaternions. Every other space of `mixseq.spaces` blends the same way: what a rigid motion does not change, linearly,
-and poses as quaternions and centres.
+In the mixed space (paper, Section 2.2) rigid parts are first registered to each other over all poses (Williams and
+Bennamoun). Their vertices, and lengths and angles of joints, then blend linearly; rotations blend as quaternions. In
+the other spaces of `mixseq.spaces` rigid-motion invariant coordinates blend linearly, poses as quaternions and centres.
 
-Whole turns of angles and rotations are counted along the poses that are blended, as in a sequence. Poses between them
-that have no weight do not count: where a list is in no order, following turns through all of it finds turns that are
-none.
+Whole turns of angles and rotations are unwrapped along the poses of nonzero weight, as in a sequence.
 """
 
 from __future__ import annotations
@@ -45,26 +42,16 @@ from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
 
 SUM = 1e-6
-"""Weights may add up to one with this error, that of single precision; they are divided by their sum."""
+"""Largest deviation of the sum of weights from one, that of single precision; weights are divided by their sum."""
 
 
 @dataclass(frozen=True, eq=False)
 class PoseInterpolator(PickledWithoutCaches):
-    """Poses of a mesh as vectors of a shape space, to be blended with any weights. Make it with `PoseInterpolator.of`.
+    """Poses of a mesh as vectors of a shape space, for blends of any weights; make it with `PoseInterpolator.of`."""
 
-    Attributes
-    ----------
-    header : SequenceHeader
-        The mesh.
-    space : ShapeSpace
-        The space, made of the poses.
-    vectors : (n, D) float64
-        The poses.
-    """
-
-    header: SequenceHeader
-    space: ShapeSpace
-    vectors: Float
+    header: SequenceHeader  # the mesh
+    space: ShapeSpace  # the space, made from the poses
+    vectors: Float  # (n, D) the poses
 
     @classmethod
     def of(
@@ -80,13 +67,7 @@ class PoseInterpolator(PickledWithoutCaches):
         workers: Executor | None = None,
         **settings: Unpack[SpaceOptions],
     ) -> PoseInterpolator:
-        """Make a space of poses, and encode them; parameters as of `interpolate`, and one more.
-
-        Parameters
-        ----------
-        among : (n,) int array_like, optional
-            The poses to be blended, all by default. The others tell only of the parts of the mesh.
-        """
+        """Make a space of all poses, and encode those with indices `among`, by default all; see `interpolate`."""
         chosen = space_settings(space, placement=placement, parts=parts, joint_width=joint_width, **settings)
         check_frames(poses)
         count = poses.header.frame_count
@@ -116,19 +97,11 @@ class PoseInterpolator(PickledWithoutCaches):
         return self.space.dim
 
     def at(self, weights: ArrayLike) -> Float:
-        """Return the points ``(V, 3)`` of a blend with weights ``(n,)`` that add up to one.
-
-        Raises
-        ------
-        SettingsError
-            If there is not one finite weight for every pose, or they do not add up to one.
-        ReconstructionError
-            If no mesh could be found.
-        """
+        """Return the points ``(V, 3)`` of a blend with weights ``(n,)``; SettingsError unless they add up to one."""
         return self.at_with_reports(weights)[0]
 
     def at_with_reports(self, weights: ArrayLike) -> tuple[Float, list[ShellReport]]:
-        """Blend as `at` does, and tell how every fit to lengths and angles went, in spaces that fit."""
+        """Blend as `at`, and return the reports of the fits to lengths and angles, in spaces that fit."""
         vector = self._blended(checked_weights(weights, len(self.vectors)))
         points, (reports,) = self.space.decode_with_reports(vector)
         return points[0], reports
@@ -136,7 +109,7 @@ class PoseInterpolator(PickledWithoutCaches):
     def along(
         self, weights: ArrayLike, progress: Progress = silent, workers: Executor | None = None
     ) -> Iterator[Float]:
-        """Yield the points ``(V, 3)`` of several blends with weights ``(m, n)``, one after the other; see `at`."""
+        """Yield the points ``(V, 3)`` of blends with weights ``(m, n)``, see `at`."""
         try:
             table = np.asarray(weights, dtype=np.float64)
         except (TypeError, ValueError) as error:
@@ -173,23 +146,22 @@ def interpolate(
     Parameters
     ----------
     poses : MeshSequence or SequenceReader
-        The poses, as frames of a sequence; their times do not matter. All of them tell of the parts of the mesh, also
-        those of weight zero; only the others are registered to each other, and angles are followed from each of them
-        to the next, by the shorter way.
+        The poses, as frames of a sequence; times are ignored. Parts are found from all poses. Those of nonzero weight
+        are registered to each other, and angles are unwrapped from each of them to the next.
     weights : (n,) array_like
-        Their weights, which add up to one. Weights below zero or above one exaggerate.
+        Weights, which add up to one. Weights below zero or above one exaggerate.
     space : {"mixed", "vertex", "gradient", "lri", "edge"}
         The shape space, as of `mixseq.fit`.
     placement : {"anchored", "free"}
-        Mixed space: how parts are placed. Free is the paper's, which looks for their places in lengths and angles.
+        Mixed space: how parts are placed. Free is the paper's, found from lengths and angles.
     parts : int or (F,) int, optional
-        Mixed space: number of parts, or the part of every triangle; found from the poses if not given.
+        Mixed space: number of parts, or the part of every triangle; found from the poses by default.
     joint_width : int
         Mixed space: largest width of joints, in strips of triangles on each side of a boundary.
     progress : callable, optional
-        Told about every stage.
+        Called at every stage.
     workers : Executor, optional
-        Who looks at the poses; by default as many threads as there are cores.
+        Executor for work on the poses; by default one thread per core.
 
     Other Parameters
     ----------------
@@ -204,12 +176,12 @@ def interpolate(
     Raises
     ------
     SettingsError
-        If the weights are not one finite number for every pose or do not add up to one, or a setting is out of range,
-        or the space has no use for it.
+        If the weights are not one finite number for every pose or do not add up to one, or a setting is out of range or
+        unused by the space.
     SegmentationError
         If given parts do not fit the mesh.
     ReconstructionError
-        If no mesh could be found.
+        If no mesh is found.
 
     Examples
     --------
@@ -237,7 +209,7 @@ def interpolate(
 
 
 def checked_weights(weights: ArrayLike, count: int) -> Float:
-    """Return weights of so many poses as numbers ``(n,)``."""
+    """Return the weights of `count` poses as float64 ``(n,)``, divided by their sum."""
     try:
         numbers = np.asarray(weights, dtype=np.float64)
     except (TypeError, ValueError) as error:

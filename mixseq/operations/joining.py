@@ -1,13 +1,12 @@
-r"""One motion from sections of others, exactly.
+r"""Exact concatenation of sections of motions into one motion.
 
-A section of a cubic spline is a cubic spline. Where sections meet, value, slope and curvature jump by
-:math:`d_0, d_1, d_2`. Half of the jump is taken up before the *seam* and half after it, by offsets that are cubic
-splines themselves, of three cubics on a window next to the seam, and two times continuously differentiable:
+A section of a cubic spline is a cubic spline. At a *seam* value, slope and curvature jump by :math:`d_0, d_1, d_2`. The
+jump is distributed to both sides by C2 offsets, each a cubic spline of three cubics on a window next to the seam:
 
 .. math:: p(u) = \sum_{j=1}^3 a_j\, (r_j - u)_+^3, \qquad u = |t - t_\text{seam}|, \qquad r_j = j / 3 \cdot \text{fade}
 
-They end smoothly, whatever the coefficients :math:`a_j`, and these follow from the three jumps. So the whole is a cubic
-spline again, equal to the sections outside the windows. Every knot of a section, a seam or a window is a knot of it.
+They end smoothly for any coefficients :math:`a_j`, which follow from the three jumps. So the result is a cubic spline,
+equal to the sections outside the windows. Its knots are those of the sections, seams and windows.
 """
 
 from __future__ import annotations
@@ -29,20 +28,20 @@ from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
 
 REACHES = np.array([1.0, 2.0, 3.0]) / 3.0
-"""Where the three cubics of an offset end, as fractions of the fade."""
+"""Ends of the three cubics of an offset, as fractions of the fade."""
 
 NEAR = 0.02
-"""Ends of offsets that miss a knot by less, as a fraction of the fade, move there: close knots lose digits."""
+"""Distance, as a fraction of the fade, below which ends of offsets move to a knot, as close knots lose digits."""
 
 SLACK = 1e-3
-"""Fraction of a frame by which times may miss a frame or a knot: they are typed and printed with a few digits."""
+"""Fraction of a frame by which times may miss a frame or a knot, as times are typed and printed with a few digits."""
 
 SHORTEST = 1e-6
-"""Shortest fade, as a fraction of the longest: in a shorter one the digits of times do not tell its knots apart."""
+"""Shortest fade, as a fraction of the longest, at which its knots are distinct in float64."""
 
 
 class CurveSection(NamedTuple):
-    """What a curve does from `start` to `end`, in seconds."""
+    """A curve from `start` to `end`, in seconds."""
 
     curve: Curve
     start: float
@@ -50,7 +49,7 @@ class CurveSection(NamedTuple):
 
 
 class Seam(NamedTuple):
-    """How the jump between two sections is taken up."""
+    """The distribution of the jump between two sections."""
 
     fade: float  # seconds before and after the seam over which it is, not longer than the sections there
     # Fraction of the jump that is taken up before the seam: 1 leaves what follows as it is.
@@ -58,7 +57,7 @@ class Seam(NamedTuple):
 
 
 class ModelSection(NamedTuple):
-    """What a model does from `start` to `end`, in seconds."""
+    """A model from `start` to `end`, in seconds."""
 
     model: Model
     start: float
@@ -66,7 +65,7 @@ class ModelSection(NamedTuple):
 
 
 def join(sections: Sequence[CurveSection], seams: Sequence[Seam]) -> Curve:
-    """Make one curve of sections that follow each other."""
+    """Concatenate consecutive sections of curves."""
     edges = np.array([sections[0].start, *(section.end for section in sections)])
     offsets: list[list[_Offset]] = [[] for _ in sections]
     for number, (before, after, seam) in enumerate(zip(sections, sections[1:], seams, strict=False)):
@@ -93,12 +92,12 @@ def join(sections: Sequence[CurveSection], seams: Sequence[Seam]) -> Curve:
 
 
 def _jet(curve: Curve, time: float) -> Float:
-    """Value, slope and curvature ``(3, k)`` at a time."""
+    """Return value, slope and curvature ``(3, k)`` at a time."""
     return np.concatenate([curve([time]), curve.derivative([time]), curve.derivative([time], 2)])
 
 
 class _Offset(NamedTuple):
-    """A spline ``(3, k)`` of three truncated cubics on one side of a seam: -1 before it, 1 after it."""
+    """A spline of three truncated cubics, coefficients ``(3, k)``, on one side of a seam: -1 before it, 1 after it."""
 
     seam: float
     side: int
@@ -122,7 +121,7 @@ class _Offset(NamedTuple):
 
     @property
     def knots(self) -> Float:
-        """Where its cubics end ``(3,)``."""
+        """Ends ``(3,)`` of its cubics, in seconds."""
         return self.seam + self.side * self.reaches
 
     def __call__(self, times: Float) -> Float:
@@ -134,12 +133,12 @@ class _Offset(NamedTuple):
 
 
 def shifted(model: Model, seconds: float) -> Model:
-    """Return the model with everything later by so many seconds."""
+    """Return the model moved to `seconds` later."""
     return affine(model, 1.0, seconds)
 
 
 def affine(model: Model, scale: float, offset: float) -> Model:
-    """Return the model with its times t moved to ``scale * t + offset``; backwards where the scale is negative."""
+    """Return the model with times t mapped to ``scale * t + offset``, reversed where the scale is negative."""
     times = scale * model.times + offset
     time, placement, correction = (moved(curve, scale, offset) for curve in model.curves)
     header = model.header.with_times(times if scale > 0 else times[::-1])
@@ -147,11 +146,7 @@ def affine(model: Model, scale: float, offset: float) -> Model:
 
 
 def concatenated(sections: Sequence[ModelSection], seams: Sequence[Seam]) -> Model:
-    """Make one model of sections that follow each other, of models that share space, pose and shapes.
-
-    Quaternions go on from section to section with the nearest signs. The frames are those of the sections; at a seam it
-    is the frame of the later one, if there is any.
-    """
+    """Concatenate sections of models that share space, pose and shapes; a seam has the frame of the later section."""
     sections = going_on(sections)
     first = sections[0].model
     placements = [CurveSection(first.placement, sections[0].start, sections[0].end)]
@@ -169,11 +164,10 @@ def concatenated(sections: Sequence[ModelSection], seams: Sequence[Seam]) -> Mod
 
 
 def going_on(sections: Sequence[ModelSection]) -> Sequence[ModelSection]:
-    """Return sections such that quaternions of parts go on from one to the next, also after whole turns.
+    """Return sections with continuous quaternions of parts, also after whole turns.
 
-    A quaternion and its negative are the same rotation, and far apart in the shape space. Where signs change, all
-    models get the key shapes with the other signs, too, and pose space gets coordinates for them: how much of these
-    there is, and where in them. The models share space, pose and shapes, before and afterwards.
+    Where the signs of quaternions change, all models get additional key shapes of the other signs, and pose coordinates
+    for them. The models share space, pose and shapes, before and afterwards.
     """
     first = sections[0].model
     size, dim = first.space.pose_dim, first.time.dim
@@ -204,23 +198,20 @@ def going_on(sections: Sequence[ModelSection]) -> Sequence[ModelSection]:
 
 
 def _poses(model: Model, time: float) -> Float:
-    """How parts stand ``(pose_dim,)`` at a time."""
+    """Return the pose columns ``(pose_dim,)`` of the shape at a time."""
     columns = model.shapes[:, model.space.shape_dim - model.space.pose_dim :]
     return np.asarray(model.pose.weights(model.time([time]))[0] @ columns)
 
 
 def _distinct(rows: Float) -> tuple[Float, Index]:
-    """The distinct rows, and which of them each row is."""
+    """Return the distinct rows ``(m, S)``, and the index of each row among them."""
     numbers: dict[bytes, int] = {}
     places = np.array([numbers.setdefault(row.tobytes(), len(numbers)) for row in rows], dtype=np.int64)
     return rows[np.unique(places, return_index=True)[1]], places
 
 
 def frames_of(sections: Sequence[ModelSection]) -> Float:
-    """Return the times ``(T,)`` of the frames of sections, increasing; both ends, if no frame is within.
-
-    A frame at the end of a section is left to the next one.
-    """
+    """Return the frame times ``(T,)`` of sections, increasing, or both ends; a frame at a seam is the later one's."""
     slack = 1e-6 / sections[0].model.header.fps
     start, end = sections[0].start, sections[-1].end
     times = [between(each.model.times, each.start - slack, each.end - slack) for each in sections]
@@ -233,7 +224,7 @@ def frames_of(sections: Sequence[ModelSection]) -> Float:
 
 
 def snapped(model: Model, time: float, name: str = "time") -> float:
-    """Return the time, or the end, frame or knot that it misses by no more than rounding."""
+    """Return the time, or the end, frame or knot nearest to it within rounding."""
     slack = SLACK / model.header.fps
     if not model.start - slack <= time <= model.end + slack:
         fps = model.header.fps
@@ -247,7 +238,7 @@ def snapped(model: Model, time: float, name: str = "time") -> float:
 
 
 def section_of(model: Model, start: float, end: float) -> tuple[float, float]:
-    """Return the ends of a section, see `snapped`."""
+    """Return the ends of a section, snapped as by `snapped`."""
     first, last = snapped(model, start, "start"), snapped(model, end, "end")
     if not first < last:
         raise SettingsError(f"there is no time between the start, {start:g} s, and the end, {end:g} s")
@@ -255,7 +246,7 @@ def section_of(model: Model, start: float, end: float) -> tuple[float, float]:
 
 
 def fade_of(fade: float | None, longest: float) -> float:
-    """Return the length of the windows next to a seam: a quarter of the longest that is possible, or as given."""
+    """Return the length of the windows next to a seam in seconds, by default a quarter of the longest possible."""
     if fade is None:
         return longest / 4
     shortest = SHORTEST * longest

@@ -1,16 +1,15 @@
-r"""Edits of one limb: exaggerate or damp how a part moves in its joint, or hold it.
+r"""Edits of one limb: exaggerate or damp the motion of a part in its joint, or hold it.
 
-The stance of a part is how it is turned and placed against its parent (`mixseq.operations.limb_joints`), six numbers
-over time, :math:`\tau(t)`, turns being unwrapped rotation vectors. An edit changes them,
+The stance of a part relative to its parent (`mixseq.operations.limb_joints`) is a vector of six numbers over time,
+:math:`\tau(t)`, with turns as unwrapped rotation vectors. Edits change it,
 
 .. math::
 
     \tau' = \bar\tau + \text{gain}\, (\tau - \bar\tau), \qquad
     \tau' = \tau + w(t)\, (\tau(t_0) - \tau),
 
-and the part moves so in its joint, with all that hangs on it as one body. Between limb and body the skin follows the
-poses of both; what else its shape does in a joint is changed by the same formula. All else stays as it is. As these
-are no cubic splines, the signals are splines through as many points as it takes.
+and the part moves rigidly with its whole limb. Between limb and body the skin follows the poses of both; the remaining
+shape change in the joint follows the same formula. As the results are no cubic splines, signals are adaptively sampled.
 """
 
 from __future__ import annotations
@@ -41,16 +40,16 @@ from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
 
 Change = Callable[[Float, Float], Float]
-"""From times ``(N,)`` and stances ``(N, 6)`` to other stances."""
+"""From times ``(N,)`` and stances ``(N, 6)`` to changed stances ``(N, 6)``."""
 
 NEGLIGIBLE = 1e-3
-"""Modes of a part and its joints below this fraction of the largest are left out where it is held."""
+"""Size of modes of a held part and its joints below which they are left out, as a fraction of the largest."""
 
 STEP = 1.0
-"""Largest turn, in radians, that is added to a part from site to site: to tell turns from whole turns more."""
+"""Largest turn added to a part between sites, in radians, so that whole turns are resolved."""
 
 FADE = 0.2
-"""Default seconds over which a part comes to rest."""
+"""Default duration over which a part comes to rest, in seconds."""
 
 
 @public
@@ -64,15 +63,15 @@ def exaggerate_part(model: Model, part: int, gain: float) -> Model:
     model : Model
         A model in the mixed space, parts anchored.
     part : int
-        Number of the part. What hangs on it goes with it as one body.
+        Number of the part. Its limb moves with it as one body.
     gain : float
-        1 changes nothing, 2 doubles what the part moves by, 0 stops it, a negative number moves it the other way.
+        1 changes nothing, 2 doubles the motion, 0 stops it, a negative number reverses it.
 
     Raises
     ------
     SettingsError
-        If the parts of the model have no poses of their own, the part is none of them or hangs on no other, or the
-        gain is not finite.
+        If the parts of the model have no poses of their own, the part does not exist or has no parent, or the gain is
+        not finite.
     """
     limb = limb_of(model, part)
     check_gain(gain)
@@ -93,20 +92,19 @@ def hold(model: Model, part: int, time: Seconds, start: Seconds, end: Seconds, f
     model : Model
         A model in the mixed space, parts anchored.
     part : int
-        Number of the part. What hangs on it goes with it as one body.
+        Number of the part. Its limb moves with it as one body.
     time : float
-        When the part is as it shall stay, in seconds.
+        Time of the stance that is held, in seconds.
     start, end : float
-        From when to when it is at rest, in seconds.
+        First and last time of rest, in seconds.
     fade : float
-        Seconds before the start over which it comes to rest, and after the end over which it moves off again.
-        Before and after that nothing changes.
+        Seconds before the start over which the part comes to rest, and after the end over which it moves off again.
 
     Raises
     ------
     SettingsError
-        If the parts of the model have no poses of their own, the part is none of them or hangs on no other, or a time
-        is out of range.
+        If the parts of the model have no poses of their own, the part does not exist or has no parent, or a time is out
+        of range.
     """
     limb = limb_of(model, part)
     time, start, end = snapped(model, time), snapped(model, start, "start"), snapped(model, end, "end")
@@ -145,7 +143,7 @@ def hold(model: Model, part: int, time: Seconds, start: Seconds, end: Seconds, f
 
 
 def _moved(model: Model, limb: Limb, sites: Float, change: Change) -> Curve:
-    """Return the whole correction with another stance of a limb, between the first of the sites and the last."""
+    """Return the whole correction with a changed stance of a limb, from the first to the last site."""
 
     def moved(times: Float) -> Float:
         return limb.corrections(model, times, change(times, limb.stance(model, times)))
@@ -157,9 +155,9 @@ def _moved(model: Model, limb: Limb, sites: Float, change: Change) -> Curve:
 
 
 def _spliced(model: Model, curve: Curve, inside: Curve) -> Curve:
-    """Return a signal of the model, over its time, with another curve instead while that lasts.
+    """Return a signal of the model over its duration, replaced by another curve while that lasts.
 
-    They meet but for the error of interpolation, which `inside` takes up in its first and last interval.
+    Interpolation errors at the ends are absorbed by the first and last interval of `inside`.
     """
     first, last = inside.start, inside.end
     if first == last:
@@ -178,7 +176,7 @@ def _spliced(model: Model, curve: Curve, inside: Curve) -> Curve:
 
 
 def _scaled_joint(model: Model, limb: Limb, gain: float) -> Float:
-    """Return the key shapes ``(K, S)`` with what joints of the limb are beyond their mean scaled."""
+    """Return the key shapes ``(K, S)`` with the joint coordinates of the limb scaled about their mean."""
     share = limb.joint()
     joint = np.flatnonzero(share)
     shapes = model.shapes.copy()
@@ -188,7 +186,7 @@ def _scaled_joint(model: Model, limb: Limb, gain: float) -> Float:
 
 
 def _with_rest(model: Model, limb: Limb) -> tuple[Model, Callable[[Float], Float]]:
-    """Return the model with coordinates of pose space for a part and its joints alone, and what they are of."""
+    """Return the model with pose coordinates for a part and its joints alone, and the map from time-signal steps."""
     share, metric = limb.joint() + limb.own_shape(), model.space.shape_weights
     some = np.flatnonzero(share * metric)
     dim, keys = model.pose.matrix.shape

@@ -1,18 +1,18 @@
-r"""Limbs: a part with all that hangs on it, and what it takes to move it in its joint.
+r"""Limbs: a part with all parts below it, and changes of its stance in its joint.
 
 The parts of a component are a tree by their boundaries: the root is the largest part, every other part hangs on its
-*parent*, one boundary nearer to the root. The *stance* of a limb is how the part stands to its parent: a turn
-:math:`\tau` from how it stands in the reference frame, and a gap g at the pivot, the middle of their boundary there,
-which is p from either part's centre,
+*parent*, one boundary nearer to the root. The *stance* of a limb is the pose of the part relative to its parent: a turn
+:math:`\tau` since the reference frame, and a gap g at the pivot, the middle of their boundary there, which is p from
+either part's centre,
 
 .. math:: R_i^T R_j = \exp(\tau), \qquad R_j p_j + t_j = R_i (p_i + g) + t_i ,
 
-for poses as seen from the body, rotations since the reference frame.
+for poses relative to the body, rotations since the reference frame.
 
-Another stance moves the part, from :math:`(R, t)` to :math:`(R', t')`, and the whole limb with it as one rigid body,
+A changed stance moves the part from :math:`(R, t)` to :math:`(R', t')`, and the whole limb with it as one rigid body,
 :math:`x \to R' R^T (x - t) + t'`. Turns are unwrapped along the knots of a model, so whole turns count; quaternions
-follow from turns, :math:`\exp(\tau') \exp(\tau)^{-1}`, so that their signs do not jump however far apart times are.
-Poses are changed by the model's correction.
+change by :math:`\exp(\tau') \exp(\tau)^{-1}`, with continuous signs for any distance of times. Poses are changed by the
+model's correction.
 """
 
 from __future__ import annotations
@@ -40,21 +40,21 @@ from mixseq.signals.model import Model
 from mixseq.spaces.mixed import MixedSpace, as_mixed
 
 STRIPS = 4
-"""Over so many edges the coordinates of a joint pass from one border of parts to another."""
+"""Width, in edges, over which joint coordinates pass from one border of parts to another."""
 
 
 @dataclass(frozen=True, eq=False)
 class Limb:
-    """A part of a body and all parts that hang on it."""
+    """A part of a body and all parts below it."""
 
-    space: MixedSpace  # tells of parts and where they meet
+    space: MixedSpace  # the space of the parts
     part: int  # root part of the limb
     parent: int  # neighbouring part of the body, to which the root part is joined
-    parts: Mask  # (p,) the part and what hangs on it
+    parts: Mask  # (p,) the part and all parts below it
 
     @cached_property
     def _pivots(self) -> tuple[Float, Float]:
-        """The middle of the boundary ``(3,)``, from the centre of the parent and of the part."""
+        """Middle of the boundary ``(3,)``, from the centre of the parent and of the part."""
         articulation = self.space.articulation
         near, far = (
             articulation.pivots[np.flatnonzero((articulation.pairs == ends).all(axis=1))[0]]
@@ -63,9 +63,9 @@ class Limb:
         return near, far
 
     def stance(self, model: Model, times: Float) -> Float:
-        """Return turns and gaps ``(N, 6)`` of the limb in a model at times ``(N,)``, turns unwrapped.
+        """Return turns and gaps ``(N, 6)`` of the limb in a model at times ``(N,)``.
 
-        The first frame has the shortest turn, whatever the times.
+        Turns are unwrapped from the first frame, which has the shortest turn.
         """
         knots = np.concatenate([model.time.times, model.correction.times])
         known, asked = np.unique(np.concatenate([knots, times]), return_inverse=True)
@@ -81,7 +81,7 @@ class Limb:
     def corrections(self, model: Model, times: Float, stance: Float) -> Float:
         """Return the corrections ``(N, C)`` at times ``(N,)`` with another stance ``(N, 6)`` of the limb.
 
-        Turns go on from those of the model's correction at the first time, by less than half a turn from time to time.
+        Turns continue those of the model's correction at the first time, by less than half a turn from time to time.
         """
         before, poses = self.stance(model, times), part_poses(model, times)
         near, far = self._pivots
@@ -103,10 +103,10 @@ class Limb:
         return corrections
 
     def joint(self) -> Float:
-        """Return how much ``(S,)`` coordinates of key shapes belong to the joints between limb and body.
+        """Return shares ``(S,)`` of key shape coordinates in the joints between limb and body.
 
-        1 for what is near the border of the limb, 0 near other borders of parts, and in between where a joint is that
-        of several borders. 0 for vertices that follow one part alone, or none of the limb.
+        They are 1 near the border of the limb, 0 near other borders, and blended in joints of several borders; 0 for
+        vertices that follow one part alone, or are outside the limb.
         """
         space, topology = self.space, self.space.topology
         sides = space.decomposition.part_of_face[topology.hinge_faces]
@@ -129,7 +129,7 @@ class Limb:
         return np.pad(own, (sum(self.space.sizes[:2]), self.space.pose_dim))
 
     def _away(self, hinges: Mask) -> Float:
-        """How many edges all vertices ``(V,)`` are away from hinges."""
+        """Return the distances ``(V,)`` of vertices from hinges, in edges."""
         topology = self.space.topology
         start = np.unique(topology.edges[topology.hinge_edges[hinges]])
         if not len(start):
@@ -139,7 +139,7 @@ class Limb:
 
 
 def part_poses(model: Model, times: Float) -> Poses:
-    """Return the poses ``(N, p)`` of all parts as seen from their bodies, at times ``(N,)``."""
+    """Return the poses ``(N, p)`` of all parts relative to their bodies, at times ``(N,)``."""
     return as_mixed(model.space).corrected_poses(_blended_poses(model, times), model.correction(times))
 
 
@@ -150,7 +150,7 @@ def _blended_poses(model: Model, times: Float) -> Float:
 
 
 def limb_of(model: Model, part: int) -> Limb:
-    """Return the limb of a part."""
+    """Return the limb of a part; SettingsError if it does not exist or has no parent."""
     space, count = as_mixed(model.space), len(model.decomposition.parts)
     if space.placement == "free":
         raise SettingsError(

@@ -1,10 +1,11 @@
-r"""Placements of two motions: one that goes on from another, and what is between two.
+r"""Placements of two motions: continuation and interpolation.
 
-A rotation goes from :math:`R_a` to :math:`R_b` along the turn between them,
+A rotation is interpolated from :math:`R_a` to :math:`R_b` along the turn between them,
 
 .. math:: R_a \exp(w\, \tau), \qquad \exp(\tau) = R_a^T R_b,
 
-which is unwrapped over time: one motion may turn more than the other, by whole turns. Centres go along straight lines.
+which is unwrapped over time, as one motion may turn more than the other by whole turns. Centres are interpolated
+linearly.
 """
 
 from __future__ import annotations
@@ -26,15 +27,12 @@ from mixseq.spaces.base import ShapeSpace
 
 
 def centre_columns(space: ShapeSpace) -> Index:
-    """Return which numbers ``(g, 3)`` of a placement are centres."""
+    """Return the indices ``(g, 3)`` of part centres in a placement."""
     return np.arange(4 * space.rotation_count, space.placement_dim).reshape(-1, 3)
 
 
 def continued(space: ShapeSpace, curve: Curve, start: float, reference: Float) -> Curve:
-    """Return a placement whose quaternions begin with the signs nearest to given ones: the same motion.
-
-    Shapes: reference ``(P,)``.
-    """
+    """Return the placement with quaternion signs that continue a reference ``(P,)`` at `start`: the same motion."""
     here, before = (space.poses(each).rotations[0] for each in (curve([start]), reference[None]))
     signs = np.where(np.einsum("gi,gi->g", here, before) < 0, -1.0, 1.0)
     if (signs > 0).all():
@@ -44,12 +42,12 @@ def continued(space: ShapeSpace, curve: Curve, start: float, reference: Float) -
 
 
 def mean(one: Float, other: Float, share: Float) -> Float:
-    """Return means ``(N, ...)`` of numbers with shares ``(N, ...)`` of the other ones."""
+    """Return weighted means ``(N, ...)`` with the weight `share` ``(N, ...)`` of `other`."""
     return np.asarray((1.0 - share) * one + share * other)
 
 
 def mean_placements(space: ShapeSpace, one: Float, other: Float, share: Float) -> Float:
-    """Return means ``(N, P)`` of placements: share ``(N, 1)``."""
+    """Return means ``(N, P)`` of placements with the weight `share` ``(N, 1)`` of `other`."""
     first, second = space.poses(one), space.poses(other)
     length, longer = (np.linalg.norm(poses.rotations, axis=2, keepdims=True) for poses in (first, second))
     a, b = (Poses(normalised(poses.rotations), poses.centres) for poses in (first, second))
@@ -59,6 +57,6 @@ def mean_placements(space: ShapeSpace, one: Float, other: Float, share: Float) -
 
 
 def _turned(one: Float, other: Float, share: Float) -> Float:
-    """Unit quaternions ``(N, r, 4)`` on the way, which is the shorter one at first."""
+    """Interpolate unit quaternions ``(N, r, 4)``, by the shorter way at first."""
     ways = continuous_vectors(rotations_of(product(inverse(one), other)))
     return product(one, exponentials(share * ways))

@@ -1,10 +1,8 @@
-r"""Resampling: a model at other times, at another rate, speed or direction.
+"""Resampling: a model at other times, at another rate, speed or direction.
 
-Frames of the output are at whole multiples of ``1 / fps``, where the frames of a time line are: all of those from
-the start of the output to its end. What the output lasts before the first of them and after the last, less than a
-frame each, has no frame. With the retiming :math:`r` (`mixseq.operations.retiming`) the frame at the time :math:`o`
-is the model at :math:`r(o)`, and its velocities, per second of the output, are those of the model times
-:math:`r'(o)`.
+Frames of the output are at all multiples of ``1 / fps`` from its start to its end. With the retiming :math:`r`
+(`mixseq.operations.retiming`) the frame at the time :math:`o` is the model at :math:`r(o)`, and its velocities, per
+second of the output, are those of the model times :math:`r'(o)`.
 """
 
 from __future__ import annotations
@@ -28,12 +26,12 @@ from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
 
 SLACK = 1e-3
-"""Fraction of a frame by which ends may miss a frame: times are typed and printed with a few digits."""
+"""Fraction of a frame by which ends may miss a frame, as times are typed and printed with a few digits."""
 
 
 @dataclass(frozen=True, eq=False)
 class Resampling:
-    """What a resampling consists of, before anything is decoded; make it with `plan`."""
+    """The frames of a resampling before decoding; make it with `plan`."""
 
     model: Model  # the source
     header: SequenceHeader  # what the output is, with the times of its frames
@@ -45,13 +43,13 @@ class Resampling:
     def blocks(
         self, size: int = FRAMES, progress: Progress = silent, workers: Executor | None = None
     ) -> Iterator[Float]:
-        """Decode frames block by block: yields points ``(B, V, 3)`` with ``B <= size``; see `Model.blocks`."""
+        """Decode the frames in blocks of points ``(B, V, 3)`` with ``B <= size``, see `Model.blocks`."""
         return self.model.blocks(self.sources, size, progress, workers)
 
     def moving_blocks(
         self, size: int = FRAMES, progress: Progress = silent, workers: Executor | None = None
     ) -> Iterator[tuple[Float, Float]]:
-        """Decode frames with velocities: yields points and units per second of the output, ``(B, V, 3)`` each."""
+        """Decode the frames with velocities: yield points and units per second of the output, ``(B, V, 3)`` each."""
         done = 0
         for points, velocities in self.model.moving_blocks(self.sources, size, progress, workers):
             slopes = self.slopes[done : done + len(points)]
@@ -88,7 +86,7 @@ def plan(
 
 
 def _frame_times(start: float, end: float, fps: float, slack: float) -> Float:
-    """Return the multiples of ``1 / fps`` from `start` to `end`, and those that miss them by `slack` seconds."""
+    """Return the multiples ``(N,)`` of ``1 / fps`` from `start` to `end`, extended by `slack` seconds on both sides."""
     if not (np.isfinite(fps) and fps > 0):
         raise SettingsError(f"fps is {fps}; a positive number is expected")
     slack = min(slack, SLACK / fps)
@@ -127,18 +125,18 @@ def resample(
     fps : float, optional
         Frames per second of the output; by default those of the source.
     start, end : float, optional
-        Which section of the source to show, in seconds; by default from its first frame to its last. The output
-        begins at `start` too.
+        Section of the source, in seconds; by default from its first to its last frame. The output begins at `start`
+        too.
     speed : float
-        How much faster the source runs: 0.5 is slow motion that lasts twice as long.
+        Speed of the source: 0.5 is slow motion of twice the duration.
     reverse : bool
         Show the section backwards.
     retiming : Retiming, optional
-        Show the source by this map, instead of the four settings before.
+        Map of time that replaces `start`, `end`, `speed` and `reverse`.
     velocities : bool
-        Also find the velocities, in units per second of the output.
+        Also compute velocities, in units per second of the output.
     progress : callable, optional
-        Told about every block of frames.
+        Called after every block of frames.
 
     Returns
     -------
@@ -148,10 +146,10 @@ def resample(
     Raises
     ------
     InvalidSequenceError
-        If what is to be fitted is no mesh sequence.
+        If a source to be fitted is no mesh sequence.
     SettingsError
-        If a time outside the model is asked for, a setting is out of range, two contradict each other, or there
-        is no frame in the range.
+        If a time is outside the model, a setting is out of range, settings contradict each other, or the range has no
+        frame.
 
     Examples
     --------

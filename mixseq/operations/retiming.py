@@ -1,15 +1,13 @@
-r"""Retiming: which time of the source is shown at which time of the output, and models along such a map.
+r"""Retiming: maps from output time to source time, and models composed with such maps.
 
 .. math:: s = r(o), \qquad y_\text{out}(o) = y(r(o)), \qquad \dot y_\text{out}(o) = r'(o)\, \dot y(r(o))
 
-for frames, and for all signals y of a model. Both times are in seconds. The map :math:`r` need not increase: where it
-falls, the source runs backwards, where it is level, the source stands still. Its slope :math:`r'` is the speed of the
-source.
+for frames, and for all signals y of a model. Both times are in seconds. Where the map :math:`r` falls, the source runs
+backwards; where it is level, the source stands still. Its slope :math:`r'` is the speed of the source.
 
-Where r is straight, a retimed signal is a cubic spline, whose knots are the times at which r passes those of y.
-Elsewhere it is no spline, and the one through enough of its points stands for it: through the keys, the times at which
-r passes knots, and what it takes between these. Next to a kink of r, points are dense: the distances to it double from
-one to the next.
+Where r is linear, a retimed signal is a cubic spline whose knots are the output times at which r passes knots of y.
+Elsewhere it is approximated by a spline through the keys, the times at which r passes knots, and further sites between
+these. Sites are dense next to a kink of r: their distances to it double from one to the next.
 """
 
 from __future__ import annotations
@@ -41,10 +39,10 @@ from mixseq.signals.decoding import ResidualLayer
 from mixseq.signals.model import Model
 
 ACCURACY = 2e-6
-"""Largest error, in diagonals, of the splines between sites: in joints vertices may be off by many times more. Ours."""
+"""Largest error of the splines between sites, in diagonals; errors of vertices in joints may be many times larger."""
 
 DOUBLINGS = 10
-"""So often distances to a kink double, up to half the distance to the next key."""
+"""Number of times that the distance to a kink doubles, up to half the distance to the next key."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +54,7 @@ class Retiming:
     Attributes
     ----------
     start, end : float
-        From where to where the output lasts, in seconds.
+        First and last time of the output, in seconds.
     curve : scipy.interpolate.PPoly
         Times of the source, a piecewise polynomial of the time of the output.
 
@@ -78,18 +76,17 @@ class Retiming:
         Parameters
         ----------
         outputs : (n,) array_like
-            Times of the output, increasing.
+            Times of the output in seconds, increasing.
         sources : (n,) array_like
-            Times of the source.
+            Times of the source in seconds.
         smooth : bool
-            Join the points by a curve whose slope is continuous, and which rises and falls only where they do
-            (Fritsch and Carlson's monotone cubic); else by straight lines, whose slope jumps.
+            Interpolate by Fritsch and Carlson's monotone cubic, with a continuous slope; else linearly.
 
         Raises
         ------
         SettingsError
-            If there are fewer than two points, or they are not finite, or outputs do not increase, or times are so
-            close or so far that there are no numbers for the slopes.
+            If there are fewer than two points, times are not finite, too close or too large, or outputs do not
+            increase.
         """
         x, y = np.asarray(outputs, dtype=np.float64), np.asarray(sources, dtype=np.float64)
         if x.ndim != 1 or x.shape != y.shape or len(x) < 2:
@@ -110,12 +107,7 @@ class Retiming:
     def section(cls, start: float, end: float, speed: float = 1.0, reverse: bool = False) -> Retiming:
         """Make the map that shows the source from `start` to `end` at a constant speed, forwards or backwards.
 
-        The output begins at `start` too, so that at the speed 1 all times are kept.
-
-        Raises
-        ------
-        SettingsError
-            If the end is before the start, or the speed is not positive.
+        The output also begins at `start`. SettingsError if the end is before the start, or the speed is not positive.
         """
         if not (np.isfinite(start) and np.isfinite(end) and start <= end):
             raise SettingsError(f"there is no time between the start, {start:g} s, and the end, {end:g} s")
@@ -128,27 +120,18 @@ class Retiming:
     def hold(cls, source: float, start: float, end: float) -> Retiming:
         """Make the map that shows one time of the source from `start` to `end` of the output.
 
-        Raises
-        ------
-        SettingsError
-            If the end is before the start, or a time is not finite.
+        Raises `SettingsError` if the end is before the start, or a time is not finite.
         """
         if not (np.isfinite([source, start, end]).all() and start <= end):
             raise SettingsError(f"{source:g} s cannot be held from {start:g} to {end:g} s")
         return cls(start, end, _line(source, 0.0))
 
     def __call__(self, times: ArrayLike) -> Float:
-        """Return the times ``(N,)`` of the source at times ``(N,)`` of the output.
-
-        Raises
-        ------
-        SettingsError
-            If a time is outside the retiming.
-        """
+        """Return source times ``(N,)`` at output times ``(N,)``; SettingsError for times outside the retiming."""
         return np.asarray(self.curve(self._inside(times)), dtype=np.float64)
 
     def slope(self, times: ArrayLike) -> Float:
-        """Return seconds of the source per second of the output ``(N,)``; at a kink those of what follows."""
+        """Return seconds of the source per second of the output ``(N,)``; at a kink, the slope after it."""
         return np.asarray(self.curve(self._inside(times), nu=1), dtype=np.float64)
 
     def _inside(self, times: ArrayLike) -> Float:
@@ -170,28 +153,27 @@ def _line(origin: float, slope: float) -> PPoly:
 def retime(model: Model, keys: ArrayLike, smooth: bool = True) -> Model:
     """Return the model faster and slower, backwards or standing still, along a map of time.
 
-    As `mixseq.operations.resample` with a `Retiming`, but the result is a model.
-    The residual layer is retimed with the signals.
+    As `mixseq.operations.resample` with a `Retiming`, but the result is a model. The residual layer is retimed with the
+    signals.
 
     Parameters
     ----------
     model : Model
         The source.
     keys : (n, 2) array_like
-        Points of the map: a time of the output and the time of the source that it shows, in seconds; two points or
-        more, output times increasing.
+        Two or more points of the map: output times, increasing, and the source times shown then, in seconds.
     smooth : bool
-        Join the points by a curve whose slope is continuous, else by straight lines, see `Retiming.through`.
+        Interpolate with a continuous slope, else linearly, see `Retiming.through`.
 
     Returns
     -------
     Model
-        From the first output time to the last, with frames from the first one on at the rate of the model.
+        From the first to the last output time, with frames from the first on at the rate of the model.
 
     Raises
     ------
     SettingsError
-        If the keys are no retiming, ask for times outside the model, or make too many frames.
+        If the keys are no retiming, contain times outside the model, or make too many frames.
     """
     points = np.asarray(keys, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 2:
@@ -216,7 +198,7 @@ def retime(model: Model, keys: ArrayLike, smooth: bool = True) -> Model:
 
 
 def _composed(model: Model, curve: Curve, retiming: Retiming, dense: Float, measure: Measure) -> Curve:
-    """A signal of the model along the map; `dense` are times that are sites in any case."""
+    """Return a signal of the model composed with the map; `dense` are additional sites ``(m,)``."""
     keys = retiming.curve.x
     passed = [retiming.curve.solve(knot, extrapolate=False) for knot in breakpoints(curve)]
     inner = np.concatenate([dense, *passed])  # with NaN where the source stands still
@@ -225,7 +207,7 @@ def _composed(model: Model, curve: Curve, retiming: Retiming, dense: Float, meas
 
 
 def _near_kinks(outputs: Float, sources: Float) -> Float:
-    """Times on both sides of the keys where the slope of straight lines jumps."""
+    """Return times on both sides of the keys where the slope of a piecewise linear map jumps."""
     slopes = np.diff(sources) / np.diff(outputs)
     kinks = 1 + np.flatnonzero(np.abs(np.diff(slopes)) > 1e-9 * np.abs(slopes).max())
     away = 0.5 ** np.arange(1, DOUBLINGS + 1)
@@ -236,10 +218,10 @@ def _near_kinks(outputs: Float, sources: Float) -> Float:
 
 @dataclass(frozen=True, eq=False)
 class RetimedLayer(PickledWithoutCaches):
-    """A residual layer along a map of time."""
+    """A residual layer composed with a retiming."""
 
-    source: ResidualLayer  # the layer by times of the source
-    retiming: Retiming  # the map
+    source: ResidualLayer  # the layer in source time
+    retiming: Retiming  # map from output time to source time
 
     def at(self, times: Float) -> Float:
         """Return displacements ``(N, V, 3)`` at times ``(N,)`` in seconds."""

@@ -16,16 +16,16 @@ from mixseq.operations.toml_text import parse_toml
 from mixseq.public import public
 
 Lines = list[tuple[int, list[str]]]
-"""Lines of a file: their numbers, and what stands between the commas."""
+"""Lines of a file: line numbers and comma-separated fields."""
 
 Unit = Literal["seconds", "frames"]
 
 
 class RetimingKeys(NamedTuple):
-    """Points of a retiming as a file tells them."""
+    """Points of a retiming as in a file."""
 
     points: Float  # (n, 2) output and source times
-    unit: Unit | None  # what they are in; None where the file does not tell
+    unit: Unit | None  # unit of the times; None if the file has none
 
     def in_seconds(self, output_fps: float, source_fps: float, unit: Unit = "seconds") -> Float:
         """Return the points in seconds."""
@@ -33,7 +33,7 @@ class RetimingKeys(NamedTuple):
 
 
 class _Key(NamedTuple):
-    """A point of a retiming, and where in the file it is."""
+    """A point of a retiming, and its place in the file."""
 
     place: str
     output: float
@@ -52,22 +52,21 @@ def read_retiming(
     Parameters
     ----------
     path : path-like
-        CSV: one line ``output,source`` per point, in seconds; lines of another order begin with a header of these
-        names; empty lines and what follows ``#`` are skipped. Or TOML, if the name ends in ``.toml``: tables
-        ``[[key]]`` with ``output`` and ``source``, or two arrays of these names. In both, the first line may be
-        ``unit = "frames"``: times are frame numbers then.
+        CSV: one line ``output,source`` per point, in seconds; a header of these names may change their order; empty
+        lines and text after ``#`` are skipped. Or TOML, if the name ends in ``.toml``: tables ``[[key]]`` with
+        ``output`` and ``source``, or two arrays of these names. With a first line ``unit = "frames"`` times are frame
+        numbers.
     smooth : bool
         As in `Retiming.through`.
     output_fps, source_fps : float, optional
-        Frames per second of the output and of the source, for files that speak in frames; that of the output is by
-        default that of the source.
+        Frames per second of the output, by default those of the source, and of the source, for files in frames.
 
     Raises
     ------
     FormatError
         If the file cannot be read, or its points are no retiming; the message names the file and the line.
     SettingsError
-        If the file speaks in frames, and it is not known how many there are per second.
+        If the file is in frames, and `source_fps` is missing.
     """
     keys = read_keys(path)
     if source_fps is None and keys.unit == "frames":
@@ -108,14 +107,14 @@ def read_keys(path: str | os.PathLike[str]) -> RetimingKeys:
 
 
 def checked_unit(unit: object, where: str) -> Unit | None:
-    """Return the unit that a file tells, or None."""
+    """Return the unit of a file, or None; SettingsError for unknown units."""
     if unit not in (None, "seconds", "frames"):
         raise SettingsError(f"{where}: the unit is {unit!r}; 'seconds' or 'frames' is expected")
     return unit
 
 
 def _csv_lines(file: Path, text: str) -> tuple[Unit | None, Lines]:
-    """Return the unit that the first line tells, and the others: numbers and fields of those that have some."""
+    """Return the unit in the first line, and the other non-empty lines: numbers and fields."""
     lines = [
         (number, [field.strip() for field in line.partition("#")[0].split(",")])
         for number, line in enumerate(text.splitlines(), start=1)

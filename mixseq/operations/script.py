@@ -54,10 +54,10 @@ OPERATIONS: Mapping[str, str] = {
     "sketch": "sketch:sketch",
     "swap_key": "hand_edits:swap_key",
 }
-"""Modules of this package and functions in them, by the names of operations; imported when they are asked for."""
+"""Modules of this package and functions in them, by the names of operations; imported on first use."""
 
 RETIMING = frozenset({"repeat", "loop", "shift", "speed", "reverse", "retime", "concatenate", "transition"})
-"""Operations after which frames show other times of the model than their own."""
+"""Operations that change the mapping between frames and model time."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Edit:
     unit: Unit = "seconds"  # what times are in
 
     def __call__(self, model: Model) -> Model:
-        """Return the edited model; errors tell which edit it was."""
+        """Return the edited model; errors name the edit."""
         seconds = {
             name: made(self.arguments[name], model.header.fps, self.unit) for name, made in self.times.items()
         }

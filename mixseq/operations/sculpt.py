@@ -1,19 +1,20 @@
-r"""Sculpt: a change of one frame, made by hand, that follows the motion.
+r"""Sculpt: an edit of one frame by hand, applied over time.
 
-Let :math:`x_0` be the mesh at a time and :math:`x_1` what became of it. Their difference :math:`\Delta` in the shape
-space (`ShapeSpace.shape_difference`) does not depend on where parts are, so it can be added to any frame:
+The difference :math:`\Delta` of the mesh at a time and the edited mesh in the shape space
+(`ShapeSpace.shape_difference`) is independent of the placement of parts, so it can be added to any frame:
 
 .. math:: s(t) = \sum_j \varphi_j(c(t))\, P_j + w(t)\, \Delta
 
-The model gets a key shape, :math:`P_0 + \Delta`, and pose space a coordinate, w. It is 1 at that time, and elsewhere
+The model gets a key shape, :math:`P_0 + \Delta`, and pose space a coordinate, w. It is 1 at the edited time, and
+elsewhere
 
 everywhere
     1;
 window
-    1 at the time and 0 outside of a window, with a rise and a fall that are two times continuously differentiable;
+    zero outside of a window, with a C2 rise and fall;
 similar
-    :math:`\exp(-(d / r)^2 / 2)`, with the distance d in the shape space between the shape at t and the one that was
-    edited. The radius r is given as a fraction of the largest distance of the model.
+    :math:`\exp(-(d / r)^2 / 2)`, with the distance d in the shape space between the shape at t and the shape before
+    the edit. The radius r is given as a fraction of the largest distance of the model.
 """
 
 from __future__ import annotations
@@ -40,10 +41,10 @@ Where = Literal["everywhere", "window", "similar"]
 WHERE: tuple[Where, ...] = ("everywhere", "window", "similar")
 
 RADIUS = 0.25
-"""Default radius of what is similar, as a fraction of the distance to the shape that is least so."""
+"""Default radius of similarity, as a fraction of the distance to the least similar shape."""
 
 ACCURACY = 1e-3
-"""Largest error of the weight between frames, where it is no spline."""
+"""Largest error of the sampled weight between sites."""
 
 
 @public
@@ -65,25 +66,23 @@ def sculpt(
     model : Model
         The motion.
     time : float
-        Time of the frame in seconds; any time, not only one of the frames.
+        Time of the frame in seconds; also between frames.
     points : (V, 3) array_like or MeshSequence of one frame
-        The edited mesh, in the file's units: ``model(time)`` with vertices moved. Vertices that were not moved stay
-        where they are. The order of the vertices is the model's.
+        The edited mesh, in the file's units: ``model(time)`` with vertices moved, in the same order.
     where : {"everywhere", "window", "similar"}
-        Where in time the change shows, see the module.
+        Weight of the change over time, see the module.
     start, end : float, optional
-        The window, in seconds. Without a start it is open: the change shows from the start of the model on.
-        Without an end it lasts.
+        The window, in seconds; by default open to the start, or to the end of the model.
     radius : float, optional
-        What is similar: at this fraction of the distance to the least similar shape of the model the change has 61 % of
-        its size; by default 0.25.
+        Similarity: the fraction of the distance to the least similar shape at which the weight is 0.61; by default
+        0.25.
 
     Raises
     ------
     InvalidSequenceError
         If the points are not those of the mesh, or not finite.
     SettingsError
-        If a time is outside the model, or the window does not hold the time, or settings contradict each other.
+        If a time is outside the model or the window, or settings contradict each other.
     """
     _check(where, start, end, radius)
     time = snapped(model, time)
@@ -109,7 +108,7 @@ def _check(where: Where, start: float | None, end: float | None, radius: float |
 
 
 def _added(model: Model, difference: Float, weight: Curve) -> Model:
-    """Add so much of a difference ``(S,)`` as the weight says, whose sites hold those of the time signal."""
+    """Add a difference ``(S,)`` with a weight over time, whose sites include those of the time signal."""
     row = np.zeros((1, len(model.shapes) + 1))
     row[0, 0], row[0, -1] = -1.0, 1.0
     sites = weight.times
@@ -128,7 +127,7 @@ def _added(model: Model, difference: Float, weight: Curve) -> Model:
 
 
 def _window(model: Model, time: float, start: float | None, end: float | None) -> Curve:
-    """A cubic spline, exactly: its breakpoints are sites."""
+    """Return the weight of a window as an exact cubic spline."""
     first = None if start is None else snapped(model, start, "start")
     last = None if end is None else snapped(model, end, "end")
     if (first is not None and not first < time) or (last is not None and not time < last):
@@ -163,7 +162,7 @@ def _similar(model: Model, time: float, radius: float) -> Curve:
 
 
 def _sites(model: Model, knots: Float) -> Float:
-    """Sites of the time signal with more breakpoints, some of the knots may be outside it."""
+    """Return the sites of the time signal with more breakpoints; those outside it are ignored."""
     ends = np.array([model.time.start, model.time.end])
     if ends[0] == ends[1]:
         return model.time.times
@@ -171,7 +170,7 @@ def _sites(model: Model, knots: Float) -> Float:
 
 
 def smoothstep(times: Float, start: float, end: float) -> Float:
-    """Return the step ``(N,)`` from 0 until `start` to 1 from `end` on: C2, of three cubics of equal length."""
+    """Return the C2 step ``(N,)`` from 0 until `start` to 1 from `end` on, of three cubics of equal length."""
     x = np.clip((times - start) / (end - start), 0.0, 1.0) * 3.0
     return np.asarray(
         (x**3 - 3.0 * np.maximum(x - 1.0, 0.0) ** 3 + 3.0 * np.maximum(x - 2.0, 0.0) ** 3) / 6.0

@@ -27,26 +27,25 @@ def segment(
     sequence : MeshSequence
         The animation, or poses of one mesh.
     method : {"motion", "silhouettes", "spanning-tree"}
-        How: by rigid motion (the default), by augmented silhouettes (Marras et al. 2012), or by cutting a spanning
-        tree (Wuhrer and Brunton 2010).
+        By rigid motion (the default), by augmented silhouettes (Marras et al. 2012), or by cutting a spanning tree
+        (Wuhrer and Brunton 2010).
     parts : int, optional
-        Number of parts; found automatically if not given. Every connected component has at least one. Where little
-        moves, the motion method may find fewer than asked for.
+        Number of parts, by default automatic. Every connected component has at least one. Where little moves, the
+        motion method may find fewer.
     settings : MotionSettings, SilhouetteSettings or SpanningTreeSettings, optional
         Details of the method.
 
     Returns
     -------
     (F,) int64
-        Part of every triangle, numbered 0, 1, ... by decreasing area. Parts are connected across edges.
+        Part of every triangle, numbered from 0 by decreasing area. Parts are connected across edges.
 
     Raises
     ------
     InvalidSequenceError
-        If it is no sequence.
+        If the argument is no sequence.
     SettingsError
-        If there is no such method, the settings are another method's, or `parts` is below one or above the number of
-        triangles.
+        If there is no such method, the settings are another method's, or `parts` is out of range.
     """
     check_frames(sequence)
     topology = Topology(sequence.faces, sequence.vertex_count)

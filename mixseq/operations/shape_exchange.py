@@ -2,13 +2,13 @@ r"""The motion of one body on another: its time and pose signals, with key shape
 
 .. math:: s(t) = \sum_j \varphi_j(c(t))\, P_j
 
-Nothing in the weights :math:`\varphi_j(c(t))` knows of a mesh. With the key shapes of another body in the place of
-:math:`P_j`, encoded in a shape space of its own, the same signals move that body. The poses of its key shapes are those
-of `key_poses`, made by transfer or by hand. The body goes where the first one goes, in its own size:
+The weights :math:`\varphi_j(c(t))` are independent of the mesh. With key shapes :math:`P_j` of another body, encoded in
+its own shape space, the same signals move that body. The poses of its key shapes are those of `key_poses`, made by
+transfer or by hand. The body follows the path of the first one, in its own size:
 
 .. math:: Q'(t) = Q(t)\, A, \qquad C'(t) = C(t) + \bar d,
 
-in diagonals of each, with the rotation A and the shift :math:`\bar d` between the key poses of both, on the mean.
+in diagonals of each, with the mean rotation A and the mean shift :math:`\bar d` between the key poses of both.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ from mixseq.threads import one_blas_thread
 def key_poses(model: Model) -> MeshSequence:
     """Return the key shapes of a model as meshes, one frame each.
 
-    A key shape that is a frame (``mixseq.fit(sequence, pose="keys")``) is where that frame is, others are where the
-    first frame is. Transferred to another body they are what `with_shapes` takes.
+    A key shape that is a frame (``mixseq.fit(sequence, pose="keys")``) has the placement of that frame, others that of
+    the first frame. Transferred to another body they are the input of `with_shapes`.
 
     Parameters
     ----------
@@ -60,15 +60,15 @@ def key_poses(model: Model) -> MeshSequence:
 def with_shapes(model: Model, keys: Frames | Model) -> Model:
     """Return the motion of a model on another body: same time and pose, other shapes.
 
-    The residual layer is left out, and so is the correction: they are of the first body.
+    The residual layer is left out, and so is the correction, as both belong to the first body.
 
     Parameters
     ----------
     model : Model
         A model in the mixed shape space.
     keys : MeshSequence, SequenceReader or Model
-        The key poses of the model (`key_poses`, in their order) on the other body: any mesh, one frame for every key
-        shape. Or a model of that body that `with_shapes` made of the same pose signal, which has them.
+        The key poses of the model (`key_poses`, in their order) on the other body: any mesh, one frame per key shape.
+        Or a model of that body that `with_shapes` made with the same pose signal.
 
     Returns
     -------
@@ -78,7 +78,7 @@ def with_shapes(model: Model, keys: Frames | Model) -> Model:
     Raises
     ------
     SettingsError
-        If there is not one frame for every key shape, the other model has another pose signal, or a space has no parts.
+        If there is not one frame per key shape, the other model has another pose signal, or a space has no parts.
     InvalidSequenceError
         If the keys are no sequence.
 
@@ -140,6 +140,6 @@ def _key_times(model: Model) -> Float:
 
 
 def _between(before: Poses, after: Poses) -> tuple[Float, Float]:
-    """Return mean rotations ``(B, 4)`` and shifts ``(B, 3)`` from poses of bodies ``(K, B)`` to others."""
+    """Return mean rotations ``(B, 4)`` and mean shifts ``(B, 3)`` between poses of bodies ``(K, B)``."""
     turns = rotations_of(product(inverse(normalised(before.rotations)), normalised(after.rotations)))
     return quaternions(nearest_rotations(turns.sum(axis=0))), (after.centres - before.centres).mean(axis=0)

@@ -1,8 +1,7 @@
 r"""Sketch: a curve drawn in the embedding of a model becomes a new sequence.
 
-Every frame j of the model has a place :math:`y_j` in the plane (`Model.embedding`). Scattered-data interpolation
-carries from there to any other place of the plane what a frame is, its point of pose space :math:`c_j` and
-its placement:
+Every frame j of the model has a place :math:`y_j` in the plane (`Model.embedding`). Points :math:`c_j` of pose space,
+and placements, are interpolated from there to any other place of the plane:
 
 .. math:: c(y) = \sum_j w_j(y)\, c_j, \qquad w_j(y_i) = \delta_{ij}, \qquad \sum_j w_j(y) = 1
 
@@ -10,11 +9,10 @@ The weights are the cardinal functions of interpolation by a constant and radial
 
 .. math:: a + \sum_j b_j \sqrt{|y - y_j|^2 + (\varepsilon d_j)^2}, \qquad \sum_j b_j = 0,
 
-with the distance :math:`d_j` from frame j to the nearest other one: multiquadrics, which are cones but for a small
-rounding of their tips. Cones (:math:`\varepsilon = 0`) blend neighbouring frames with weights that are hardly negative,
-but have a kink at every frame. Rounder functions, thin plates and the like are a little more accurate where the
-embedding tells all of the motion, and overshoot badly where it does not: where paths cross, or frames nearly meet. As
-:math:`\sum b_j = 0`, weights stay bounded however far away y is.
+with the distance :math:`d_j` from frame j to its nearest neighbour: multiquadrics, cones with slightly rounded tips.
+Cones (:math:`\varepsilon = 0`) have almost no negative weights, but a kink at every frame. Rounder functions, such as
+thin plates, are slightly more accurate where the embedding determines the motion, and overshoot badly elsewhere: where
+paths cross, or frames nearly meet. As :math:`\sum b_j = 0`, weights stay bounded for distant y.
 """
 
 from __future__ import annotations
@@ -40,10 +38,10 @@ ROUNDING = 0.25
 """Radius of a rounded tip, as a fraction of the distance to the nearest frame."""
 
 SAME = 1e-6
-"""Frames closer than this fraction of the embedding's size have one place."""
+"""Largest distance of frames of one place, as a fraction of the embedding's size."""
 
 FAR = 0.5
-"""A curve is far from all frames if it is farther than this fraction of the embedding's size."""
+"""Distance beyond which a curve is far from all frames, as a fraction of the embedding's size."""
 
 ACCURACY = 1e-4
 """Largest error, in diagonals, of the splines between sites."""
@@ -53,27 +51,26 @@ ACCURACY = 1e-4
 def sketch(model: Model, curve: ArrayLike, duration: Seconds, plane: Plane | None = None) -> Model:
     """Return the motion that a curve in the embedding of a model tells.
 
-    The motion starts at 0 s and runs along the curve at even speed. A curve that goes through the place of a frame
-    shows this frame. The residual layer is left out.
+    The motion starts at 0 s and runs along the curve at constant speed. Where the curve passes through the place of a
+    frame, it shows this frame. The residual layer is left out.
 
     Parameters
     ----------
     model : Model
-        The motion that tells what shapes there are. The more its embedding tells, the more of it can be drawn.
+        The motion whose shapes are interpolated. The more of it the embedding represents, the more can be drawn.
     curve : (N, 2) array_like
-        Points of the curve in the coordinates of `Model.embedding`, in diagonals: it is the spline through them. One
-        point is a pose that is held.
+        Points in the coordinates of `Model.embedding`, in diagonals, joined by a spline. One point is a held pose.
     duration : float
-        How long the motion lasts, in seconds. It has the frame rate of the model.
+        Duration in seconds, at the frame rate of the model.
     plane : Plane, optional
-        The embedding that is meant, the `Model.plane` of a model with the same pose and shape signals; by default that
+        The embedding of the curve: the `Model.plane` of a model with the same pose and shape signals; by default that
         of `model`.
 
     Returns
     -------
     Model
-        In the same space, with the same pose and shape signals. Frames of the model that share a place cannot be
-        told apart: the first one stands for them.
+        In the same space, with the same pose and shape signals. The first of several frames of one place represents
+        them.
 
     Raises
     ------
@@ -83,7 +80,7 @@ def sketch(model: Model, curve: ArrayLike, duration: Seconds, plane: Plane | Non
     Warns
     -----
     MixseqWarning
-        If frames that differ share a place; and if the curve goes far away from all frames: shapes there are guesses.
+        If different frames share a place, or the curve runs far from all frames, where shapes are extrapolated.
     """
     if not (np.isfinite(duration) and duration > 0):
         raise SettingsError(f"duration is {duration}; a positive number of seconds is expected")
@@ -105,7 +102,7 @@ def sketch(model: Model, curve: ArrayLike, duration: Seconds, plane: Plane | Non
 
 
 def cardinal_weights(places: Float) -> Callable[[Float], Float]:
-    """Return the weights of scattered places: a function from points ``(N, 2)`` to ``(N, M)``; places ``(M, 2)``."""
+    """Return the cardinal functions of places ``(M, 2)``: a function from points ``(N, 2)`` to weights ``(N, M)``."""
     count = len(places)
     if count == 1:
         return lambda points: np.ones((len(points), 1))
@@ -130,7 +127,7 @@ def cardinal_weights(places: Float) -> Callable[[Float], Float]:
 
 
 def _drawn(curve: ArrayLike, duration: float) -> Curve:
-    """The spline through the points of a curve, by the lengths of the chords between them."""
+    """Return the spline through the points of a curve, parametrised by chord length."""
     points = np.asarray(curve, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 2 or not len(points):
         raise SettingsError(
@@ -150,7 +147,7 @@ def _drawn(curve: ArrayLike, duration: float) -> Curve:
 
 
 def _frames_apart(model: Model, places: Float) -> Index:
-    """Frames with places ``(T, 2)`` of their own: the first of those that share one."""
+    """Return the frames with distinct places ``(T, 2)``: the first of those that share one."""
     size = float(np.linalg.norm(np.ptp(places, axis=0)))
     close = cdist(places, places) <= SAME * size
     chosen: list[int] = []
@@ -172,7 +169,7 @@ def _frames_apart(model: Model, places: Float) -> Index:
 
 
 def _apart(model: Model, others: Index) -> Float:
-    """How far frames are ``(T,)``, in shape and placement, from other frames, in diagonals."""
+    """Return distances ``(T,)`` of frames to other frames in shape and placement, in diagonals."""
     points, places = model.time(model.times), model.placement(model.times)
     shapes = shape_measure(model)(points - points[others])
     return np.maximum(shapes, placement_measure(model)(places - places[others]))

@@ -1,4 +1,4 @@
-"""Splines over time: where they must be known, through functions that are none, and how far apart their values are."""
+"""Splines over time: interpolation sites, adaptive sampling of other functions, and distances of values."""
 
 from __future__ import annotations
 
@@ -15,27 +15,24 @@ ACCURACY = 1e-5
 """Largest error of signals between sites, in diagonals."""
 
 ROUNDS = 6
-"""An interval between two sites is halved at most so often."""
+"""Largest number of times that an interval between two sites is halved."""
 
 EQUAL = 1e-8
-"""Knots closer than this fraction of their mean distance are one, but for rounding."""
+"""Distance below which knots are equal, as a fraction of their mean distance."""
 
 
 def breakpoints(curve: Curve) -> Float:
-    """Return the times ``(n,)`` where the curve passes from one cubic to another: all but two knots at each end."""
+    """Return the times ``(n,)`` between cubics of the curve: all but the two outermost knots at each end."""
     return curve.times[2:-2]
 
 
 def between(times: Float, start: float, end: float) -> Float:
-    """Return those of the times that are after the start and before the end."""
+    """Return the times strictly between the start and the end."""
     return times[(times > start) & (times < end)]
 
 
 def sites_of(edges: Float, inner: Float) -> Float:
-    """Return times that a spline with given breakpoints must be known at: these, and one in its first and last piece.
-
-    Shapes: edges ``(n,)``; inner ``(m,)``.
-    """
+    """Return sites: breakpoints `edges` ``(n,)`` and `inner` ``(m,)``, and one more in both end intervals."""
     inner = np.unique(inner)
     close = EQUAL * (edges[-1] - edges[0]) / (len(edges) + len(inner))
     after = np.clip(np.searchsorted(edges, inner), 1, len(edges) - 1)
@@ -49,7 +46,7 @@ def sites_of(edges: Float, inner: Float) -> Float:
 
 
 def sites_within(model: Model, start: float, end: float, knots: Float | None = None) -> Float:
-    """Return sites from one time to another, with the frames of a model, breakpoints of its signals, and knots."""
+    """Return sites from `start` to `end`, with frames of the model, breakpoints of its signals, and knots ``(m,)``."""
     if start == end:
         return np.array([start])
     times = [*(breakpoints(curve) for curve in model.curves), model.times]
@@ -58,20 +55,20 @@ def sites_within(model: Model, start: float, end: float, knots: Float | None = N
 
 
 def refined(times: Float, parts: int) -> Float:
-    """Return times with every interval between them cut into so many parts."""
+    """Return times ``(N,)`` with every interval between them divided into `parts`."""
     steps = np.arange(parts) / parts
     between = times[:-1, None] + steps * np.diff(times)[:, None]
     return np.append(between.reshape(-1), times[-1])
 
 
 def moved(curve: Curve, scale: float, offset: float) -> Curve:
-    """Return the curve with its times t moved to ``scale * t + offset``; backwards where the scale is negative."""
+    """Return the curve with times t mapped to ``scale * t + offset``, reversed where the scale is negative."""
     times, values = scale * curve.times + offset, curve.values
     return Curve(times, values) if scale > 0 else Curve(times[::-1], values[::-1])
 
 
 def sampled(function: Callable[[Float], Float], sites: Float, tolerance: float, measure: Measure) -> Curve:
-    """Return the spline through a function of time, with as many sites as it takes: sites ``(m,)``."""
+    """Return the spline through a function of time, with sites ``(m,)`` refined until the tolerance holds."""
     for _ in range(ROUNDS):
         both = np.empty(2 * len(sites) - 1)
         both[::2], both[1::2] = sites, (sites[:-1] + sites[1:]) / 2
@@ -85,10 +82,7 @@ def sampled(function: Callable[[Float], Float], sites: Float, tolerance: float, 
 
 
 def shape_measure(model: Model, metric: Float | None = None) -> Measure:
-    """Return how long steps ``(N, k)`` in pose space are ``(N,)``: root mean square over the vertices, in diagonals.
-
-    With the weights of the space, or with others ``(S,)``.
-    """
+    """Return a measure of steps ``(N, k)`` in pose space: RMS over vertices in diagonals, by weights ``(S,)``."""
     shapes = model.shapes
     metric = model.space.shape_weights if metric is None else metric
     steps = model.pose.matrix @ (shapes - shapes[0]) * metric
@@ -97,10 +91,10 @@ def shape_measure(model: Model, metric: Float | None = None) -> Measure:
 
 
 def placement_measure(model: Model) -> Measure:
-    """Return how large changes ``(N, P)`` of a placement are ``(N,)``: the largest number, in diagonals."""
+    """Return the size ``(N,)`` of placement changes ``(N, P)``: the largest component, in diagonals."""
     return largest(model.space.weights[model.space.shape_dim :][: model.space.placement_dim])
 
 
 def correction_measure(model: Model) -> Measure:
-    """Return how large changes ``(N, C)`` of a correction are ``(N,)``: the largest number, in diagonals."""
+    """Return the size ``(N,)`` of correction changes ``(N, C)``: the largest component, in diagonals."""
     return largest(model.space.weights[model.space.shape_dim + model.space.placement_dim :])

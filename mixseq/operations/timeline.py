@@ -1,4 +1,4 @@
-"""Edits of the time line: sections cut out, repeated, made loops; a motion earlier, faster, backwards."""
+"""Edits of the time line: cut, repeat, loop, shift, change speed, reverse."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from mixseq.public import public
 from mixseq.signals.model import Model
 
 MOST = 10_000
-"""A section shown more often would be a slip."""
+"""Largest number of repetitions of a section."""
 
 
 @public
@@ -34,14 +34,14 @@ def cut(model: Model, start: Seconds, end: Seconds, at: Seconds | None = None) -
     model : Model
         The motion.
     start, end : float
-        Section in seconds. The frames within it are the frames of the result, and its ends are the ends.
+        Section in seconds. The result has its ends and the frames within it.
     at : float, optional
-        Time at which the result starts, in seconds; by default times are kept.
+        Start time of the result, in seconds; by default times are kept.
 
     Raises
     ------
     SettingsError
-        If the section is outside the model, does not last, or has no frame.
+        If the section is outside the model, has no duration, or has no frame.
     """
     first, last = section_of(model, start, end)
     section = concatenated([ModelSection(model, first, last)], [])
@@ -59,9 +59,8 @@ def repeat(
 ) -> Model:
     """Show a section of a model several times.
 
-    What is before the section and what is after it does not change, but for its time. Where the section follows itself,
-    value, slope and curvature of all signals meet: what they jump by is taken up within it.
-    The residual layer is left out.
+    The motion before and after the section is only moved in time. At seams of the section with itself value, slope and
+    curvature of all signals are made continuous by changes within it. The residual layer is left out.
 
     Parameters
     ----------
@@ -70,19 +69,19 @@ def repeat(
     start, end : float
         Section in seconds, such as one cycle of a walk.
     times : int
-        How many times it is shown.
+        Number of repetitions.
     fade : float, optional
-        Seconds before and after every seam over which jumps are taken up, at most the section; by default a quarter
+        Seconds before and after every seam over which jumps are distributed, at most the section; by default a quarter
         of it.
     travel : bool
-        Whether it starts every time where it got to before: it is moved along the ground by what the body moved by
-        (`travel_of`). It is not turned, nor moved up or down. A section should be a whole cycle.
+        Move every repetition along the ground by the travel of the section (`travel_of`), a whole cycle; heading and
+        height stay.
 
     Raises
     ------
     SettingsError
-        If the section is outside the model or does not last, a setting is out of range, or the space has no
-        placement that could travel.
+        If the section is outside the model or has no duration, a setting is out of range, or `travel` is set and the
+        space has no placement.
     """
     first, last = section_of(model, start, end)
     if not 1 <= times <= MOST:
@@ -107,23 +106,23 @@ def repeat(
 def loop(model: Model, fade: Seconds | None = None, travel: bool = False) -> Model:
     """Make the end of a model meet its start: value, slope and curvature of all signals.
 
-    The last frame is the first one again. A part that turned by whole turns turns on. The residual layer is left out.
+    The last frame equals the first. A part that turned by whole turns turns on. The residual layer is left out.
 
     Parameters
     ----------
     model : Model
         The motion, such as one cycle of a walk; `cut` makes one of a longer sequence.
     fade : float, optional
-        Seconds at the start and at the end over which jumps are taken up, at most half the model; by default a
+        Seconds at the start and at the end over which jumps are distributed, at most half the model; by default a
         quarter of that.
     travel : bool
-        Whether it gets as far along the ground as it did (`travel_of`), and only the rest of the last frame is that of
-        the first: played again from where it got to, it goes on. By default the body goes back to where it started.
+        Keep the travel along the ground (`travel_of`): the last frame equals the first except for its place. By default
+        the body returns to its start.
 
     Raises
     ------
     SettingsError
-        If the model does not last, the fade is out of range, or the space has no placement that could travel.
+        If the model has no duration, the fade is out of range, or `travel` is set and the space has no placement.
     """
     start, end = section_of(model, model.start, model.end)
     seconds, length = fade_of(fade, (end - start) / 2), end - start
@@ -148,7 +147,7 @@ def shift(model: Model, seconds: Seconds) -> Model:
     Raises
     ------
     SettingsError
-        If that is not finite.
+        If `seconds` is not finite.
     """
     if not np.isfinite(seconds):
         raise SettingsError(f"seconds is {seconds}; a number is expected")
@@ -159,8 +158,8 @@ def shift(model: Model, seconds: Seconds) -> Model:
 def speed(model: Model, factor: float) -> Model:
     """Return the model so many times faster, from its start on.
 
-    The frames are the same ones; `Model.sample` and `mixseq.operations.resampling` make others.
-    The residual layer is left out.
+    The frames stay the same; `Model.sample` and `mixseq.operations.resampling` make new ones. The residual layer is
+    left out.
 
     Raises
     ------

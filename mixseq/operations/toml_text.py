@@ -1,4 +1,4 @@
-"""TOML as scripts and retimings are written in: text to tables, and whatever is wrong with it as one error."""
+"""Parsing of TOML for scripts and retimings, with a FormatError for any fault."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _DEEPEST = 20
 
 
 def parse_toml(file: Path, text: str) -> dict[str, Any]:
-    """Parse what was read from a file of TOML."""
+    """Parse the text of a TOML file; FormatError for invalid, too deep or too large values."""
     try:
         parsed = tomllib.loads(text)
     except RecursionError:

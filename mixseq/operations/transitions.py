@@ -2,10 +2,9 @@ r"""From one motion into another: concatenation, transitions, blends.
 
 .. math:: s(t) = (1 - w(t))\, s_a(t) + w(t)\, s_b(t)
 
-for all signals but rotations of bodies, which go along the turn from one to the other
-(`mixseq.operations.placements`). In a transition the weight is the step
-:math:`w = 6x^5 - 15x^4 + 10x^3`, which is two times continuously differentiable. Weight times signal is no cubic
-spline; there, and only there, the result is the spline through many points.
+for all signals except rotations of bodies, which are interpolated along the rotation between both
+(`mixseq.operations.placements`). The weight of a transition is the C2 step :math:`w = 6x^5 - 15x^4 + 10x^3`. The
+product of weight and signal is approximated by a cubic spline through dense knots; the rest is exact.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 
 DENSE = 8
-"""A curve that is no cubic spline is made one by so many knots for each that it had."""
+"""Knots of the approximating spline for each knot of the curve that it replaces."""
 
 Weight = Callable[[Float], Float]
 
@@ -48,8 +47,8 @@ Weight = Callable[[Float], Float]
 def concatenate(a: Model, b: Model, fade: Seconds | None = None, travel: bool = False) -> Model:
     """Return one model after the other.
 
-    The second one starts where the first ends, in time; what value, slope and curvature of the signals jump by is
-    taken up on both sides. The residual layer is left out.
+    The second one starts at the end time of the first. Jumps of value, slope and curvature of the signals are
+    distributed to both sides. The residual layer is left out.
 
     Parameters
     ----------
@@ -58,15 +57,15 @@ def concatenate(a: Model, b: Model, fade: Seconds | None = None, travel: bool = 
     fade : float, optional
         Seconds before and after the seam, at most the shorter model; by default a quarter of that.
     travel : bool
-        Whether the second model starts where the first got to: it is moved along the ground (`travel_of`), neither
-        turned nor moved up or down. By default it stays where it is, and the body slides there.
+        Start the second model where the first ends along the ground (`travel_of`); heading and height stay. By default
+        the second model keeps its place, and the body slides there.
 
     Raises
     ------
     InvalidSequenceError
         If the meshes differ.
     SettingsError
-        If a model does not last, the fade is out of range, or the space has no placement that could travel.
+        If a model has no duration, the fade is out of range, or `travel` is set and the space has no placement.
     """
     a, b = together(a, b)
     start, seam = section_of(a, a.start, a.end)
@@ -87,23 +86,22 @@ def transition(a: Model, b: Model, at: Seconds, duration: Seconds, travel: bool 
     Parameters
     ----------
     a, b : Model
-        Models of one mesh. The result is in the space of `a`; its frames are those of `a` as long as this has a
-        part in it, and those of `b` then.
+        Models of one mesh. The result is in the space of `a`; its frames are those of `a` until the weight of `b` is 1,
+        then those of `b`.
     at : float
         When the second model starts, in seconds of the first. Until then the result is `a`.
     duration : float
-        Seconds until the result is `b`. Both models last that long.
+        Seconds until the result is `b`; both models cover them.
     travel : bool
-        Whether the second model goes on from where the first gets to: it is moved along the ground, neither turned nor
-        moved up or down, and in between the body goes at the speed that is between both (`mixseq.operations.travel`).
-        By default it stays where it is, and the body slides there.
+        Continue the second model from the place that the first reaches along the ground; heading and height stay, and
+        the ground speed is blended (`mixseq.operations.travel`). By default the second model keeps its place.
 
     Raises
     ------
     InvalidSequenceError
         If the meshes differ.
     SettingsError
-        If a time is out of range, or the space has no placement that could travel.
+        If a time is out of range, or `travel` is set and the space has no placement.
     """
     if not (np.isfinite(duration) and duration > 0):
         raise SettingsError(f"duration is {duration}; a positive number of seconds is expected")
@@ -153,14 +151,14 @@ def blend(a: Model, b: Model, weight: float | Curve) -> Model:
     a, b : Model
         Models of one mesh. The result is in the space of `a` and has its frames.
     weight : float or Curve
-        Weight of `b`: 0 gives `a`, 1 gives `b`. A curve of one coordinate tells it over time.
+        Weight of `b`: 0 gives `a`, 1 gives `b`; a curve of one coordinate is the weight over time.
 
     Raises
     ------
     InvalidSequenceError
         If the meshes differ.
     SettingsError
-        If the models have no time in common, or the weight is not finite, or is not known all that time.
+        If the models share no time, or the weight is not finite or does not cover the shared time.
     """
     a, b = together(a, b)
     start, end = max(a.start, b.start), min(a.end, b.end)
@@ -192,7 +190,7 @@ def _check_weight(weight: Curve, start: float, end: float, slack: float) -> None
 
 
 def _step(start: float, end: float) -> Weight:
-    """The step from 0 to 1 whose first and second derivatives are zero at both ends."""
+    """Return the C2 step from 0 to 1, with zero first and second derivatives at both ends."""
 
     def weight(times: Float) -> Float:
         x = (times[:, None] - start) / (end - start)
@@ -202,7 +200,7 @@ def _step(start: float, end: float) -> Weight:
 
 
 def _step_slope(start: float, end: float) -> Weight:
-    """The derivative of `_step` by time, per second."""
+    """Return the time derivative of `_step`, per second."""
 
     def slope(times: Float) -> Float:
         x = (times[:, None] - start) / (end - start)
@@ -219,20 +217,10 @@ def _mix(
     knots: Float | None = None,
     parts: int = 1,
 ) -> Model:
-    """Blend two models that share their shapes, from one time to another.
+    """Blend two models of shared shapes over `ends`, with the frames of the first.
 
-    Parameters
-    ----------
-    a, b : Model
-        The models. The frames are those of the first.
-    ends : (float, float)
-        From when to when.
-    weight : callable
-        From times ``(N,)`` to weights ``(N, 1)``.
-    knots : (n,) float64, optional
-        Where the weight is not smooth.
-    parts : int
-        Into how many parts knot intervals are cut; 1 is exact for a constant weight.
+    `weight` maps times ``(N,)`` to ``(N, 1)``; `knots` ``(n,)`` are its breakpoints; `parts` subdivides knot intervals
+    (1 is exact for a constant weight).
     """
     start, end = ends
     goes_on = continued(a.space, b.placement, start, a.placement([start])[0])

@@ -1,16 +1,15 @@
-r"""Travel: how far a body gets along the ground; what engines call root motion.
+r"""Travel: displacement of a body along the ground, the root motion of game engines.
 
-A body is where its parts are on the mean, :math:`m(t) = \sum_i r_i^2\, c_i(t) / \sum_i r_i^2`, with their centres
-:math:`c_i`, and with their radii of gyration :math:`r_i` squared, which stand for their areas: hands that swing do not
-count as much as the trunk. Only what is along the ground counts, at right angles to the axis that points up.
+The place of a body is the mean of the centres :math:`c_i` of its parts,
+:math:`m(t) = \sum_i r_i^2\, c_i(t) / \sum_i r_i^2`, weighted by their squared radii of gyration :math:`r_i` in place of
+areas. The component along the up axis is left out.
 
-Where one motion passes over into another with the weight w, rising from 0 to 1, the body shall go at the speed that is
-between both,
+In a transition with the weight w, rising from 0 to 1, the speed of the body is blended,
 
 .. math:: m' = (1 - w)\, m_a' + w\, m_b' .
 
-The mean of both places, :math:`(1 - w)\, m_a + w\, m_b`, does so but for :math:`\int w' (m_a - m_b)\, dt`, which is
-added to it. It comes to nothing by the end if the second motion is moved by that integral over all of the transition.
+This is the derivative of :math:`(1 - w)\, m_a + w\, m_b + \int w' (m_a - m_b)\, dt`. Moving the second motion by the
+integral over the whole transition makes the last term vanish at the end.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from mixseq.signals.model import Model
 from mixseq.spaces.base import ShapeSpace
 
 FINE = 8
-"""Points for each knot through which integrals are splines."""
+"""Sites for each knot of the splines through integrals."""
 
 
 @public
@@ -43,18 +42,18 @@ def travel_of(model: Model, even: bool = False) -> Curve:
     model : Model
         The motion.
     even : bool
-        At one speed from the start to the end, as engines move a character that walks; by default as it is.
+        Travel at constant speed from start to end, as engines move walking characters; by default as it is.
 
     Returns
     -------
     Curve
-        Three coordinates, those of the model's points, in its units: zeros at the start, and along the axis that points
-        up. What `in_place` takes away.
+        Displacement (three coordinates) in the units of the points, removed by `in_place`; zero at the start, and along
+        the up axis.
 
     Raises
     ------
     SettingsError
-        If the space has no placement that could travel.
+        If the space has no placement.
 
     Examples
     --------
@@ -81,27 +80,25 @@ def travel_of(model: Model, even: bool = False) -> Curve:
 def in_place(model: Model, even: bool = False) -> Model:
     """Return the model without its travel: the body stays where it starts, and moves as it did otherwise.
 
-    It still turns, and goes up and down. `travel_of` tells what is taken away.
-    The residual layer is kept.
+    Turns and vertical motion stay. `travel_of` returns the displacement that is removed. The residual layer is kept.
 
     Parameters
     ----------
     model : Model
         The motion, such as a character that walks.
     even : bool
-        Take away one speed, from the start to the end; so a cycle sways to and fro as it did. By default the middle of
-        the body stands still.
+        Remove a constant speed, so that a cycle keeps its sway; by default the place of the body is fixed.
 
     Raises
     ------
     SettingsError
-        If the space has no placement that could travel.
+        If the space has no placement.
     """
     return carried(model, -travel_of(model, even).values / model.space.scale)
 
 
 def place_of(model: Model) -> Curve:
-    """Return where the body is along the ground, three coordinates in the space's unit; see `travel_of`."""
+    """Return the place of the body along the ground, three coordinates in the space's unit; see `travel_of`."""
     space = model.space
     columns = centre_columns(space)
     if not len(columns):
@@ -115,16 +112,13 @@ def place_of(model: Model) -> Curve:
 
 
 def step_of(model: Model, start: float, end: float) -> Float:
-    """Return how far the body gets ``(3,)`` from one time to another, in the space's unit."""
+    """Return the displacement ``(3,)`` of the body along the ground between two times, in the space's unit."""
     first, last = place_of(model)([start, end])
     return np.asarray(last - first)
 
 
 def carried(model: Model, offset: Float) -> Model:
-    """Return the model with all parts moved by offsets ``(3,)``, or ``(m, 3)`` for the placement's knots.
-
-    They are in the space's unit.
-    """
+    """Return the model with parts moved by offsets ``(3,)`` or, per placement knot, ``(m, 3)``, in the space's unit."""
     placement = model.placement
     values = placement.values.copy()
     values[:, centre_columns(model.space)] += offset if offset.ndim == 1 else offset[:, None]
@@ -134,7 +128,7 @@ def carried(model: Model, offset: Float) -> Model:
 def drift(
     a: Model, b: Model, ends: tuple[float, float], slope: Callable[[Float], Float]
 ) -> Callable[[Float], Float]:
-    r"""Return the integral :math:`\int w' (m_a - m_b)\, dt` from the start of a transition."""
+    r"""Return the integral :math:`\int w' (m_a - m_b)\, dt` from the start of a transition, as a function of times."""
     start, end = ends
     one, other = place_of(a), place_of(b)
     inner = between(np.concatenate([breakpoints(one), breakpoints(other)]), start, end)
@@ -144,6 +138,6 @@ def drift(
 
 
 def _sizes(space: ShapeSpace) -> Float:
-    """Return how much parts ``(g,)`` count, in all 1; quaternions move vertices by twice a radius of gyration."""
+    """Return part weights ``(g,)`` of sum 1; a quaternion's weight in the space is twice the radius of gyration."""
     turns = space.weights[space.shape_dim :][: 4 * space.rotation_count].reshape(-1, 4)[:, 0]
     return np.asarray(np.square(turns) / np.square(turns).sum())

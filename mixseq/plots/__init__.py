@@ -1,6 +1,6 @@
 """Pictures of mesh sequences, drawn in software with matplotlib (the extra ``plot``).
 
-A mesh is one collection of shaded polygons, sorted by depth: no graphics card, no global pyplot state. All
+A mesh is one collection of shaded polygons sorted by depth, drawn without graphics card and global pyplot state. All
 panels of a sheet share one camera and one set of limits, so that they can be compared.
 """
 

@@ -1,4 +1,4 @@
-"""What all pages with charts share: style, colours of lines, axes in decades, and files as PNG or SVG."""
+"""Common parts of charts: style, line colours, logarithmic axes, and files as PNG or SVG."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Format = Literal["png", "svg"]
 FORMATS: tuple[Format, ...] = ("png", "svg")
 
 LINES = ("#31688e", "#d08c2c", "#4a9d6e", "#8d5fa8", "#8a8a8a")
-"""Colours of lines, none of them the red of the joints."""
+"""Colours of lines, different from the red of the joints."""
 
 FAINT = "#b9b6b0"
 
@@ -57,14 +57,14 @@ _STYLE = {
 
 @contextmanager
 def chart_style() -> Iterator[None]:
-    """Draw in one style, whatever the user's own settings of matplotlib are; holds inside the block."""
+    """Set one style inside the block, independent of the user's matplotlib settings."""
     with matplotlib_module("style").context(["default", _STYLE]), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)  # names may be in any script
         yield
 
 
 def new_page(width: float, height: float, title: str) -> Figure:
-    """Make an empty page of so many inches, whose panels find their places themselves."""
+    """Return an empty page of a size in inches, with automatic layout of panels."""
     engine = matplotlib_module("layout_engine").ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.1)
     page: Figure = matplotlib_module("figure").Figure(figsize=(width, height), layout=engine)
     matplotlib_module("backends.backend_agg").FigureCanvasAgg(page)
@@ -73,7 +73,7 @@ def new_page(width: float, height: float, title: str) -> Figure:
 
 
 def picture_format(target: Target, chosen: Format | None = None) -> Format:
-    """Tell the format of a picture: as chosen, or by the extension of its file; PNG for files without a name."""
+    """Return the format of a picture: as given, or by the extension of its file; PNG for files without a name."""
     if chosen is None and not isinstance(target, str | PathLike):
         return "png"
     extension = chosen or Path(str(target)).suffix.lower().removeprefix(".")
@@ -85,7 +85,7 @@ def picture_format(target: Target, chosen: Format | None = None) -> Format:
 
 
 def save_page(page: Figure, target: Target, file_format: Format) -> None:
-    """Write a page, without date and version: equal pictures are equal files."""
+    """Write a page, without date and version, so that equal pictures are equal files."""
     nameless: dict[str, Any] = {"png": {"Software": None}, "svg": {"Date": None, "Creator": None}}
     page.savefig(target, format=file_format, dpi=DPI, metadata=nameless[file_format])
 
@@ -99,24 +99,14 @@ def log_axis(ax: Axes, values: Float, least_decades: int = 2) -> None:
 
 
 def time_axis(ax: Axes, start: float, end: float, fps: float | None = None) -> None:
-    """Make the x axis that of time, from start to end and a little more, for dots; with the rate it tells frames."""
+    """Set the x axis to the time from start to end, with a margin for dots; with frame numbers if a rate is given."""
     ax.set_xlabel("time (s)" if fps is None else f"time (s), {frames_between(start, end, fps)}")
     if end > start:
         ax.set_xlim(start - 0.01 * (end - start), end + 0.01 * (end - start))
 
 
 def round_frames(count: int, most: int, first: int = 0) -> list[int]:
-    """Choose frames out of `count` to be shown: the first, the last, and those whose numbers are round.
-
-    Numbers go from `first` on.
-
-    Examples
-    --------
-    >>> round_frames(24, 10), round_frames(2, 10), round_frames(1, 10)
-    ([0, 5, 10, 15, 20, 23], [0, 1], [0])
-    >>> round_frames(24, 10, 1001)
-    [0, 4, 9, 14, 19, 23]
-    """
+    """Choose up to `most` of `count` frames: the first, the last, and those of round numbers, counted from `first`."""
     tens = 10 ** np.arange(len(str(count)))
     step = next(step for step in np.outer(tens, [1, 2, 5, 10]).ravel().tolist() if count <= step * most)
     last = count - 1

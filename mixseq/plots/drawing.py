@@ -38,7 +38,7 @@ def draw_mesh(
     points : (V, 3) float
         Vertex positions.
     faces : (F, 3) int
-        Triangles. Back faces of a closed mesh are left out, an open mesh is shown from both sides.
+        Triangles. Closed meshes are drawn without back faces, open ones from both sides.
     colours : (3,) or (F, 3) float
         RGB in 0..1 of the mesh or of each face.
     up_axis : {"X", "Y", "Z"}
@@ -74,7 +74,7 @@ def draw_mesh(
 
 
 def _back_to_front(screen: Float, faces: IntArray, normals: Float) -> Index:
-    """Sort the faces for painting; of a closed mesh those that look away are left out."""
+    """Sort faces for painting; back faces of a closed mesh are left out."""
     corners = screen[faces]
     inside_out = np.sum((corners[:, 0] - screen.mean(axis=0)) * normals) < 0
     hidden = (normals[:, 2] >= 0) if inside_out else (normals[:, 2] <= 0)

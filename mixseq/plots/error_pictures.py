@@ -1,4 +1,4 @@
-r"""How far the frames of a model are from those of a sequence: by frame as a chart, by vertex as colours of the mesh.
+"""Errors of the frames of a model against a sequence: by frame as a chart, by vertex as colours of the mesh.
 
 The error of a vertex is its distance from the original in diagonals, :math:`|A_{tv} - B_{tv}| / d`.
 """
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import FigureBase
 
 ROUNDING = 1e-17
-"""Errors below this, in diagonals, are drawn as this: a logarithmic axis has no zero."""
+"""Smallest error drawn on the logarithmic axis, in diagonals; smaller ones are drawn there."""
 
 _BLOCK = 8  # frames decoded at once
 
@@ -56,7 +56,7 @@ class VertexErrors:
 def vertex_errors(
     model: Model, original: MeshSequence, frames: Sequence[int] = (), progress: Progress = silent
 ) -> VertexErrors:
-    """Measure a model at the times of a sequence, a few frames at a time."""
+    """Measure a model at the times of a sequence, in blocks of frames."""
     if not np.array_equal(model.header.faces, original.faces):
         raise SettingsError(
             f"the model has {len(model.header.faces)} triangles of {model.header.vertex_count} vertices, the sequence "
@@ -120,9 +120,9 @@ def draw_vertex_errors(
     frames: Sequence[int] | None = None,
     near: View | None = None,
 ) -> Any:
-    """Draw errors as colours of the mesh from two opposite sides: the largest of all frames, and of single ones.
+    """Draw errors as face colours from two opposite sides: maxima over all frames, then single frames.
 
-    A face has the largest error of its corners. A ring marks the largest error of each row where it can be seen.
+    A face has the largest error of its corners. A ring marks the largest visible error of each row.
     """
     scale = matplotlib_module("colors").Normalize(0, max(errors.by_vertex.max(), ROUNDING))
     heat = matplotlib_module("cm").ScalarMappable(scale, "viridis")
@@ -144,7 +144,7 @@ def draw_vertex_errors(
 
 
 def drawn_frames(errors: VertexErrors, frames: Sequence[int] | None) -> list[int]:
-    """Return the frame whose pose is in each row of `draw_vertex_errors`."""
+    """Return the frames whose poses are drawn in the rows of `draw_vertex_errors`."""
     return [0, *([errors.worst] if frames is None else frames)]
 
 
@@ -159,7 +159,7 @@ def _ring(ax: Axes, place: Float) -> None:
 
 
 def _hidden(vertex: int, screen: Float, faces: IntArray) -> bool:
-    """Whether a triangle, none of the vertex itself, is between it and the camera."""
+    """Whether a triangle without the vertex is between it and the camera."""
     others = screen[faces[(faces != vertex).all(axis=1)]] - screen[vertex]
     a, b, c = others[:, 0], others[:, 1], others[:, 2]
     # weights of the corners, times twice the area, of the point where the line of sight meets the plane

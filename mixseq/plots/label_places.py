@@ -1,4 +1,4 @@
-"""Where labels go, so that they cover neither a curve nor each other."""
+"""Placement of labels clear of curves and of each other."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from mixseq.scene.camera import Limits
 
 POINTS = 72.0  # per inch
 DISTANCE = 12.0
-"""Points from a dot to the middle of its label."""
+"""Distance from a dot to the middle of its label, in points."""
 
 ENOUGH = 5.0
-"""Room around a label, in points, beyond which it had better be outward."""
+"""Room around a label, in points, above which outward places are preferred."""
 
 _CHARACTER = np.array([2.6, 5.0])  # half the width of a character and half the height of a line, in points
 
@@ -22,10 +22,7 @@ _CHARACTER = np.array([2.6, 5.0])  # half the width of a character and half the 
 def free_places(
     dots: Float, texts: Sequence[str], curve: Float, limits: Limits, inch: float
 ) -> list[tuple[float, float]]:
-    """Find a place for the label of each dot, beside it where it is free, rather outward than inward.
-
-    Shapes: dots ``(n, 2)``; curve ``(N, 2)``; limits ``(4,)``.
-    """
+    """Find free label places beside dots, preferably outward: dots ``(n, 2)``; curve ``(N, 2)``; limits ``(4,)``."""
     scale = POINTS / inch
     low, high = np.reshape(limits, (2, 2)).T * scale
     centre = curve.mean(axis=0) * scale
@@ -50,6 +47,6 @@ def free_places(
 
 
 def _gaps(middles: Float, size: Float, points: Float) -> Float:
-    """Distances ``(n, N)`` of points from boxes of a half size; negative inside."""
+    """Return distances ``(n, N)`` of points from boxes of a half size; negative inside."""
     apart = np.abs(points[None] - middles[:, None]) - size
     return np.asarray(apart.max(axis=2))

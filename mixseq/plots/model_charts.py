@@ -1,9 +1,9 @@
-r"""Charts of a model's signals: where it is in the plane, its coordinates over time, the sizes of its modes.
+"""Charts of a model's signals: the embedding, coordinates over time, sizes of modes.
 
-All are in diagonals, as distances in the shape space are; the placement of the parts has no part in them. With
-:math:`C` the frames ``(T, k)`` in pose space, centred, and :math:`G = L L^T` the Gram matrix of the steps that the
-coordinates of pose space are in the shape space (the identity where they are principal components), the *singular
-values* of a model are those of :math:`C L`.
+All are in diagonals, as distances in the shape space, without the placement of parts. With :math:`C` the frames
+``(T, k)`` in pose space, centred, and :math:`G = L L^T` the Gram matrix of unit steps along the coordinates of pose
+space in the shape space (the identity for principal components), the *singular values* of a model are those of
+:math:`C L`.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ if TYPE_CHECKING:
 Scale = tuple[Callable[[Any], Any], Callable[[Any], Any]]
 
 MARKED = 10
-"""So many frames have their numbers in the embedding, if none are chosen."""
+"""Number of frames labelled in the embedding by default."""
 
 SHOWN = 5
-"""So many coordinates are drawn over time, the largest ones."""
+"""Number of coordinates drawn over time, the largest ones."""
 
 _INCHES = 4.5
-"""About how long the longer side of the embedding is."""
+"""Approximate length of the embedding's longer side, in inches."""
 
 NEGLIGIBLE = 1e-13
 """Singular values below this fraction of the largest are rounding errors."""
@@ -76,7 +76,7 @@ def draw_embedding(ax: Axes, model: Model, frames: Sequence[int] | None = None) 
 
 
 def embedding_limits(model: Model) -> Limits:
-    """Return the rectangle that `draw_embedding` shows: the curve with space for labels, never too slender."""
+    """Return the rectangle of `draw_embedding`: the curve with space for labels, of moderate aspect."""
     points = np.concatenate([model.embedding(dense_times(model)), model.embedding(model.times)])
     low, high = points.min(axis=0), points.max(axis=0)
     half = (high - low) / 2
@@ -106,7 +106,7 @@ def draw_coefficients(ax: Axes, model: Model) -> None:
 
 
 def draw_singular_values(ax: Axes, model: Model) -> None:
-    """Draw how large the modes are, and what is left without the later ones; on the right as share of the whole."""
+    """Draw the sizes of modes, and the rest without the later ones; on the right as share of the whole."""
     ax.set(title="Singular values", xlabel="mode", ylabel="size (diagonals)")
     sizes = singular_values(model)
     if not sizes.size:
@@ -129,10 +129,7 @@ def draw_singular_values(ax: Axes, model: Model) -> None:
 
 
 def largest_coordinates(model: Model) -> tuple[IntArray, Float]:
-    """Choose the coordinates of the time signal that move most over the frames, at most `SHOWN`.
-
-    Shapes: result ``(n,)``, ``(n,)``.
-    """
+    """Return the time-signal coordinates ``(n,)`` of largest movement, at most `SHOWN`, and their units ``(n,)``."""
     units = np.sqrt(np.diagonal(_step_gram(model)))
     sizes = units * np.linalg.norm(_centred(model), axis=0)
     chosen = np.sort(np.argsort(-sizes, kind="stable")[:SHOWN])
@@ -150,7 +147,7 @@ def singular_values(model: Model) -> Float:
 
 
 def existing_frames(frames: Sequence[int], count: int) -> list[int]:
-    """Return frames in order, once each."""
+    """Return distinct frames in order; SettingsError for those outside the model."""
     for frame in frames:
         if not 0 <= frame < count:
             raise SettingsError(f"there is no frame {frame}; frames are 0 to {count - 1}")
@@ -158,7 +155,7 @@ def existing_frames(frames: Sequence[int], count: int) -> list[int]:
 
 
 def dense_times(model: Model) -> Float:
-    """Return times ``(N,)`` from start to end, so many that lines between them look like a curve."""
+    """Return times ``(N,)`` from start to end, dense enough for smooth lines."""
     knots = max(len(model.times), len(model.time.times))
     return np.linspace(model.start, model.end, min(max(400, 20 * knots), 20_000))
 
@@ -169,13 +166,13 @@ def _centred(model: Model) -> Float:
 
 
 def _step_gram(model: Model) -> Float:
-    """Inner products ``(k, k)`` of the steps by one along every coordinate of pose space."""
+    """Return inner products ``(k, k)`` of unit steps along the coordinates of pose space."""
     shapes, metric = model.shapes, model.space.shape_weights
     steps = model.pose.matrix @ ((shapes - shapes.mean(axis=0)) * metric)
     return np.asarray(steps @ steps.T)
 
 
 def _tell(ax: Axes, text: str) -> None:
-    """Say why a chart is empty."""
+    """Write the reason for an empty chart."""
     ax.text(0.5, 0.5, text, transform=ax.transAxes, ha="center", va="center", fontsize=9)
     ax.set(xticks=[], yticks=[])

@@ -1,4 +1,4 @@
-"""Parts and joints of a model: a coloured picture with numbers, and what the numbers stand for."""
+"""Parts and joints of a model: a coloured picture with numbers, and its legend."""
 
 from __future__ import annotations
 
@@ -22,20 +22,17 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 LISTED = 60
-"""So many parts are named in a legend."""
+"""Largest number of parts named in a legend."""
 
 _PIXELS = 300
-"""Width of the picture in which visible parts are looked for."""
+"""Width of the picture in which visible parts are searched."""
 
 _ROOM = 4.0
-"""Pixels that a number needs around its middle."""
+"""Pixels around the middle of a number that it needs."""
 
 
 def draw_parts(panels: Sequence[Axes], model: Model, points: FloatArray, near: View | None = None) -> None:
-    """Draw a pose from two opposite sides, coloured by part, joints in red, with the parts' numbers.
-
-    Shapes: points ``(V, 3)``.
-    """
+    """Draw a pose ``(V, 3)`` from two opposite sides, coloured by part, joints in red, with part numbers."""
     parts, header = model.decomposition, model.header
     colours = segmentation_colours(parts.part_of_face, parts.joint_of_face)
     path_effects = matplotlib_module("patheffects")
@@ -51,7 +48,7 @@ def draw_parts(panels: Sequence[Axes], model: Model, points: FloatArray, near: V
 
 
 def draw_parts_legend(ax: Axes, parts: Decomposition, columns: int) -> None:
-    """List the parts with their colours and how many vertices they have, then the joints."""
+    """List parts with their colours and vertex counts, then joints."""
     patch = matplotlib_module("patches").Patch
     named = _named(parts)
     handles = [
@@ -72,12 +69,12 @@ def draw_parts_legend(ax: Axes, parts: Decomposition, columns: int) -> None:
 
 
 def legend_rows(parts: Decomposition, columns: int) -> int:
-    """Return how many rows the legend of parts has."""
+    """Return the number of rows of the legend."""
     return -(-(min(len(parts.parts), LISTED + 1) + 1) // columns)
 
 
 def _named(parts: Decomposition) -> int:
-    """Return the number of parts with faces; one more holds the vertices that no face uses, if there are any."""
+    """Return the number of parts with faces, plus one for vertices without faces, if there are any."""
     return int(parts.part_of_face.max()) + 1
 
 
@@ -88,10 +85,7 @@ def _vertices(count: int, kind: str = "") -> str:
 def _number_places(
     screen: Float, faces: IntArray, part_of_face: IntArray, limits: Limits
 ) -> dict[int, tuple[float, float]]:
-    """Find where parts have room for their numbers: the middle of the widest spot that is seen of each.
-
-    Shapes: screen ``(V, 3)``; faces ``(F, 3)``; part_of_face ``(F,)``; limits ``(4,)``.
-    """
+    """Return the middle of the widest visible spot of each part: screen ``(V, 3)``; faces ``(F, 3)``."""
     left, right, bottom, top = limits
     seen = _seen_parts(screen, faces, part_of_face, limits)
     rows, columns = seen.shape
@@ -106,7 +100,7 @@ def _number_places(
 
 
 def _seen_parts(screen: Float, faces: IntArray, part_of_face: IntArray, limits: Limits) -> NDArray[np.int64]:
-    """Paint part numbers, from back to front: an image, the lowest row first, -1 where there is no part."""
+    """Paint part numbers from back to front: an image, lowest row first, -1 for background."""
     left, right, bottom, top = limits
     width = _PIXELS
     height = max(1, round(width * (top - bottom) / (right - left)))

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import FigureBase
 
 MOST_ROWS = 12
-"""So many frames at most are drawn with their errors."""
+"""Largest number of frames drawn with their errors."""
 
 _HEADING = 0.4  # inches, as are all lengths here
 _LEGEND = 1.75
@@ -66,27 +66,27 @@ def plot_model(
     model : Model
         The model.
     kind : str, optional
-        One of `PICTURES`; by default all that there are, on one page.
+        One of `PICTURES`; by default all available ones, on one page.
     against : MeshSequence, optional
         The original, for errors.
     frames : sequence of int, optional
-        Frames to number in the embedding (by default some), or to draw with the errors of their vertices (by default
-        the worst one).
+        Frames labelled in the embedding (by default some), or drawn with the errors of their vertices (by default the
+        worst one).
     tolerance : float, optional
-        Where to draw a line among the errors of the frames, in diagonals.
+        Value of a line in the chart of errors, in diagonals.
     camera : (float, float), optional
-        From where meshes are seen, and from the other side: degrees from the front, to the body's left, and above the
-        horizon; by default the front and a side.
+        View of meshes, and the opposite one: degrees from the front, to the body's left, and above the horizon; by
+        default the front and a side.
     file_format : {"png", "svg"}, optional
         By default that of the extension of the target; PNG for files without a name.
     progress : callable, optional
-        Told about every decoded frame.
+        Called after every decoded frame.
 
     Raises
     ------
     SettingsError
-        If the model has no parts to draw, there is no original to measure errors against or it is another mesh,
-        there is no such frame, or a setting has nothing to do with the kind of picture.
+        If the model has no parts to draw, the original is missing or another mesh, a frame does not exist, or a setting
+        does not belong to the kind of picture.
     OutputError
         If the target is neither PNG nor SVG.
     MissingExtraError
@@ -103,7 +103,7 @@ def plot_model(
 
 
 def summary(model: Model) -> str:
-    """Say in one line what a model is."""
+    """Describe a model in one line."""
     header, space = model.header, model.space
     return (
         f"{header.name}: {_count(header.frame_count, 'frame')} ({header.frame_numbers}) in "
@@ -124,7 +124,7 @@ def check_settings(
     tolerance: float | None,
     camera: tuple[float, float] | None = None,
 ) -> None:
-    """Refuse settings of `plot_model` that contradict each other, before the work."""
+    """Raise SettingsError for contradicting settings of `plot_model`, before the work."""
     if kind is not None and kind not in PICTURES:
         raise SettingsError(f"kind is {kind!r}; one of {', '.join(PICTURES)} is expected")
     if not against and (kind in ("error-frames", "error-vertices") or tolerance is not None):
@@ -157,7 +157,6 @@ def _content(
     camera: tuple[float, float] | None,
     progress: Progress,
 ) -> Section:
-    """Choose what is on the page, and find what it needs."""
     match kind:
         case "embedding":
             return _embedding(model, frames)
@@ -237,7 +236,7 @@ def _vertex_errors(
 
 
 def _picture_height(poses: FloatArray, up_axis: str, near: View, width: float) -> float:
-    """Height of a picture of a mesh that is so wide; a tall one is drawn smaller."""
+    """Return the height of a mesh picture of a width; tall ones are drawn smaller."""
     return width * float(np.clip(height_per_width(two_sides(poses, up_axis, near)), 0.3, 0.9))
 
 

@@ -1,11 +1,10 @@
-r"""One mesh as pixels: triangles in a depth buffer, lit as on the sheets, above their shadow.
+"""Rasterization of one mesh: triangles in a depth buffer, lit as on the sheets, above their shadow.
 
-Every triangle is drawn where it is nearer than what was drawn before [1]_. Corners are moved to multiples of 1/256 of a
-sample, so that whether a sample is inside is decided in whole numbers [2]_: adjacent triangles leave no gaps, and all
-machines draw the same samples. A pixel is the mean of 2 x 2 samples.
+Triangles are drawn with a depth test [1]_. Corners are rounded to 1/256 of a sample and coverage is decided in integers
+[2]_: adjacent triangles leave no gaps, and all machines draw the same samples. A pixel is the mean of 2 x 2 samples.
 
-Own code, as renderers of libraries want a graphics card or OpenGL, and draw other pixels on each; matplotlib takes 2.6
-times as long (0.13 s for the fox of 5,600 vertices in 1280 x 720, instead of 0.05 s) and sorts faces instead of pixels.
+Renderers of libraries need a graphics card or OpenGL, and draw other pixels on each; matplotlib takes 2.6 times as long
+(0.13 s for the fox of 5,600 vertices in 1280 x 720, instead of 0.05 s) and sorts faces instead of pixels.
 
 References
 ----------
@@ -47,26 +46,11 @@ def render_mesh(
     ground: float | None = None,
     contrast: float = 1.0,
 ) -> None:
-    """Draw a shaded mesh and its shadow on a picture, as `mixseq.plots.draw_mesh` does on paper.
+    """Draw a mesh and its shadow on a picture ``(rows, columns, 3)`` uint8, as `mixseq.plots.draw_mesh` does on paper.
 
-    Parameters
-    ----------
-    picture : (rows, columns, 3) uint8
-        What is drawn on, the upper row first; a part of a larger picture will do.
-    world : (V, 3) float
-        Vertex positions, Y up.
-    faces : (F, 3) int
-        Triangles, seen from both sides.
-    view : View
-        The camera.
-    limits : (4,) float
-        Screen rectangle that the picture covers, of its proportions; the mesh should not be many times larger.
-    colours : (3,), (F, 3) or (F, 3, 3) float
-        RGB in 0..1 of the mesh, of each face, or of each face's corners.
-    ground : float, optional
-        Height of the ground that takes the shadow, by default the lowest vertex.
-    contrast : float
-        Strength of the shading, from 0 (flat colours) to 1.
+    `world` ``(V, 3)`` are points, Y up; faces ``(F, 3)`` are seen from both sides; `limits` ``(4,)`` is the screen
+    rectangle of the picture, of its proportions; `colours` ``(3,)``, ``(F, 3)`` or ``(F, 3, 3)`` are RGB in 0..1 of
+    mesh, faces or corners; `ground` is by default the lowest vertex.
     """
     from mixseq.plots.raster_kernels import SUBPIXELS, average, fill_triangles, lay_shadow
 
@@ -89,7 +73,7 @@ def render_mesh(
 
 
 def _turned(world: Float, view: View) -> Float:
-    """Return points as the camera sees them; without a library that adds in an order of its own."""
+    """Return points in camera coordinates, summed in a fixed order."""
     x, y, z = world.T
     return np.stack([x * row[0] + y * row[1] + z * row[2] for row in view.rows], axis=1)
 
@@ -97,7 +81,7 @@ def _turned(world: Float, view: View) -> Float:
 def _corner_colours(
     screen: Float, faces: NDArray[np.int64], colours: ArrayLike, contrast: float
 ) -> NDArray[np.float32]:
-    """Light the corners of all faces: ``(F, 3, 3)`` in 0..255."""
+    """Return lit colours of corners ``(F, 3, 3)`` in 0..255."""
     flat = area_normals(screen, faces)
     to_camera = np.where(flat[:, 2:] < 0, -1.0, 1.0)
     normals = vertex_normals(flat, faces, len(screen))[faces] * to_camera[:, None]

@@ -1,7 +1,7 @@
-"""The inner loops of `mixseq.plots.raster`, compiled.
+"""Compiled inner loops of `mixseq.plots.raster`.
 
-They release the interpreter's lock, and faces are drawn in their order, so that frames can be drawn on any number of
-threads with the same pixels.
+They release the interpreter's lock and draw faces in order, so that frames have the same pixels on any number of
+threads.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from mixseq.compiled import compiled
 Bytes = NDArray[np.uint8]
 
 SUBPIXELS = 256
-"""Steps per pixel of corners' places."""
+"""Steps per pixel of corner positions."""
 
 
 @compiled
 def fill_triangles(
     places: Index, heights: Single, faces: Index, colours: Single, nearest: Single, samples: Bytes
 ) -> None:
-    """Draw triangles into samples, where they are nearer than what is there.
+    """Draw triangles into samples with a depth test.
 
     `places` (V, 2) are columns and rows in `SUBPIXELS`, `heights` (V,) grow towards the camera, `colours` (F, 3, 3) are
     those of the corners in 0..255; `nearest` (H, W) and `samples` (H, W, 3) are changed.
@@ -66,7 +66,7 @@ def fill_triangles(
 
 @compiled
 def average(nearest: Single, samples: Bytes, side: int, picture: Bytes) -> None:
-    """Write the means of `side` x `side` samples to a picture (H, W, 3), above what is on it already."""
+    """Write means of `side` x `side` samples to a picture (H, W, 3), blended over its contents."""
     height, width = picture.shape[:2]
     count = side * side
     for j in range(height):

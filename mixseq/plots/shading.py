@@ -1,4 +1,4 @@
-"""Light on a mesh: smooth normals under a key light and a soft fill; and its shadow, which shows where a foot is."""
+"""Shading of a mesh: smooth normals under a key light and a soft fill; and its shadow on the ground."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mixseq.sequence import bounding_diagonal
 
 KEY_LIGHT = np.array([-0.45, 0.62, 0.64])
 COOL = np.array([1.0, 0.6, 0.0])
-"""How much red, green and blue fade in the shade."""
+"""Fading of red, green and blue in the shade."""
 
 
 def area_normals(points: Float, faces: IntArray) -> Float:
@@ -48,16 +48,13 @@ PIXELS = 240
 """Pixels along the longer side of the picture."""
 
 FEATHER = 10
-"""Pixels over which a shadow fades out at the frame; no more than the usual margin."""
+"""Pixels over which a shadow fades out at the frame, within the usual margin."""
 
 SHADOW = (0.25, 0.24, 0.28)
 
 
 def ground_shadow(world: Float, faces: IntArray, floor: float, view: View, limits: Limits) -> Float:
-    """Paint the ground beneath a mesh: the darker, the closer the mesh is to it.
-
-    Shapes: world ``(V, 3)``; faces ``(F, 3)``; limits ``(4,)``; result ``(rows, columns, 4)``.
-    """
+    """Paint the shadow ``(rows, columns, 4)`` of a mesh on the ground, darker close to the mesh: world ``(V, 3)``."""
     left, right, bottom, top = limits
     sides = np.array([top - bottom, right - left])
     shape = np.ceil(PIXELS * sides / sides.max()).astype(int)
@@ -80,6 +77,6 @@ def ground_shadow(world: Float, faces: IntArray, floor: float, view: View, limit
 
 
 def _feather(count: int) -> Float:
-    """Rise from 0 to 1 and fall to 0 again, so that no shadow ends in a hard edge."""
+    """Return a rise from 0 to 1 and a fall to 0, for soft edges of shadows."""
     index = np.arange(count)
     return np.clip(np.minimum(index, index[::-1]) / FEATHER, 0, 1)

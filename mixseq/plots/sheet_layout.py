@@ -1,4 +1,4 @@
-"""Sheets of panels: where everything goes on the page, and how it becomes a PNG."""
+"""Sheets of panels: layout of the page, and output as PNG."""
 
 from __future__ import annotations
 
@@ -35,19 +35,7 @@ class Sheet:
     def of(
         cls, rows: int, columns: int, aspect: float, title: str, left: float = 0.1, right: float = 0.1
     ) -> Sheet:
-        """Lay out a page whose panels have the given height per width.
-
-        Parameters
-        ----------
-        rows, columns : int
-            Number of panels.
-        aspect : float
-            Height of a panel divided by its width; extremes are moderated.
-        title : str
-            Heading, may be empty.
-        left, right : float
-            Space for labels and a colour bar, in inches.
-        """
+        """Lay out a page of panels with a height per width, moderated; margins left and right in inches."""
         top = 0.65 if title else 0.3
         width = (WIDTH - left - right) / columns
         height = width * float(np.clip(aspect, 0.3, 2.5))
@@ -66,7 +54,7 @@ class Sheet:
         return cls(figure, [[panel(row, column) for column in range(columns)] for row in range(rows)])
 
     def label_row(self, row: int, text: str) -> None:
-        """Write to the left of a row."""
+        """Label a row on its left."""
         self.panels[row][0].annotate(
             text,
             (0, 0.5),
@@ -91,12 +79,12 @@ class Sheet:
         bar.set_label(label, fontsize=7, color=INK)
 
     def save(self, target: Target) -> None:
-        """Write the PNG; without a date or version, so that equal pictures are equal files."""
+        """Write the PNG without date and version, so that equal pictures are equal files."""
         self.figure.savefig(target, format="png", dpi=DPI, metadata={"Software": None})
 
 
 def matplotlib_module(name: str) -> Any:
-    """Import a module of matplotlib when it is needed."""
+    """Import a module of matplotlib on first use."""
     try:
         return import_module(f"matplotlib.{name}")
     except ImportError as error:

@@ -30,8 +30,8 @@ def contact_sheet(
 ) -> None:
     """Draw original, parts, reconstruction and error one below the other, as a PNG.
 
-    Columns are frames that both sequences have. If `decoded` also has frames half-way to the next original
-    one, an additional row shows those.
+    Columns are frames that both sequences have. If `decoded` has frames half-way to the next original one, another row
+    shows those.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def _draw_rows(rows: list[_Row], title: str) -> Sheet:
 def common_frames(
     original: SequenceHeader, decoded: SequenceHeader, count: int
 ) -> tuple[list[int], list[int]]:
-    """Pick up to ``count`` evenly spread frames of the original, and the decoded ones at the same times."""
+    """Return up to `count` evenly spaced frames of the original, and the decoded ones at the same times."""
     nearest = np.abs(decoded.times[None] - original.times[:, None]).argmin(axis=1)
     gap = np.abs(decoded.times[nearest] - original.times)
     common = np.flatnonzero(gap < 1e-3 / max(original.fps, decoded.fps))
@@ -139,7 +139,7 @@ def common_frames(
 
 
 def frames_between(original: SequenceHeader, decoded: SequenceHeader, frames: list[int]) -> dict[int, int]:
-    """Find the decoded frames about half-way from original frames to the next ones."""
+    """Return the decoded frames about half-way from original frames to the next ones."""
     result = {}
     for position, frame in enumerate(frames):
         start, *later = original.times[frame : frame + 2]

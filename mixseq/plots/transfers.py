@@ -1,4 +1,4 @@
-"""The contact sheet of a transfer: the source above, the target below, at rest and in some frames."""
+"""The contact sheet of a transfer: source above, target below, at rest and in some frames."""
 
 from __future__ import annotations
 
@@ -25,12 +25,9 @@ def transfer_sheet(
     points: FloatArray,
     title: str | None = None,
 ) -> None:
-    """Draw source and target one above the other, as a PNG.
+    """Draw source and target one above the other, as a PNG: points of the target ``(n, V', 3)``.
 
-    Both are seen from the same side, each as large as its own poses allow, and are at rest in the first column. Parts
-    have the same colour on both.
-
-    Shapes: points ``(n, V', 3)``.
+    Both have the same view, each at its own scale, with the pose at rest in the first column and common part colours.
     """
     headers = here, there = transfer.source.header, transfer.header
     if points.shape != (len(frames), there.vertex_count, 3):
@@ -68,9 +65,9 @@ def transfer_sheet(
 
 
 def parts_of_both(transfer: Transfer) -> tuple[Index, Index]:
-    """Return the part of every triangle of the source ``(F,)``, and which of them moves those of the target ``(F',)``.
+    """Return the parts of source triangles ``(F,)``, and of the target triangles ``(F',)`` that they move.
 
-    Gradients know no parts: those of the source are what its motion tells, and they are carried to the target.
+    For transfers by gradients the parts of the source are found from its motion and mapped to the target.
     """
     from mixseq.retargeting.part_correspondence import carry_labels
 
@@ -82,10 +79,7 @@ def parts_of_both(transfer: Transfer) -> tuple[Index, Index]:
 
 
 def heading(transfer: Transfer) -> float:
-    """Return by how many degrees about the up axis the target stands turned from the source, 0 if unknown.
-
-    It is the turn that best takes the source's points at rest to those of the target, seen from above.
-    """
+    """Return the best-fit turn of the target at rest from the source about the up axis, in degrees, 0 if unknown."""
     matched = transfer.correspondence.matched
     source = y_up(
         transfer.correspondence.carry(transfer.source.rest)[matched], transfer.source.header.up_axis

@@ -20,23 +20,7 @@ def draw_segmentation(
     up_axis: str = "Y",
     title: str | None = None,
 ) -> None:
-    """Draw the parts and joints of one pose from two opposite sides, as a PNG.
-
-    Parameters
-    ----------
-    target : path or binary file
-        Where the PNG goes.
-    points : (V, 3) float
-        The pose.
-    faces : (F, 3) int
-        Triangles.
-    part_of_face, joint_of_face : (F,) int
-        As for `segmentation_colours`.
-    up_axis : {"X", "Y", "Z"}
-        Axis that points up.
-    title : str, optional
-        Heading.
-    """
+    """Draw parts and joints ``(F,)`` of a pose ``(V, 3)`` from two opposite sides, as a PNG."""
     colours = segmentation_colours(part_of_face, joint_of_face)
     sides = two_sides(points[None], up_axis)
     sheet = Sheet.of(1, 2, height_per_width(sides), title or "")
@@ -48,7 +32,7 @@ def draw_segmentation(
 def two_sides(
     poses: FloatArray, up_axis: str = "Y", near: View | None = None
 ) -> list[list[tuple[View, Limits]]]:
-    """Find cameras and screen rectangles to see poses from two opposite sides: poses ``(n, V, 3)``."""
+    """Return the cameras and screen rectangles of two opposite views of poses ``(n, V, 3)``."""
     near = near or three_quarter_view(poses[0], up_axis)
     views = near, View(near.azimuth + 180, near.elevation)
     boxes = [[shared_limits(pose, up_axis, view) for view in views] for pose in poses]
@@ -64,6 +48,6 @@ def two_sides(
 
 
 def height_per_width(sides: list[list[tuple[View, Limits]]]) -> float:
-    """Return the height of the rectangles of `two_sides` divided by their width."""
+    """Return the height per width of the rectangles of `two_sides`."""
     left, right, bottom, top = sides[0][0][1]
     return (top - bottom) / (right - left)

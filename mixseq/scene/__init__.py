@@ -1,7 +1,7 @@
-"""A scene: meshes that move, with their colours, cameras and places; pictures, films, pages and the viewer draw it.
+"""A scene: moving meshes with colours, cameras and places, drawn by pictures, films, pages and the viewer.
 
-`items` are what is shown and `scene_times` says when; `colouring` is what colours show of a mesh and `colours` of all
-of them, by what `vertex_measures` find, from `palettes`; `camera` is from where, `arrangement` where the meshes stand.
+`items` holds the meshes and `scene_times` the frame times; `colouring` the colours of a mesh and `colours` those of
+all, from `vertex_measures` and `palettes`; `camera` the view, `arrangement` the places of the meshes.
 """
 
 from mixseq.scene.camera import Camera, View

@@ -1,4 +1,4 @@
-"""Where meshes stand: side by side or in one place, and the camera in front of them."""
+"""Places of meshes, side by side or overlaid, and the camera in front of them."""
 
 from __future__ import annotations
 
@@ -13,62 +13,62 @@ from mixseq.scene.camera import View, seen_from, y_up
 from mixseq.scene.items import Scene
 
 SAMPLES = 8
-"""So many frames tell how much space a mesh takes."""
+"""Number of frames from which the space of a mesh is measured."""
 
 GAP = 0.15
 """Space between meshes, as a fraction of the widest."""
 
 HEIGHT = 2.0
-"""How large the longest side of everything is, in units of the scene."""
+"""Longest side of the whole arrangement, in units of the scene."""
 
 FIELD = 35.0
-"""Degrees that the camera sees from top to bottom."""
+"""Vertical field of view of the camera, in degrees."""
 
 NEAR = 0.7
-"""Of the distance from which all meshes are seen: from nearer the camera looks at one of them."""
+"""Fraction of the camera distance that shows all meshes, below which the camera looks at a single one."""
 
 MARGIN = 1.15
-"""So many times as far to the sides as everything is, where it is."""
+"""Width and height of the picture, relative to the projected meshes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Arrangement:
-    """Where meshes stand in the scene, with Y up and the ground at zero."""
+    """Places of meshes in the scene, Y up, ground at zero."""
 
     up_axes: tuple[str, ...]  # axis of each mesh that points up
     scale: float  # units of the scene per unit of the meshes
-    boxes: Float  # (n, 2, 3) lowest and highest places of every mesh, seen from its origin, in units of the scene
-    offsets: Float  # (n, 3) where the origins of the meshes are, in units of the scene
-    view: View  # from where they are seen
+    boxes: Float  # (n, 2, 3) bounding boxes over time, relative to the origins, in units of the scene
+    offsets: Float  # (n, 3) origins of the meshes, in units of the scene
+    view: View  # the view of the camera
 
     @property
     def low(self) -> Float:
-        """The lowest corner ``(3,)`` of the box around everything."""
+        """Minimum corner ``(3,)`` of the box around all meshes."""
         return np.asarray((self.boxes[:, 0] + self.offsets).min(axis=0))
 
     @property
     def high(self) -> Float:
-        """The highest corner ``(3,)`` of it."""
+        """Maximum corner ``(3,)`` of the box around all meshes."""
         return np.asarray((self.boxes[:, 1] + self.offsets).max(axis=0))
 
     @property
     def middles(self) -> Float:
-        """The middles ``(n, 3)`` of the meshes."""
+        """Centres ``(n, 3)`` of the meshes."""
         return np.asarray(self.boxes.mean(axis=1) + self.offsets)
 
     @property
     def labels(self) -> Float:
-        """Places ``(n, 3)`` above the meshes."""
+        """Label places ``(n, 3)`` above the meshes."""
         tops = np.where([True, False, True], self.middles, self.boxes[:, 1] + self.offsets)
         return np.asarray(tops + np.array([0, 0.04 * HEIGHT, 0]))
 
     def placed(self, index: int, points: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Return the points ``(V, 3)`` of a mesh in the scene."""
+        """Return points ``(V, 3)`` of a mesh in scene coordinates."""
         placed = self.scale * y_up(points, self.up_axes[index]) + self.offsets[index]
         return np.asarray(placed, dtype=np.float32)
 
     def camera(self, aspect: float) -> tuple[Float, Float]:
-        """Return where the camera is and what it looks at, for a picture ``aspect`` times as wide as high."""
+        """Return the camera position and its target, ``(3,)`` each, for a picture of the given width per height."""
         centre = (self.low + self.high) / 2
         rows = self.view.rows
         corners = np.array(list(product(*np.stack([self.low, self.high], axis=1)))) - centre
@@ -79,11 +79,10 @@ class Arrangement:
         return centre + distance * rows[2], centre
 
     def turned(self, azimuth: float, looked_at: Float, distance: float) -> Arrangement:
-        """Return meshes in a row across the view from elsewhere, so that none hides another.
+        """Return the meshes in a row across another view, so that none hides another.
 
-        What the camera looks at stays where it is: from near the nearest mesh, otherwise the middle of the row.
-
-        Shapes: looked_at ``(3,)``.
+        The nearest mesh to the target `looked_at` ``(3,)`` stays in place if the camera is near, else the middle of the
+        row.
         """
         offsets = _row(self.boxes, azimuth)
         moved = (self.offsets - offsets) * [1, 0, 1]
@@ -96,10 +95,7 @@ class Arrangement:
 
 
 def arranged(scene: Scene, side_by_side: bool, camera: tuple[float, float] | None = None) -> Arrangement:
-    """Find places for meshes of a scene, such that they never meet if they stand side by side.
-
-    They are seen from `camera`, see `mixseq.scene.camera.seen_from`.
-    """
+    """Place the meshes of a scene, without overlap if side by side; `camera` as in `mixseq.scene.camera.seen_from`."""
     up_axes = tuple(item.header.up_axis for item in scene.items)
     boxes = []
     for item, up in zip(scene.items, up_axes, strict=True):
@@ -117,13 +113,13 @@ def arranged(scene: Scene, side_by_side: bool, camera: tuple[float, float] | Non
 
 
 def _together(boxes: Float) -> Float:
-    """Meshes stay where they are, on the ground of the lowest."""
+    """Return offsets ``(n, 3)`` that keep meshes in place, on the ground of the lowest."""
     ground = float(boxes[:, 0, 1].min())
     return np.tile([0.0, -ground, 0.0], (len(boxes), 1))
 
 
 def _row(boxes: Float, azimuth: float) -> Float:
-    """Put meshes in a row across the view, on the ground."""
+    """Return offsets ``(n, 3)`` of a row across the view, on the ground."""
     a = np.radians(azimuth)
     right = np.array([np.cos(a), 0.0, -np.sin(a)])
     sizes = [np.abs(right) @ (high - low) for low, high in boxes]

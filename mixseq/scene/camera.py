@@ -1,4 +1,4 @@
-"""Cameras: from which side a mesh is seen, and which rectangle of the screen it fills."""
+"""Cameras: the direction of view, and the rectangle of the screen that a mesh fills."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from mixseq.arrays import Float, FloatArray
 from mixseq.sequence import UP_AXES
 
 Limits = tuple[float, float, float, float]
-"""Left, right, bottom and top of a rectangle of the screen, in units of the points."""
+"""Left, right, bottom and top of a screen rectangle, in units of the points."""
 
 TRAVELS = 0.5
-"""A body that moves so many diagonals of itself from the first pose to the last is going somewhere."""
+"""Displacement from the first to the last pose above which a body travels, in its diagonals."""
 
 
 @dataclass(frozen=True)
 class View:
-    """An orthographic camera that circles the mesh."""
+    """An orthographic camera around the mesh."""
 
     azimuth: float = 30.0
     elevation: float = 14.0
@@ -36,7 +36,7 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """Where a mesh is seen from, during a film of N frames."""
+    """The view of a mesh during a film of N frames."""
 
     view: View  # the view of the first frame
     turn: float  # degrees by which it turns until the first frame comes again, after N
@@ -50,27 +50,20 @@ class Camera:
 
     @property
     def aspect(self) -> float:
-        """Height per width of what it sees."""
+        """Height per width of the view."""
         left, right, bottom, top = self.limits
         return (top - bottom) / (right - left)
 
     def fitted(self, aspect: float) -> Camera:
-        """Return a camera that sees more, so that its aspect is as given."""
+        """Return a camera that is widened to an aspect."""
         return replace(self, limits=of_aspect(self.limits, aspect))
 
 
 def facing(poses: FloatArray, up_axis: str = "Y") -> float:
-    """Return the azimuth from which a body is seen from the front.
+    """Return the azimuth in degrees from which a body in poses ``(n, V, 3)`` is seen from the front.
 
-    It faces where it travels. One that stays where it is faces where modellers and formats have the front: +z with Y up
-    (glTF 2.0, section 3.4), -y with Z up (Blender, Maya), where +x is to its left in both.
-
-    Shapes: poses ``(n, V, 3)``.
-
-    Examples
-    --------
-    >>> facing(np.array([[[0.0, 0, 0], [0, 1, 0]], [[5, 0, 0], [5, 1, 0]]]))
-    90.0
+    It faces its travel direction, or else the front of modellers and formats: +z with Y up (glTF 2.0, section 3.4), -y
+    with Z up (Blender, Maya), where +x is to its left in both.
     """
     ends = y_up(poses[[0, -1]], up_axis)
     x, _, z = ends[1].mean(axis=0) - ends[0].mean(axis=0)
@@ -82,17 +75,9 @@ def facing(poses: FloatArray, up_axis: str = "Y") -> float:
 def three_quarter_view(
     poses: FloatArray, up_axis: str = "Y", turn: float = 30.0, elevation: float = 14.0
 ) -> View:
-    """Return a view of the front and a side: ``turn`` degrees away from seeing the longer of them.
+    """Return a view of the front and a side of poses ``(V, 3)``, `turn` degrees from a full view of the longer one.
 
-    Of the two views, from the left and from the right, it is the one where +x points more to the right, and +z more to
-    the camera, with Y up.
-
-    Shapes: poses ``(V, 3)``.
-
-    Examples
-    --------
-    >>> three_quarter_view(np.array([[0.0, 0, 0], [0, 1, 5]]))
-    View(azimuth=60.0, elevation=14.0)
+    Of the left and the right view, it is the one with +x more to the right, and +z more to the camera, with Y up.
     """
     poses = poses.reshape(-1, *poses.shape[-2:])
     front = facing(poses, up_axis)
@@ -105,7 +90,7 @@ def three_quarter_view(
 
 
 def seen_from(ends: FloatArray, up_axis: str, camera: tuple[float, float] | None) -> View:
-    """Return the view that was asked for, or a `three_quarter_view`: ends ``(2, V, 3)``; camera ``(float, float)``."""
+    """Return the view at `camera` (two angles in degrees), by default a `three_quarter_view` of ends ``(2, V, 3)``."""
     if camera is None:
         return three_quarter_view(ends, up_axis)
     return View(facing(ends, up_axis) + camera[0], camera[1])
@@ -114,7 +99,7 @@ def seen_from(ends: FloatArray, up_axis: str, camera: tuple[float, float] | None
 def shared_limits(
     points: FloatArray, up_axis: str = "Y", view: View | None = None, margin: float = 0.04
 ) -> Limits:
-    """Return the screen rectangle that holds all poses and their shadows: points ``(..., V, 3)``."""
+    """Return the screen rectangle of all poses and their shadows: points ``(..., V, 3)``."""
     world = y_up(points, up_axis).reshape(-1, 3)
     shadow = world * [1, 0, 1] + [0, world[:, 1].min(), 0]
     screen = np.concatenate([world, shadow]) @ (view or three_quarter_view(points, up_axis)).rows.T
@@ -124,7 +109,7 @@ def shared_limits(
 
 
 def of_aspect(limits: Limits, aspect: float) -> Limits:
-    """Widen a rectangle about its middle, to both sides or up and down, until its height per width is as given."""
+    """Widen a rectangle about its middle to a height per width."""
     left, right, bottom, top = limits
     width, height = max(right - left, (top - bottom) / aspect), max(top - bottom, (right - left) * aspect)
     x, y = (left + right) / 2, (bottom + top) / 2
@@ -132,6 +117,6 @@ def of_aspect(limits: Limits, aspect: float) -> Limits:
 
 
 def y_up(points: FloatArray, up_axis: str) -> Float:
-    """Rename the axes so that Y is up; right-handed stays right-handed."""
+    """Permute the axes so that Y is up, keeping right-handedness."""
     up = UP_AXES.index(up_axis)
     return np.asarray(points[..., [(up - 1) % 3, up, (up + 1) % 3]], dtype=np.float64)

@@ -1,14 +1,14 @@
-"""Colours of a mesh in a scene: an entry of a palette at every vertex, which may change as it moves.
+"""Colourings of a mesh in a scene: a palette entry at every vertex, which may change over time.
 
-- **clay**: the same everywhere.
-- **own**: those that the mesh brings along, see `mixseq.scene.own_colours`.
+- **clay**: uniform.
+- **own**: the colours of the mesh, see `mixseq.scene.own_colours`.
 - **parts**: rigid parts, in the colours of the pictures on paper, and joints in red. A vertex is a joint's if any of
   its faces is, else of the part of most of its faces.
-- **error**, **strain** and **curvature**: numbers from 0 to `top` in viridis; what they are tells
-  `mixseq.scene.vertex_measures`. Strain and curvature are against the pose at rest.
+- **error**, **strain** and **curvature**: numbers from 0 to `top` in viridis, defined in
+  `mixseq.scene.vertex_measures`. Strain and curvature are relative to the pose at rest.
 
-A pose has one byte at every vertex, so a page needs a palette once and V bytes for each pose, or once where nothing
-changes. What paints whole faces, as films do, takes `Colouring.of_faces` where nothing changes: a face is of one part.
+A pose has one byte per vertex, so a page stores the palette once and V bytes for each pose, or once if constant.
+`Colouring.of_faces` has the colours of whole faces, for films, where nothing is measured.
 """
 
 from __future__ import annotations
@@ -30,37 +30,36 @@ from mixseq.sequence import SequenceHeader, bounding_diagonal
 
 Bytes = NDArray[np.uint8]
 Numbers = Callable[[FloatArray, float], Float]
-"""From points ``(V, 3)`` and the seconds elapsed since the first frame to a number at every vertex ``(V,)``."""
+"""From points ``(V, 3)`` and seconds since the first frame to numbers ``(V,)``."""
 
 Original = Callable[[float], FloatArray]
-"""From the seconds elapsed since the first frame to the points ``(V, 3)`` that errors are measured against."""
+"""From seconds since the first frame to the reference points ``(V, 3)`` of errors."""
 
 
 JOINT = 255
-"""The entry of joints in the palette of parts; parts have those below it, again and again where there are more."""
+"""Palette entry of joints; parts cycle through the entries below it."""
 
 UNITS = {"error": "diagonals", "strain": "%", "curvature": "degrees"}
-"""What the numbers of colours are measured in."""
+"""Units of the measured numbers."""
 
 LEAST = {"error": 1e-12, "strain": 0.01, "curvature": 0.01}
-"""The scales go at least so far, in these units: rounding has no colours, also that of a rigid motion in single
-precision. The values are ours."""
+"""Smallest ends of the scales, in these units, above the rounding of rigid motions in single precision."""
 
 SHARES = {"error": 1.0, "strain": SHARE, "curvature": SHARE}
-"""Part of the vertices that the scales must reach."""
+"""Fraction of vertices within the scales."""
 
 
 @dataclass(frozen=True, eq=False)
 class Colouring:
-    """What colours show."""
+    """A colouring of a mesh."""
 
-    name: str  # what it is called
-    palette: Bytes  # (n, 3) colours, sRGB, 256 at most, and so many where numbers are measured
-    fixed: Bytes | None = None  # (V,) entries of the palette that never change; without them measure tells
+    name: str  # name of the colouring
+    palette: Bytes  # (n, 3) sRGB, at most 256 colours; 256 where numbers are measured
+    fixed: Bytes | None = None  # (V,) constant entries of the palette; None if measured
     # From points (V, 3) and the seconds elapsed since the first frame to numbers (V,), in the unit.
     measure: Numbers | None = None
-    top: float = 1.0  # number that has the last colour; 0 has the first
-    unit: str = ""  # what the numbers are measured in
+    top: float = 1.0  # number of the last colour; 0 has the first
+    unit: str = ""  # unit of the numbers
     of_faces: ArrayLike = CLAY  # (3,) RGB in 0..1 of the mesh or of each face, where nothing is measured
 
     def __post_init__(self) -> None:
@@ -77,7 +76,7 @@ class Colouring:
         return self.measure is None
 
     def indices(self, points: FloatArray, elapsed: float) -> Bytes:
-        """Return the entries ``(V,)`` of the palette that points ``(V, 3)`` have after some seconds."""
+        """Return palette entries ``(V,)`` of points ``(V, 3)`` at some seconds."""
         if self.measure is None:
             assert self.fixed is not None  # checked above
             return self.fixed
@@ -85,13 +84,13 @@ class Colouring:
         return np.rint(255 * shares).astype(np.uint8)
 
     def reached(self, points: FloatArray, elapsed: float) -> float:
-        """Return the number that the scale must reach for points ``(V, 3)`` after some seconds; 0 without numbers."""
+        """Return the end of the scale for points ``(V, 3)`` at some seconds; 0 without numbers."""
         if self.measure is None:
             return 0.0
         return float(np.quantile(self.measure(points, elapsed), SHARES[self.name]))
 
     def scaled(self, top: float) -> Colouring:
-        """Return the same with the last colour at another number."""
+        """Return the colouring with its scale ending at another number."""
         if self.constant:
             raise SettingsError(
                 f"{self.name} has no scale; choose a colour that means numbers, such as strain"
@@ -99,14 +98,14 @@ class Colouring:
         return replace(self, top=float(top))
 
     def legend(self) -> str:
-        """Return a caption in words, such as "strain 0 to 12 %"."""
+        """Return a caption, such as "strain 0 to 12 %"."""
         if self.constant:
             return {"parts": "parts, joints red", "own": "colours of its own"}.get(self.name, self.name)
         return f"{self.name} 0 to {two_digits(self.top)} {self.unit}"
 
 
 def clay(count: int) -> Colouring:
-    """Return the plain colour of so many vertices."""
+    """Return the uniform colouring of `count` vertices."""
     return Colouring("clay", _bytes(np.tile(CLAY, (256, 1))), _fixed(np.zeros(count)))
 
 
@@ -117,7 +116,7 @@ def colourings_of(
     original: Original | None = None,
     poses: Iterable[tuple[float, FloatArray]] = (),
 ) -> dict[str, Colouring]:
-    """Return what colours may show of a mesh, by name: rest ``(V, 3)``."""
+    """Return the available colourings of a mesh by name: rest ``(V, 3)``."""
     there: dict[Colour, bool] = {
         "own": header.surface.colours is not None,
         "parts": decomposition is not None,
@@ -141,7 +140,7 @@ def colouring_of(
     decomposition: Decomposition | None = None,
     original: Original | None = None,
 ) -> Colouring:
-    """Return one of `colourings_of`; its scale, if it has one, reaches `LEAST`."""
+    """Return one of `colourings_of`; a scale ends at `LEAST` or above."""
     faces, count = header.faces, header.vertex_count
     _check("the pose at rest", rest, count)
     if name == "clay":
@@ -160,7 +159,7 @@ def colouring_of(
 
 
 def _measure(name: Colour, rest: FloatArray, faces: IntArray, original: Original | None) -> Numbers:
-    """Return what a colour measures, in its unit."""
+    """Return the measure of a colouring, in its unit."""
     if name in MEASURES:
         measure, unit = MEASURES[name].of(rest, faces), 100 if name == "strain" else 1
         return lambda points, elapsed: unit * measure(points)
@@ -183,7 +182,7 @@ def _part_palette() -> Bytes:
 
 
 def _part_entries(faces: IntArray, count: int, decomposition: Decomposition) -> Index:
-    """Return the entry ``(V,)`` of the palette of parts that every vertex has; 0 where it has no faces."""
+    """Return the palette entries ``(V,)`` of parts; 0 for vertices without faces."""
     part_of_face = decomposition.part_of_face
     if len(part_of_face) != len(faces):
         raise SettingsError(

@@ -1,4 +1,4 @@
-"""The colours that the meshes of a scene can have, worked out when they are first asked for, with one scale for all."""
+"""Colourings of the meshes of a scene, computed on first use, with a common scale."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from mixseq.scene.colouring import Colouring, Original, clay, colourings_of
 from mixseq.scene.items import Scene, SceneItem, check_starts, same_mesh
 
 SAMPLES = 12
-"""So many frames tell how far the scales go."""
+"""Number of frames from which the ends of scales are measured."""
 
 
 @dataclass(frozen=True, eq=False)
 class SceneColours:
-    """The colours of all meshes of a scene."""
+    """The colourings of all meshes of a scene."""
 
     scene: Scene  # as it was opened: edits are measured against the first frames that it had then
     original: FrameStore | None = None  # what errors are measured against
@@ -29,7 +29,7 @@ class SceneColours:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """What colours may show, of one mesh at least."""
+        """Names of the colourings that at least one mesh has."""
         there = {
             "own": any(item.header.surface.colours is not None for item in self.scene.items),
             "parts": any(item.decomposition is not None for item in self.scene.items),
@@ -38,13 +38,13 @@ class SceneColours:
         return tuple(name for name in COLOURS if there.get(name, True))
 
     def of(self, index: int, name: str) -> Colouring:
-        """Return what colours show of a mesh: clay, where the mesh has no such colours."""
+        """Return a colouring of a mesh, clay if it lacks that."""
         if name == "clay":  # the first colour that is seen, and all others take time
             return self._plain[index]
         return self.each(index).get(name, self._plain[index])
 
     def each(self, index: int) -> dict[str, Colouring]:
-        """Return all colours that a mesh can have."""
+        """Return all colourings of a mesh."""
         if index not in self._found:
             item = self.scene.items[index]
             moments = (self.scene.elapsed(frame) for frame in self.scene.samples(SAMPLES))
@@ -56,7 +56,7 @@ class SceneColours:
         return self._found[index]
 
     def shared(self, name: str) -> list[Colouring]:
-        """Return the colours of all meshes, with one scale."""
+        """Return the colourings of all meshes, with a common scale."""
         return with_one_scale([self.of(index, name) for index in range(len(self.scene.items))])
 
     def _original_of(self, item: SceneItem) -> Original | None:
@@ -67,13 +67,13 @@ class SceneColours:
 
 
 def with_one_scale(colourings: list[Colouring]) -> list[Colouring]:
-    """Return colours of several meshes, whose scales end where the longest does."""
+    """Return colourings of several meshes, with the scale of the largest end."""
     top = max((each.top for each in colourings if not each.constant), default=0.0)
     return [each if each.constant else each.scaled(top) for each in colourings]
 
 
 def check_original(scene: Scene, original: FrameStore) -> None:
-    """Refuse an original that is of no use."""
+    """Raise SettingsError for an original that does not fit."""
     header = original.header
     same = [item for item in scene.items if same_mesh(item.header, header)]
     if not same:

@@ -1,4 +1,4 @@
-"""What a scene shows: meshes that move, started together, at one rate; films, pages and the viewer all draw it."""
+"""Items of a scene: moving meshes with a common start and frame rate, for films, pages and the viewer."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from mixseq.signals import Model
 
 @dataclass(frozen=True)
 class SceneItem:
-    """A mesh of a scene; equal to others of the same name and the very same motion."""
+    """A mesh of a scene; equal to others of the same name and the identical motion."""
 
     name: str  # what it is called; may be empty
     # What moves: a model, which is decoded at any time, or a sequence, of which the nearest frame is shown.
@@ -33,7 +33,7 @@ class SceneItem:
 
     @property
     def header(self) -> SequenceHeader:
-        """Everything but the points."""
+        """Header of the sequence, without points."""
         return self.motion.header
 
     @property
@@ -48,15 +48,15 @@ class SceneItem:
 
     @property
     def decomposition(self) -> Decomposition | None:
-        """Parts and joints, if it is a model that has them."""
+        """Parts and joints, if it is a model with parts."""
         return self.model.space.decomposed if self.model is not None else None
 
     def stored(self, progress: Progress = silent) -> SceneItem:
-        """Return the same; a sequence that streams is copied, so that it can be shown in any order."""
+        """Return the item with a streaming sequence copied, for random access."""
         return self if self.model is not None else replace(self, motion=self._frames(progress))
 
     def pose(self, elapsed: float) -> Single:
-        """Return the points ``(V, 3)`` so many seconds after the first frame; the last ones after the end."""
+        """Return the points ``(V, 3)`` at `elapsed` seconds after the first frame; the last pose after the end."""
         times = np.array([elapsed])
         if self.model is not None:
             return self.model(float(model_times(self.header, times)[0])).astype(np.float32)
@@ -65,15 +65,15 @@ class SceneItem:
 
     @property
     def ends(self) -> Single:
-        """The points ``(2, V, 3)`` of the first and the last frame."""
+        """Points ``(2, V, 3)`` of the first and the last frame."""
         return np.stack([self.pose(0.0), self.pose(float(self.elapsed[-1]))])
 
     def exact_pose(self, elapsed: float) -> FloatArray:
-        """Return the same in full precision."""
+        """Return the points as `pose` does, in full precision."""
         return np.asarray(next(self.poses(np.array([elapsed])))[0])
 
     def poses(self, elapsed: Float, workers: Executor | None = None) -> Iterator[FloatArray]:
-        """Yield the points ``(B, V, 3)`` at times ``(N,)`` since the first frame, a few at once, in full precision."""
+        """Yield blocks of points ``(B, V, 3)`` at times ``(N,)`` since the first frame, in full precision."""
         if self.model is not None:
             yield from self.model.blocks(model_times(self.header, elapsed), workers=workers)
             return
@@ -84,7 +84,7 @@ class SceneItem:
     def decode(
         self, elapsed: Float, progress: Progress = silent, workers: Executor | None = None
     ) -> DecodedItem:
-        """Return all poses of a film with frames at times ``(N,)``, each of them decoded once."""
+        """Return the poses of a film with frames at times ``(N,)``, each decoded once."""
         if self.model is None:
             store = self._frames(progress)
             return DecodedItem(store.header, store.points, nearest_frames(store.header, elapsed))
@@ -116,13 +116,13 @@ class DecodedItem:
 
     @property
     def shown_first(self) -> Index:
-        """The frames of the film that show a pose for the first time."""
+        """Frames of the film that first show a pose."""
         return np.sort(np.unique(self.pose_of_frame, return_index=True)[1]).astype(np.int64)
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Everything that is shown, and when."""
+    """The meshes shown, and their frame times."""
 
     items: tuple[SceneItem, ...]  # the meshes
     rate: float | None = None  # frames per second that were asked for; by default those of the first item
@@ -134,7 +134,7 @@ class Scene:
 
     @property
     def times(self) -> Float:
-        """Times ``(N,)`` of the frames in seconds since the meshes' first ones."""
+        """Times ``(N,)`` of the frames, in seconds since the meshes' first ones."""
         return self._timeline[0]
 
     @property
@@ -144,40 +144,40 @@ class Scene:
 
     @property
     def count(self) -> int:
-        """Frames."""
+        """Number of frames."""
         return len(self.times)
 
     def checked(self) -> Scene:
-        """Return the scene as it is, if there are neither too few frames at its rate nor too many."""
+        """Return the scene; SettingsError if it has too few or too many frames at its rate."""
         film_times([item.header for item in self.items], self.rate, self.seconds)
         return self
 
     def elapsed(self, frame: int) -> float:
-        """Return the time of a frame in seconds since the meshes' first ones."""
+        """Return the time of a frame, in seconds since the meshes' first ones."""
         return float(self.times[frame])
 
     def frame_at(self, elapsed: float) -> int:
-        """Return the frame that is nearest to a time since the first one."""
+        """Return the frame nearest to a time since the first one."""
         return round(min(max(elapsed * self.fps, 0), self.count - 1))
 
     def with_item(self, index: int, motion: Model) -> Scene:
-        """Return the scene with another motion of one of its meshes."""
+        """Return the scene with another motion of one mesh."""
         items = list(self.items)
         items[index] = replace(items[index], motion=motion)
         return replace(self, items=tuple(items))
 
     def samples(self, most: int) -> Sequence[int]:
-        """Return at most so many frames, evenly spaced, the first one among them."""
+        """Return at most `most` evenly spaced frames, with the first."""
         return [int(frame) for frame in evenly(self.count, most)]
 
 
 def same_mesh(one: SequenceHeader, other: SequenceHeader) -> bool:
-    """Whether two headers are of the same vertices and triangles, in the same order."""
+    """Whether two headers have the same vertices and triangles, in the same order."""
     return one.vertex_count == other.vertex_count and np.array_equal(one.faces, other.faces)
 
 
 def check_starts(items: Sequence[SceneItem], original: SequenceHeader) -> None:
-    """Refuse to measure errors of meshes that begin at another time than their original."""
+    """Raise SettingsError for errors of meshes that start at another time than their original."""
     for item in items:
         if abs(item.header.times[0] - original.times[0]) > 1e-3 / original.fps:
             raise SettingsError(

@@ -1,9 +1,9 @@
-"""The colours that a mesh brings along, as entries of a palette: what viewers of glTF show of a plain white material.
+"""The colours of a mesh as entries of a palette, as viewers of glTF show them on a plain white material.
 
-They are taken as linear, as glTF and USD say, and turned to sRGB; what is below 0 or above 1 is cut off, and all are
-opaque. Up to 256 colours are kept as they are, to 8 bits a channel. Of more a palette is made: all are in one box, and
-the box with the largest sum of squared distances from its mean is cut there, across the side with the most of it, until
-there are 256 (as Wu 1991, without a search for the best cuts). A colour then is the mean of its box.
+They are linear, as in glTF and USD, and converted to opaque sRGB, clipped to 0..1. Up to 256 colours are kept to 8 bits
+a channel. Of more a palette is made: starting with one box, the box with the largest sum of squared distances from its
+mean is cut there, across the side of largest share, until there are 256 (as Wu 1991, without a search for the best
+cuts). A colour then is the mean of its box.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from mixseq.sequence import SequenceHeader
 from mixseq.surface import WHITE
 
 ENTRIES = 256
-"""Colours of a palette, at most."""
+"""Largest number of colours of a palette."""
 
 
 def own_colours(header: SequenceHeader) -> tuple[NDArray[np.uint8], Index]:
-    """Return a palette ``(n, 3)``, and the entry ``(V,)`` of every vertex, that of its first corner."""
+    """Return a palette ``(n, 3)`` and entries ``(V,)`` of vertices, those of their first corners."""
     assert header.surface.colours is not None
     linear = header.surface.colours.at_vertices(header.polygons.indices, header.vertex_count, WHITE)[:, :3]
     shown = np.rint(255 * srgb(np.clip(np.nan_to_num(linear), 0, 1))).astype(np.uint8)
@@ -50,7 +50,7 @@ def _boxes(colours: Float, counts: Index) -> tuple[Float, Index]:
 
 
 def _box(colours: Float, counts: Index, inside: Index) -> tuple[float, int, Index, Float, int]:
-    """Return a box of some colours: the largest is the first of all by squares, then by the first colour in it."""
+    """Return a box of some colours, sortable: the largest sum of squares first, then by its first colour."""
     own, weights = colours[inside], counts[inside]
     mean = weights @ own / weights.sum()
     squares = weights @ np.square(own - mean)

@@ -1,4 +1,4 @@
-"""Colours: clay for meshes, cool hues for parts, and a red that means joints and nothing else."""
+"""Palettes: clay for meshes, cool hues for parts, and a red reserved for joints."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ JOINT_RED = (0.85, 0.20, 0.13)
 INK = "#3a3a3a"
 
 FIRST_HUE, LAST_HUE = 90.0, 330.0
-"""Degrees on the OKLCH circle, from straw to mauve. The red of the joints, at 30, is as far from both."""
+"""Degrees on the OKLCH circle, from straw to mauve, equally far from the red of the joints at 30."""
 
 SAGE = 0.3
-"""Where between those the first hue is."""
+"""Position of the first hue between those."""
 
 GOLDEN = 0.61803
-"""Step from hue to hue, in rounds: the first n are well apart, whatever n."""
+"""Step from hue to hue, in rounds, which separates the first n hues for any n."""
 
 OKLAB_TO_LMS = np.array(
     [
@@ -45,21 +45,14 @@ VIRIDIS = bytes.fromhex(
 
 
 def viridis() -> Float:
-    """Return the 256 colours ``(256, 3)`` of numbers from zero to the largest, without matplotlib.
-
-    They are within 1.4 / 255 of matplotlib's.
-    """
+    """Return the map viridis ``(256, 3)`` without matplotlib, within 1.4 / 255 of it."""
     known = np.frombuffer(VIRIDIS, dtype=np.uint8).reshape(-1, 3) / 255
     steps = np.arange(0, 256, 5)
     return np.stack([np.interp(np.arange(256), steps, channel) for channel in known.T], axis=1)
 
 
 def part_colours(count: int) -> Float:
-    """Return muted, well-distinguishable colours ``(count, 3)``, none of them warm.
-
-    Hues advance by the golden angle and lightness takes turns, so that parts with near numbers look
-    different.
-    """
+    """Return muted, distinguishable, cool colours ``(count, 3)``: hues by the golden angle, alternating lightness."""
     share = np.asarray((SAGE + GOLDEN * np.arange(count)) % 1.0, dtype=np.float64)
     hue = FIRST_HUE + (LAST_HUE - FIRST_HUE) * share
     lightness = np.resize([0.78, 0.68, 0.85], count)
@@ -67,10 +60,7 @@ def part_colours(count: int) -> Float:
 
 
 def segmentation_colours(part_of_face: IntArray, joint_of_face: IntArray) -> Float:
-    """Return a colour ``(F, 3)`` for each face: its part's, or `JOINT_RED` where it bends.
-
-    Shapes: part_of_face ``(F,)``; joint_of_face ``(F,)``.
-    """
+    """Return colours ``(F, 3)`` of part_of_face ``(F,)``, or `JOINT_RED` where joint_of_face ``(F,)`` is a joint."""
     palette = part_colours(int(np.max(part_of_face)) + 1)
     return np.where(np.asarray(joint_of_face)[:, None] >= 0, JOINT_RED, palette[part_of_face])
 
@@ -83,5 +73,5 @@ def _oklch(lightness: Float, chroma: float, hue: Float) -> Float:
 
 
 def srgb(linear: FloatArray) -> Float:
-    """Return linear numbers from 0 to 1 in sRGB (IEC 61966-2-1)."""
+    """Convert linear numbers from 0 to 1 to sRGB (IEC 61966-2-1)."""
     return np.asarray(np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055))

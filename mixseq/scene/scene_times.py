@@ -1,8 +1,7 @@
-r"""Times of the frames of a scene: its meshes start together, and start again when the longest of them has ended.
+"""Frame times of a scene, whose meshes start together, and restart when the longest has ended.
 
-Frame k is shown at :math:`k / f`, with f frames per second. The meshes are shown from their first times on, and once
-more after the *period*, that of the longest of them: the time from its first frame to its last, and one frame. Shorter
-ones wait in their last pose.
+Frame k is shown at :math:`k / f`, with f frames per second. The *period* is that of the longest mesh: the time from its
+first frame to its last, and one frame. Shorter ones wait in their last pose.
 """
 
 from __future__ import annotations
@@ -17,16 +16,16 @@ from mixseq.frame_rates import exact_rate
 from mixseq.sequence import SequenceHeader
 
 STILL = 4.0
-"""Seconds that a film of a single pose takes."""
+"""Duration of a film of a single pose, in seconds."""
 
 MOST_FRAMES = 100_000
-"""More would be a slip of the rate or of the duration."""
+"""Largest number of frames, to catch wrong rates and durations."""
 
 
 def film_times(
     headers: Sequence[SequenceHeader], fps: float | None = None, seconds: float | None = None
 ) -> tuple[Float, float]:
-    """Return the times of a film's frames since the meshes' first times, and its frames per second: result ``(N,)``."""
+    """Return the frame times ``(N,)`` of a film since the meshes' first times, and its frames per second."""
     rate = headers[0].fps if fps is None else exact_rate(fps, headers[0].fps)
     period = max(_period(header) for header in headers)
     lasting = seconds or period or STILL
@@ -57,7 +56,7 @@ def nearest_frames(header: SequenceHeader, elapsed: Float) -> Index:
 
 
 def model_times(header: SequenceHeader, elapsed: Float) -> Float:
-    """Return the times ``(N,)`` of a model at times since its first one, and at its end after that."""
+    """Return times ``(N,)`` of a model for times since its first one, clipped to its end."""
     inside = np.minimum(header.times[0] + elapsed, header.times[-1])
     # a curve has exactly the values of its knots at exactly their times
     nearest = header.times[nearest_frames(header, elapsed)]

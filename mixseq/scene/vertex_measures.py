@@ -1,21 +1,19 @@
-r"""How far a pose is from a pose at rest: a number at every vertex, that colours show.
+r"""Deviation of a pose from a pose at rest: a number at every vertex, shown by colours.
 
 - **strain**: mean over the edges of a vertex of :math:`|l / \bar l - 1|`, with :math:`\bar l` their lengths at rest.
 - **curvature** (its change): mean over the hinges of a vertex of :math:`|\theta - \bar\theta|` in degrees, with
   :math:`\bar\theta` their dihedral angles at rest and the difference in :math:`(-\pi, \pi]`, the shorter way round. A
-  hinge is of the two vertices that its edge joins: there the surface bends. The two opposite it stay in the planes
-  of its faces.
+  hinge belongs to the two vertices of its edge, where the surface bends.
 - **error**: distance from the same vertex of an original, :math:`|a_v - b_v| / d`, in diagonals.
 
-Rigid motions change neither strain nor curvature, uniform scaling by s makes the strain :math:`|s - 1|` everywhere.
-On a finer mesh the same bend is shared by more hinges: curvature compares poses of one mesh, not meshes.
+Strain and curvature are invariant to rigid motions; uniform scaling by s has the strain :math:`|s - 1|` everywhere. On
+a finer mesh a bend is shared by more hinges, so curvatures compare poses of one mesh only.
 
-What has no length or no angle, an edge of two vertices at one place or a hinge of a face without area, counts as
-unchanged; vertices without edges or hinges have 0.
+Edges of length zero and hinges of flat faces count as unchanged; vertices without edges or hinges have 0.
 
 The angles are those of `mixseq.geometry.lengths_angles`, from normals that are computed once for every face: with
-:math:`n_f = (b - a) \times (c - a)`, the hinge of edge ab and faces f and g has :math:`n_1 = n_f`, and :math:`n_2 =
-n_g`, or :math:`-n_g` where g has the other orientation.
+:math:`n_f = (b - a) \times (c - a)`, the hinge of edge ab and faces f and g has :math:`n_1 = n_f`, and
+:math:`n_2 = n_g`, or :math:`-n_g` where g has the other orientation.
 """
 
 from __future__ import annotations
@@ -30,29 +28,22 @@ from mixseq.geometry.lengths_angles import edge_lengths, wrap
 from mixseq.topology import Topology
 
 FLAT = 1e-6
-"""A face lower than this, relative to its longest side, has no normal to speak of; as in `mixseq.metrics`."""
+"""Height of a face relative to its longest side below which its normal is undefined; as in `mixseq.metrics`."""
 
 SHARE = 0.99
-"""Part of the vertices that the colour scale must reach: one sliver should not darken all others. Ours."""
+"""Fraction of vertices within the colour scale, so that a single sliver does not darken all others."""
 
 
 @dataclass(frozen=True, eq=False)
 class Strain:
-    """Strain against a pose.
-
-    Examples
-    --------
-    >>> square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
-    >>> Strain.of(square, np.array([[0, 1, 2], [0, 2, 3]]))(1.5 * square).round(9).tolist()
-    [0.5, 0.5, 0.5, 0.5]
-    """
+    """Strain against a pose."""
 
     edges: IntArray  # (E, 2) edges of the mesh
     lengths: Float  # (E,) their lengths in that pose
 
     @classmethod
     def of(cls, points: FloatArray, faces: IntArray) -> Strain:
-        """Measure against the pose ``(V, 3)`` of triangles ``(F, 3)``."""
+        """Make the measure against a pose ``(V, 3)`` of triangles ``(F, 3)``."""
         edges = Topology(faces, len(points)).edges
         return cls(edges, edge_lengths(np.asarray(points, dtype=np.float64), edges))
 
@@ -66,15 +57,7 @@ class Strain:
 
 @dataclass(frozen=True, eq=False)
 class Curvature:
-    """Change of dihedral angles against a pose.
-
-    Examples
-    --------
-    >>> flat = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, -1, 0]])
-    >>> roof = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, -1], [0, -1, -1]])
-    >>> Curvature.of(flat, np.array([[0, 1, 2], [1, 0, 3]]))(roof).round(9).tolist()
-    [90.0, 90.0, 0.0, 0.0]
-    """
+    """Change of dihedral angles against a pose."""
 
     faces: IntArray  # (F, 3) triangles of the mesh
     hinges: IntArray  # (H, 2) the vertices that the edge of every hinge joins
@@ -85,7 +68,7 @@ class Curvature:
 
     @classmethod
     def of(cls, points: FloatArray, faces: IntArray) -> Curvature:
-        """Measure against the pose ``(V, 3)`` of triangles ``(F, 3)``."""
+        """Make the measure against a pose ``(V, 3)`` of triangles ``(F, 3)``."""
         topology = Topology(faces, len(points))
         hinges, sides = topology.hinges[:, :2], topology.hinge_faces
         # the first face goes along the edge from a to b; the second goes back, if it has the same orientation
@@ -102,7 +85,7 @@ class Curvature:
 
 
 MEASURES: dict[str, type[Strain | Curvature]] = {"strain": Strain, "curvature": Curvature}
-"""By the names of their colours."""
+"""Measures by the names of their colourings."""
 
 
 def distances(points: FloatArray, original: FloatArray, diagonal: float) -> Float:
@@ -111,18 +94,12 @@ def distances(points: FloatArray, original: FloatArray, diagonal: float) -> Floa
 
 
 def two_digits(number: float) -> str:
-    """Write the end of a colour scale.
-
-    Examples
-    --------
-    >>> two_digits(0.0123), two_digits(123.4)
-    ('0.012', '120')
-    """
+    """Format the end of a colour scale with two digits: 0.0123 as "0.012", 123.4 as "120"."""
     return f"{float(f'{number:.2g}'):g}"
 
 
 def _means(values: Float, ends: IntArray, count: int) -> Float:
-    """Return at every vertex ``(V,)`` the mean of the values ``(n,)`` whose ends ``(n, 2)`` it is one of."""
+    """Return means ``(V,)`` at vertices of the values ``(n,)`` of edges with ends ``(n, 2)``."""
     at = ends.ravel()
     sums = np.bincount(at, np.repeat(values, 2), count)
     return np.asarray(sums / np.maximum(np.bincount(at, minlength=count), 1))
@@ -131,7 +108,7 @@ def _means(values: Float, ends: IntArray, count: int) -> Float:
 def _angles(
     points: FloatArray, faces: IntArray, hinges: IntArray, sides: IntArray, signs: Float
 ) -> tuple[Float, NDArray[np.bool_]]:
-    """Return the angles ``(H,)`` of all hinges, and which of them are between faces with area."""
+    """Return the angles ``(H,)`` of all hinges, and a mask of those between faces with area."""
     x = np.ascontiguousarray(points.T, dtype=np.float64)  # columns: several times faster than rows of three
     normals, low = _normals(x, faces)
     first, second = (np.take(normals, side, axis=1) for side in sides.T)
@@ -143,7 +120,7 @@ def _angles(
 
 
 def _normals(x: Float, faces: IntArray) -> tuple[Float, NDArray[np.bool_]]:
-    """Return the normals ``(3, F)`` of faces, twice as long as their areas, and which faces are flat."""
+    """Return face normals ``(3, F)`` of twice the faces' areas in length, and a mask of flat faces."""
     a, b, c = (np.take(x, corner, axis=1) for corner in faces.T)
     u, v, w = b - a, c - a, c - b
     normals = _cross(u, v)

@@ -1,1 +1,1 @@
-"""Looking at models and sequences: in a browser, live and editable, or as a page that plays on its own."""
+"""Views of models and sequences: live and editable in a browser, or as a page that plays on its own."""

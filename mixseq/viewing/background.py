@@ -1,4 +1,4 @@
-"""Threads of an object that work in the background as long as it is open; jobs that one does after the other."""
+"""Background threads of an object, ended when it is closed, and queues of jobs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Job = TypeVar("Job")
 
 
 class Background:
-    """Works on threads of its own until it is closed; closes at the end of a ``with`` block."""
+    """Runs work on threads of its own until it is closed, at the latest by the end of a ``with`` block."""
 
     def __init__(self, work: Callable[[], None], threads: int = 1) -> None:
         self._closed = False
@@ -30,7 +30,7 @@ class Background:
         self.close()
 
     def close(self) -> None:
-        """End the threads, after what they are at."""
+        """End the threads after their current work."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
@@ -39,7 +39,7 @@ class Background:
 
 
 class Jobs(Background, Generic[Job]):
-    """Does jobs one after the other, until it is closed."""
+    """Runs jobs in order until it is closed."""
 
     def __init__(self, failed: Callable[[str, Exception], None], jobs: Iterable[Job] = ()) -> None:
         self._failed = failed
@@ -47,11 +47,11 @@ class Jobs(Background, Generic[Job]):
         super().__init__(self._work)
 
     def _do(self, job: Job) -> None:
-        """Do one, and tell what fails."""
+        """Run a job, and report its failure."""
         raise NotImplementedError
 
     def _add(self, job: Job, needless: Callable[[Job], bool]) -> None:
-        """Do another one after those that wait; leave out those of them that are needless then."""
+        """Add a job to the queue, and drop the needless ones before it."""
         with self._changed:
             self._jobs = deque(each for each in self._jobs if not needless(each))
             self._jobs.append(job)

@@ -1,4 +1,4 @@
-"""A model's signals as charts on a page draw them: plain numbers, as many and as exact as a screen can show."""
+"""Chart data of a model's signals for a page: plain numbers, at the resolution of a screen."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from mixseq.signals import Model
 from mixseq.signals.mds_embedding import Plane
 
 POINTS = 800
-"""So many points make lines that look like curves; ours, about two for every pixel of a chart."""
+"""Points of a line, about two for every pixel of a chart."""
 
 FRAMES = 300
-"""No more dots than this; ours."""
+"""Largest number of dots."""
 
 HANDLES = 13
-"""Points of the curve that can be dragged, evenly spaced in time; ours: as many as keep apart on a small chart."""
+"""Draggable points of the curve, evenly spaced in time, distinguishable on a small chart."""
 
 KEYS = 5
-"""Keys of the retiming to begin with; ours."""
+"""Initial number of keys of the retiming."""
 
 DIGITS = 5
-"""So many digits of the largest number: a screen of 4000 pixels shows no more."""
+"""Digits of the largest number, enough for a screen of 4000 pixels."""
 
 
 def signals_of(model: Model, plane: Plane | None = None) -> dict[str, Any]:
-    """Return what the charts of a page draw of a model, ready for JSON."""
+    """Return the chart data of a model, ready for JSON."""
     start, end = model.start, model.end
     moves = end > start and model.time.dim > 0
     times = _evenly_chosen(dense_times(model), POINTS) if end > start else np.array([start])
@@ -64,7 +64,7 @@ def signals_of(model: Model, plane: Plane | None = None) -> dict[str, Any]:
 
 
 def _evenly_chosen(values: Float, most: int) -> Float:
-    """Choose `most` of the values, evenly, the first and the last among them; all if there are no more."""
+    """Return at most `most` evenly spaced values, with the first and the last."""
     return values[evenly(len(values), most)]
 
 

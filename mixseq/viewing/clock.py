@@ -1,4 +1,4 @@
-"""The clock of playback: which frame is due, in a period that runs again and again, at any speed."""
+"""The clock of playback: the current frame of a repeated period, at any speed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 @dataclass(frozen=True)
 class Clock:
-    """What frame is to be seen when."""
+    """The current frame over time."""
 
     count: int  # frames of the period
     fps: float  # frames per second at the speed 1
@@ -17,11 +17,11 @@ class Clock:
 
     @property
     def runs(self) -> bool:
-        """Whether it is playing."""
+        """Whether the clock is running."""
         return self.since is not None
 
     def at(self, now: float) -> int:
-        """Return the frame ``0 .. count - 1`` that is to be seen."""
+        """Return the current frame ``0 .. count - 1``."""
         return int(self._place(now) + 1e-6) % self.count
 
     def next_at(self, now: float) -> float:
@@ -30,26 +30,26 @@ class Clock:
         return (int(place) + 1 - place) / (self.fps * self.speed)
 
     def started(self, now: float) -> Clock:
-        """Return the clock playing from where it is."""
+        """Return the clock running from its current time."""
         return replace(self, frame=self._place(now) % self.count, since=now)
 
     def stopped(self, now: float) -> Clock:
-        """Return the clock standing at the frame that is seen."""
+        """Return the clock stopped at its current frame."""
         return replace(self, frame=float(self.at(now)), since=None)
 
     def sought(self, frame: int, now: float) -> Clock:
-        """Return the clock at another frame; it runs on if it ran."""
+        """Return the clock at another frame, running if it ran."""
         inside = float(min(max(frame, 0), self.count - 1))
         return replace(self, frame=inside, since=None if self.since is None else now)
 
     def paced(self, speed: float, now: float) -> Clock:
-        """Return the clock at another speed, where it is."""
+        """Return the clock at another speed, with the same current time."""
         return replace(
             self, frame=self._place(now) % self.count, since=None if self.since is None else now, speed=speed
         )
 
     def over(self, count: int, fps: float, now: float) -> Clock:
-        """Return the clock over another period, at the same time of it as far as that is inside."""
+        """Return the clock over another period, with the same current time as far as possible."""
         elapsed = (self._place(now) % self.count) / self.fps
         frame = min(elapsed * fps, count - 1)
         if self.since is None:

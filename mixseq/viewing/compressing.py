@@ -1,7 +1,7 @@
-"""A mesh of a page, compressed: its streams, the colours that cannot be worked out of them, and what describes it.
+"""A compressed mesh of a page: its streams, stored colours, and description.
 
-Vertices are numbered as it takes the fewest bytes, without texture coordinates and whatever else a page does not draw.
-Strain and curvature are measured by the page itself; parts and errors are stored, as places in a palette.
+Vertices are numbered for the smallest size, and texture coordinates and other undrawn data are left out. The page
+computes strain and curvature; parts and errors are stored as palette entries.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ from mixseq.viewing.packing import deflated_rows
 from mixseq_io.coded.packing import pack
 
 STOP = 15
-"""Of a palette of 256 colours for numbers, every so many are in the page; it mixes those between. Ours."""
+"""Step between stored colours of a palette of 256; the page interpolates between them."""
 
 DIGITS = 5
-"""Digits of places, of the side of the box that a mesh moves in: as many as a screen can show."""
+"""Digits of places relative to the side of a mesh's box, the resolution of a screen."""
 
 
 @dataclass(frozen=True)
 class PageItemReport:
-    """What became of a mesh in a page."""
+    """Report on a mesh in a page."""
 
     name: str  # what stands above it
     frames: int  # its poses
@@ -51,7 +51,7 @@ class PageItemReport:
 class PageMesh:
     """A mesh in a page."""
 
-    description: dict[str, Any]  # what the page must know, as JSON takes it
+    description: dict[str, Any]  # data for the page, ready for JSON
     data: list[bytes]  # the streams, and colours that are stored
     report: PageItemReport  # how exact it is, and how large
 
@@ -64,23 +64,7 @@ def page_mesh(
     max_error: float,
     progress: Progress = silent,
 ) -> PageMesh:
-    """Compress the poses of `gather`, unless they are compressed already, and describe them.
-
-    Parameters
-    ----------
-    shown : PageItem
-        The mesh.
-    elapsed : (n,) float64
-        Times of its poses.
-    gathered : Gathered
-        Its poses.
-    tops : mapping of str to float
-        Where the scales of colours end.
-    max_error : float
-        Bound, in diagonals.
-    progress : callable, optional
-        Told how far it is.
-    """
+    """Compress poses at `elapsed` ``(n,)`` within `max_error` diagonals; `tops` are ends of colour scales."""
     header = shown.mesh.header
     if shown.coded is None:
         centre = gathered.poses[:1][0].mean(axis=0, dtype=np.float64)
@@ -120,14 +104,14 @@ def page_mesh(
 
 @dataclass(frozen=True, eq=False)
 class _Centred:
-    """Poses that were gathered as a sequence around the origin: the page computes in single precision."""
+    """Gathered poses as a sequence around the origin, as the page computes in single precision."""
 
     header: SequenceHeader
     gathered: Gathered
     centre: Float
 
     def blocks(self, size: int = 16) -> Iterator[FloatArray]:
-        """Yield the points."""
+        """Yield blocks of points ``(B, V, 3)``."""
         poses = self.gathered.poses
         for start in range(0, len(poses), size):
             yield poses[start : start + size].astype(np.float64) - self.centre
@@ -141,7 +125,7 @@ def _compressed(
     max_error: float,
     progress: Progress,
 ) -> tuple[CompressedSequence, Index]:
-    """Return poses as they are compressed, and the old number of every vertex."""
+    """Return compressed poses, and the original index of every vertex."""
     regular, rate = _regular(elapsed, header.fps)
     plain = replace(header.with_times(regular, rate), surface=Surface(), name="")
     numbering = cheapest_numbering(plain, "free")
@@ -150,7 +134,7 @@ def _compressed(
 
 
 def _regular(elapsed: Float, fps: float) -> tuple[Float, float]:
-    """Return times with the rate that they have, if they have one, such that they take no bytes; else as they are."""
+    """Return times at a constant rate, which take no bytes, if they have one; else unchanged."""
     if len(elapsed) > 1:
         rate = (len(elapsed) - 1) / float(elapsed[-1])
         times = np.arange(len(elapsed)) / rate
@@ -160,13 +144,12 @@ def _regular(elapsed: Float, fps: float) -> tuple[Float, float]:
 
 
 def _bare(coded: CompressedSequence) -> CompressedSequence:
-    """Return a compressed sequence without what is on its mesh."""
     parameters = replace(coded.parameters, uv_steps=None, uv_error=None)
     return replace(coded, header=replace(coded.header, surface=Surface(), name=""), parameters=parameters)
 
 
 def _own_times(header: SequenceHeader, elapsed: Float) -> bool:
-    """Whether the poses of a page are the frames of what is compressed."""
+    """Whether the poses of a page are the frames of the compressed sequence."""
     own = header.times - header.times[0]
     return len(own) == len(elapsed) and np.allclose(own, elapsed, rtol=0, atol=1e-6 / header.fps)
 
@@ -186,7 +169,7 @@ def _extent(extent: Extent, gathered: Gathered) -> dict[str, Any]:
 def _colours(
     colouring: Colouring, top: float, elapsed: Float, gathered: Gathered, vertices: Index
 ) -> tuple[dict[str, Any], bytes | None]:
-    """Return what a page must know of colours, and what it must store of them."""
+    """Return the description of a colouring for a page, and its stored data."""
     if not colouring.constant:
         palette = colouring.palette[::STOP]
         scaled = {"name": colouring.name, "palette": palette.tolist(), "top": top, "unit": colouring.unit}

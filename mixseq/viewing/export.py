@@ -1,8 +1,7 @@
-"""Meshes as one page that plays by itself: no network, no server, no other file.
+"""Meshes as a single self-contained page that plays without network or server.
 
-Meshes are in it as `mixseq.compress` makes them, with the decoder of `mixseq.web`. The page plays poses at the times
-that they are given at, counted from each mesh's first one, and starts again after the period, as films do
-(`mixseq.scene.scene_times`).
+Meshes are compressed as by `mixseq.compress`, and decoded by `mixseq.web`. Poses are shown at their times since each
+mesh's first one, and restart after the period, as in films (`mixseq.scene.scene_times`).
 """
 
 from __future__ import annotations
@@ -28,39 +27,21 @@ __all__ = ["ExportReport", "ExportSettings", "PageItem", "PageItemReport", "expo
 
 
 MOST_FRAMES = 20_000
-"""More would be a slip of the rate."""
+"""Largest number of frames, to catch wrong rates."""
 
 
 @dataclass(frozen=True)
 class ExportSettings:
-    """How a page is made.
+    """The settings of a page."""
 
-    Parameters
-    ----------
-    fps : float, optional
-        Poses per second; by default all that the meshes have.
-    every : int
-        Of those, only every so many are stored. The page moves points along straight lines between them.
-    max_error : float
-        No vertex is farther from where it was, in diagonals of the bounding box of its first pose. Meshes that are
-        compressed already keep their error.
-    overlaid : bool
-        Whether the meshes stand in one place at first, rather than side by side.
-    title : str, optional
-        Of the page, by default the names.
-    camera : (float, float), optional
-        From where meshes are seen at first, see `mixseq.scene.camera.seen_from`.
-    following : bool
-        Whether bodies that travel stay in the middle at first, and the ground moves.
-    """
-
-    fps: float | None = None
-    every: int = 1
+    fps: float | None = None  # poses per second, by default those of the meshes
+    every: int = 1  # step between stored poses; the page interpolates linearly
+    # Bound of vertex errors, in diagonals of the first pose; compressed meshes keep their own.
     max_error: float = 1e-3
-    overlaid: bool = False
-    title: str | None = None
-    camera: tuple[float, float] | None = None
-    following: bool = False
+    overlaid: bool = False  # whether the meshes initially stand in one place, instead of side by side
+    title: str | None = None  # title of the page, by default the names
+    camera: tuple[float, float] | None = None  # initial view, see `mixseq.scene.camera.seen_from`
+    following: bool = False  # whether bodies that travel initially stay in the middle
 
     def __post_init__(self) -> None:
         for name, value in (("fps", self.fps), ("max_error", self.max_error)):
@@ -74,7 +55,7 @@ class ExportSettings:
 
 @dataclass(frozen=True)
 class ExportReport:
-    """What became of a page."""
+    """Report on a page."""
 
     size: int  # bytes of the file
     items: tuple[PageItemReport, ...]  # its meshes
@@ -87,10 +68,7 @@ def export_page(
     progress: Progress = silent,
     workers: Executor | None = None,
 ) -> ExportReport:
-    """Write a page that plays meshes.
-
-    Poses are asked for once and kept in a temporary table. Equal input makes equal bytes.
-    """
+    """Write a page that plays meshes; equal input gives equal bytes, and poses are read once into a temporary array."""
     chosen = settings or ExportSettings()
     if not items:
         raise SettingsError("there is nothing to show; give a sequence or a model")
@@ -119,7 +97,7 @@ def export_page(
 
 
 def _times(item: PageItem, settings: ExportSettings) -> Float:
-    """Return the times ``(n,)`` whose poses are stored."""
+    """Return the times ``(n,)`` of stored poses."""
     elapsed = np.asarray(item.mesh.elapsed, dtype=np.float64).reshape(-1)
     if not (elapsed.size and np.isfinite(elapsed).all() and elapsed[0] >= 0 and (np.diff(elapsed) > 0).all()):
         raise SettingsError(f"the times of {item.mesh.name} are not numbers from zero on that increase")
@@ -145,7 +123,7 @@ def _check_count(item: PageItem, count: float) -> None:
 
 
 def _period(items: Sequence[PageItem], times: Sequence[Float]) -> float:
-    """Return the seconds after which everything starts again: the longest one's, and one frame; 0 if nothing moves."""
+    """Return the period in seconds: that of the longest mesh, and one frame; 0 if nothing moves."""
     return max(
         float(each.mesh.elapsed[-1]) + 1 / each.mesh.header.fps if len(elapsed) > 1 else 0.0
         for each, elapsed in zip(items, times, strict=True)
@@ -153,7 +131,7 @@ def _period(items: Sequence[PageItem], times: Sequence[Float]) -> float:
 
 
 def _tops(items: Sequence[PageItem]) -> dict[str, float]:
-    """Return where the scale of each colouring ends: the same for all meshes."""
+    """Return the end of the scale of each colouring, common to all meshes."""
     tops: dict[str, float] = {}
     for item in items:
         for name, colouring in item.colourings.items():

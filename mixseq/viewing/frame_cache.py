@@ -1,6 +1,6 @@
-"""Decoded frames, kept as long as there is memory, and the threads that decode them.
+"""Cache of decoded frames within a memory limit, and the threads that decode them.
 
-One frame is wanted at a time, the newest wish wins. Threads that have nothing to do for it decode what comes after it.
+The newest requested frame comes first. Idle threads decode the frames after it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from mixseq.threads import one_blas_thread
 from mixseq.viewing.background import Background
 
 MEMORY = 1 << 30
-"""Bytes of frames that are kept."""
+"""Size of the cache, in bytes."""
 
 Key = tuple[SceneItem, float]
 
@@ -42,7 +42,7 @@ class FrameCache(Background):
         super().__init__(self._decode, threads)
 
     def want(self, scene: Scene, frame: int, ahead: bool = True) -> tuple[Single, ...] | None:
-        """Ask for a frame."""
+        """Request a frame, and return its poses ``(V, 3)``, None if they are not decoded yet."""
         elapsed = scene.elapsed(frame)
         with self._changed:
             self._wish = _Wish(scene, frame, ahead)
@@ -84,7 +84,7 @@ class FrameCache(Background):
             self._ready()
 
     def _next(self) -> Key | None:
-        """Return what to decode: the pose that is wanted, or the first one after it that is not there."""
+        """Return the next pose to decode: a requested one, or the first missing one after it."""
         if self._wish is None:
             return None
         scene, first = self._wish.scene, self._wish.frame
@@ -97,7 +97,7 @@ class FrameCache(Background):
         return None
 
     def _horizon(self, scene: Scene) -> int:
-        """Return how many frames fit into three quarters of the memory."""
+        """Return the number of frames in three quarters of the memory."""
         size = sum(12 * item.header.vertex_count for item in scene.items)
         return max(1, min(scene.count, 3 * self._memory // (4 * size)))
 

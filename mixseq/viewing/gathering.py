@@ -1,4 +1,4 @@
-"""The meshes of a page, and their poses: asked for once and kept, where they are, and what they cover on the screen."""
+"""The meshes of a page, and their poses: read once and kept, with their extents in space and on the screen."""
 
 from __future__ import annotations
 
@@ -20,25 +20,24 @@ from mixseq.sequence import SequenceHeader, check_block
 from mixseq.viewing.chart_data import signals_of
 
 TOGETHER = 2.0
-"""Meshes with the same triangles are compared at one scale, unless the box around them is more than so many times as
-large as the smaller one; ours. Metres beside centimetres would be a dot."""
+"""Ratio of joint to smaller box up to which meshes have one scale: metres beside centimetres would be a dot."""
 
 
 @dataclass(frozen=True, eq=False)
 class PageItem:
-    """A mesh in a page, which has the poses of its own frames."""
+    """A mesh in a page, with the poses of its own frames."""
 
-    mesh: SceneItem  # what moves
-    colourings: Mapping[str, Colouring]  # what colours may show, the first one first
+    mesh: SceneItem  # the moving mesh
+    colourings: Mapping[str, Colouring]  # available colourings, the initial one first
     # The signals of a model, for its charts (mixseq.viewing.chart_data.signals_of).
     signals: Mapping[str, Any] | None = None
-    coded: CompressedSequence | None = None  # the mesh as it is compressed already; else its poses are
+    coded: CompressedSequence | None = None  # the compressed mesh, if there is one
 
 
 def page_items(
     colours: SceneColours, coded: Sequence[CompressedSequence | None] | None = None
 ) -> list[PageItem]:
-    """Return the meshes of a scene with all colours that they can have, and the charts of models."""
+    """Return the meshes of a scene with all their colourings, and the charts of models."""
     items = colours.scene.items
     return [
         PageItem(
@@ -50,7 +49,7 @@ def page_items(
 
 @dataclass(frozen=True, eq=False)
 class Extent:
-    """Where a mesh is in all its poses, Y up."""
+    """The extent of a mesh over all poses, Y up."""
 
     low: Float  # (3,) minimum corner of its bounding box
     high: Float  # (3,) maximum corner of its bounding box
@@ -69,7 +68,7 @@ class Extent:
         return float((self.high - self.low).max())
 
     def joined(self, other: Extent | None) -> Extent:
-        """Return what holds both."""
+        """Return the extent of both."""
         if other is None:
             return self
         low, high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
@@ -105,23 +104,7 @@ def gather(
     workers: Executor | None = None,
     camera: tuple[float, float] | None = None,
 ) -> Gathered:
-    """Ask for the poses of a mesh once.
-
-    Parameters
-    ----------
-    item : SceneItem
-        The mesh.
-    elapsed : (n,) float64
-        Times of its poses.
-    first : (SequenceHeader, Gathered), optional
-        The first mesh of the page; None for itself.
-    progress : callable, optional
-        Told about all frames.
-    workers : Executor, optional
-        Who decodes.
-    camera : (float, float), optional
-        From where, see `mixseq.scene.camera.seen_from`.
-    """
+    """Read the poses at times `elapsed` ``(n,)`` once; `first` are those of the page's first mesh, None for itself."""
     header = item.header
     same = first is None or np.array_equal(header.faces, first[0].faces)
     views: tuple[View, View] | None = None
@@ -150,12 +133,12 @@ def gather(
 
 
 def path_of(world: FloatArray) -> Float:
-    """Return where bodies are ``(B, 1, 3)`` in poses ``(B, V, 3)``, Y up: the mean of their vertices, on the ground."""
+    """Return body places ``(B, 1, 3)`` in poses ``(B, V, 3)``, Y up: the mean of their vertices, on the ground."""
     return np.asarray(world.mean(axis=1, keepdims=True, dtype=np.float64) * [1, 0, 1])
 
 
 def _view(item: SceneItem, start: FloatArray, elapsed: Float, camera: tuple[float, float] | None) -> View:
-    """Return from where a mesh is seen that starts in a pose, and may travel until the last of the times."""
+    """Return the view of a mesh from its first pose and its travel until the last of the times."""
     end = next(item.poses(elapsed[-1:]))[-1]
     return seen_from(np.stack([start, end]), item.header.up_axis, camera)
 
@@ -174,5 +157,5 @@ def extent_of(world: FloatArray, views: Sequence[View]) -> Extent:
 
 
 def _together(one: Extent, other: Extent) -> bool:
-    """Whether both can be seen well in a picture that shows both."""
+    """Whether both are large enough in a common picture."""
     return one.joined(other).side <= TOGETHER * min(one.side, other.side)

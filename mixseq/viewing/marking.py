@@ -1,6 +1,6 @@
-"""Markers while a person sets them: pairs, the point that was clicked first, what was skipped, and the steps back.
+"""Immutable state of setting markers: pairs, a begun pair, skipped proposals, and the undo history.
 
-Everything here is a value; `mixseq.viewing.marking_session` keeps the one of now.
+`mixseq.viewing.marking_session` holds the current state.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from mixseq.arrays import Float
 from mixseq.correspondence.markers import Markers
 
 SOURCE, TARGET = 0, 1
-"""The two sides."""
+"""Indices of the two sides."""
 
 SAME = 0.03
-"""A proposal that is so near to a pair, on either side, is that pair, in diagonals; ours."""
+"""Distance on either side below which a proposal equals a pair, in diagonals."""
 
 
 @dataclass(frozen=True)
@@ -39,20 +39,20 @@ class Marking:
 
     @classmethod
     def of(cls, markers: Markers) -> Marking:
-        """Begin with markers."""
+        """Make the state of initial markers."""
         names = markers.names or ("",) * len(markers)
         rows = zip(markers.source.tolist(), markers.target.tolist(), names, strict=True)
         return cls(tuple(Pair((source, target), name) for source, target, name in rows))
 
     @property
     def markers(self) -> Markers:
-        """The pairs that are set."""
+        """The pairs as markers."""
         names = tuple(pair.name for pair in self.pairs)
         vertices = np.array([pair.vertices for pair in self.pairs], np.int64).reshape(-1, 2)
         return Markers.of(vertices, names if any(names) else ())
 
     def clicked(self, side: int, vertex: int) -> Marking:
-        """Return what comes of a click: the chosen pair is moved there; else a pair begins, or is complete."""
+        """Return the state after a click: the chosen pair is moved there; else a pair begins, or is complete."""
         if self.chosen is not None:
             pair = self.pairs[self.chosen]
             vertices = (vertex, pair.vertices[1]) if side == SOURCE else (pair.vertices[0], vertex)
@@ -67,73 +67,73 @@ class Marking:
         )
 
     def with_pair(self, pair: Pair) -> Marking:
-        """Return it with a pair more."""
+        """Return the state with another pair."""
         return replace(self, pairs=(*self.pairs, pair))
 
     def choosing(self, number: int) -> Marking:
-        """Return it with a pair chosen; none, if that was chosen before."""
+        """Return the state with a pair chosen, or released if it was chosen."""
         return replace(self, chosen=None if number == self.chosen else number)
 
     def without_chosen(self) -> Marking:
-        """Return it without the chosen pair; without the point that begins one, if none is chosen."""
+        """Return the state without the chosen pair, or without the begun one if none is chosen."""
         if self.chosen is None:
             return replace(self, begun=None)
         pairs = (*self.pairs[: self.chosen], *self.pairs[self.chosen + 1 :])
         return replace(self, pairs=pairs, chosen=None)
 
     def skipping(self, pair: Pair) -> Marking:
-        """Return it with a proposal that is not wanted."""
+        """Return the state with a rejected proposal."""
         return replace(self, skipped=self.skipped | {pair.vertices})
 
 
 @dataclass(frozen=True)
 class MarkingHistory:
-    """States, and which of them is seen; every change is a new history."""
+    """States and the index of the current one; immutable."""
 
     states: tuple[Marking, ...]
     now: int = 0
 
     @property
     def marking(self) -> Marking:
-        """The state that is seen."""
+        """The current state."""
         return self.states[self.now]
 
     def done(self, marking: Marking) -> MarkingHistory:
-        """Return the history after a step; what had been undone is gone. What is merely chosen is no step."""
+        """Return the history after a step; undone steps are dropped, and a mere choice is no step."""
         if replace(marking, chosen=None) == replace(self.marking, chosen=None):
             return MarkingHistory((*self.states[: self.now], marking, *self.states[self.now + 1 :]), self.now)
         return MarkingHistory((*self.states[: self.now + 1], marking), self.now + 1)
 
     def undone(self) -> MarkingHistory:
-        """Return the history one step back; at its begin as it is."""
+        """Return the history one step back, or unchanged at its start."""
         return MarkingHistory(self.states, max(self.now - 1, 0))
 
     def redone(self) -> MarkingHistory:
-        """Return the history one step ahead; at its end as it is."""
+        """Return the history one step ahead, or unchanged at its end."""
         return MarkingHistory(self.states, min(self.now + 1, len(self.states) - 1))
 
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Where the vertices of both meshes are, in diagonals of each."""
+    """Vertices of both meshes, in diagonals of each."""
 
     points: tuple[Float, Float]  # ((V, 3), (V', 3) source and target
 
     @classmethod
     def of(cls, source: Float, target: Float) -> Places:
-        """Measure in diagonals of the meshes ``(V, 3)`` and ``(V', 3)``."""
+        """Scale points ``(V, 3)`` and ``(V', 3)`` to diagonals."""
         one, two = (x / (float(np.linalg.norm(np.ptp(x, axis=0))) or 1.0) for x in (source, target))
         return cls((one, two))
 
     def near(self, one: Pair, other: Pair) -> bool:
-        """Whether two pairs are the same on either side."""
+        """Whether two pairs coincide on either side."""
         return any(
             float(np.linalg.norm(x[a] - x[b])) <= SAME
             for x, a, b in zip(self.points, one.vertices, other.vertices, strict=True)
         )
 
     def proposals(self, marking: Marking, candidates: Iterable[Pair]) -> tuple[Pair, ...]:
-        """Return the candidates, in their order, that are neither set nor skipped, nor there twice."""
+        """Return the candidates, in order, without duplicates, set pairs and skipped ones."""
         found: list[Pair] = []
         for each in candidates:
             there = any(self.near(each, other) for other in (*marking.pairs, *found))

@@ -1,7 +1,7 @@
-"""Setting markers of two meshes: what is set now, what is proposed, and what is found out about it on a thread beside.
+"""Session of setting markers of two meshes: current state, proposals, and results of a background thread.
 
-What takes seconds is done one after the other in the background: suggestions, the other sides of both bodies, and the
-examination of the pairs of now. None of it keeps a click waiting.
+Slow work is queued in the background: suggestions, mirror symmetry of both bodies, and the examination of the current
+pairs.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from mixseq.viewing.marking import Marking, MarkingHistory, Pair, Places
 
 
 class MarkingListener(Protocol):
-    """What is called when something happens, on any thread."""
+    """Callbacks, called on any thread."""
 
     def changed(self) -> None:
-        """Pairs, proposals, or what is known about them are others."""
+        """Handle changed pairs, proposals or examinations."""
 
     def failed(self, what: str, error: Exception) -> None:
-        """Something could not be done."""
+        """Handle an error."""
 
 
 class MarkingSession(Jobs[Callable[[], None]]):
@@ -54,29 +54,29 @@ class MarkingSession(Jobs[Callable[[], None]]):
 
     @property
     def marking(self) -> Marking:
-        """What is set now."""
+        """The current state."""
         return self._history.marking
 
     @property
     def proposals(self) -> tuple[Pair, ...]:
-        """Pairs to confirm, the first one next: mirrored ones of the newest pairs, then suggestions."""
+        """Pairs to confirm, the next one first: mirrored ones of the newest pairs, then suggestions."""
         marking = self.marking
         mirrored = (self._mirrored.get(pair.vertices) for pair in reversed(marking.pairs))
         return self._places.proposals(marking, [*filter(None, mirrored), *self._suggested])
 
     @property
     def examination(self) -> Examination | None:
-        """What is known about the pairs of now; None while it is not."""
+        """Examination of the current pairs, None until it is computed."""
         found = self._examined
         return found[1] if found is not None and found[0] == self.marking.pairs else None
 
     @property
     def unsaved(self) -> bool:
-        """Whether other pairs are set than are in the file."""
+        """Whether the pairs differ from those in the file."""
         return self.marking.pairs != self._saved
 
     def kept(self, pairs: tuple[Pair, ...]) -> None:
-        """Take notice that pairs are in the file."""
+        """Mark pairs as saved."""
         self._saved = pairs
         self._listener.changed()
 
@@ -87,7 +87,7 @@ class MarkingSession(Jobs[Callable[[], None]]):
         self._step(lambda marking: marking.clicked(side, vertex))
 
     def click_ball(self, side: int, row: int) -> None:
-        """Choose the pair, or accept the proposal, whose ball was clicked: pairs come first, then what is begun."""
+        """Choose the pair, or accept the proposal, whose ball was clicked: pairs come first, then the begun one."""
         marking, proposals = self.marking, self.proposals
         count = len(marking.pairs)
         proposed = row - count - (marking.begun is not None and marking.begun[0] == side)
@@ -111,27 +111,27 @@ class MarkingSession(Jobs[Callable[[], None]]):
         self._step(all_set)
 
     def skip(self) -> None:
-        """Do not propose the next proposal again."""
+        """Reject the next proposal."""
         self._step(lambda marking: marking.skipping(self.proposals[0]) if self.proposals else marking)
 
     def delete(self) -> None:
-        """Delete the chosen pair, or the point that begins one."""
+        """Delete the chosen pair, or the begun one."""
         self._step(Marking.without_chosen)
 
     def undo(self) -> None:
-        """Take back the last step."""
+        """Undo the last step."""
         with self._changed:
             self._history = self._history.undone()
         self._went_on()
 
     def redo(self) -> None:
-        """Do again what was taken back."""
+        """Redo the last undone step."""
         with self._changed:
             self._history = self._history.redone()
         self._went_on()
 
     def suggest(self) -> None:
-        """Suggest markers, also those that were skipped before."""
+        """Suggest markers, including skipped ones."""
         self._step(lambda marking: Marking(marking.pairs, marking.begun, marking.chosen))
         self._later(self._suggest)
 
@@ -174,7 +174,7 @@ class MarkingSession(Jobs[Callable[[], None]]):
             self._mirror_pairs()
 
     def _mirror_pairs(self) -> None:
-        """Find the pairs on the other side of those that are set."""
+        """Find the mirrored pairs of those that are set."""
         if self._mirrors is None:
             return
         for pair in self.marking.pairs:

@@ -1,4 +1,4 @@
-"""Messages from the page to Python: JSON from a browser, checked before it is used."""
+"""Messages from the page to Python: JSON from a browser, validated before use."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import numpy as np
 from mixseq.arrays import Float
 
 MOST_POINTS = 5000
-"""A stroke has no more points, a retiming no more keys."""
+"""Largest number of points of a stroke, or keys of a retiming."""
 
 
 LARGEST = 1e6
-"""No time, in seconds, and no place, in diagonals, is farther away; ours."""
+"""Largest time in seconds, and largest coordinate in diagonals."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Seek:
 
 @dataclass(frozen=True, eq=False)
 class Drag:
-    """The time curve was taken at a time to a place ``(2,)`` of the embedding; `done` when it is let go."""
+    """A drag of the time curve at a time to a place ``(2,)`` of the embedding; `done` at its end."""
 
     time: float
     to: Float
@@ -41,14 +41,14 @@ class Drag:
 
 @dataclass(frozen=True, eq=False)
 class Sketch:
-    """A curve ``(N, 2)`` was drawn in the embedding."""
+    """A curve ``(N, 2)`` drawn in the embedding."""
 
     points: Float
 
 
 @dataclass(frozen=True, eq=False)
 class Retime:
-    """Keys ``(n, 2)`` of a retiming, times of the output and of the source; `done` when they are let go."""
+    """Keys ``(n, 2)`` of a retiming, output and source times; `done` at the end of a drag."""
 
     keys: Float
     done: bool
@@ -58,7 +58,7 @@ Message = Drawn | Seek | Drag | Sketch | Retime
 
 
 def message_of(text: str) -> Message | None:
-    """Return what a text says, or None if it says nothing that makes sense."""
+    """Parse a message, None if it is not valid."""
     try:
         said = json.loads(text)
         match said:

@@ -15,7 +15,7 @@ from mixseq.arrays import IntArray
 
 
 class Picked(NamedTuple):
-    """What a ray meets first."""
+    """The first intersection of a ray."""
 
     face: int  # the triangle
     vertex: int  # the nearest of its corners
@@ -25,10 +25,7 @@ class Picked(NamedTuple):
 def pick(
     points: NDArray[np.floating], faces: IntArray, origin: ArrayLike, direction: ArrayLike
 ) -> Picked | None:
-    """Return the first triangle that a ray meets, from either side, or None.
-
-    Shapes: points ``(V, 3)``; faces ``(F, 3)``; origin, direction ``(3,)``.
-    """
+    """Return the first triangle on a ray ``(3,)``, from either side, or None: points ``(V, 3)``; faces ``(F, 3)``."""
     start, along = np.asarray(origin, dtype=np.float64), np.asarray(direction, dtype=np.float64)
     a, b, c = np.moveaxis(np.asarray(points, dtype=np.float64)[faces], 1, 0)
     first, second = b - a, c - a

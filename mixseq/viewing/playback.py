@@ -1,7 +1,7 @@
-"""Play a scene: a thread that gives the frame that is due to a stage, which draws it.
+"""Playback of a scene: a thread that passes the current frame to a stage, which draws it.
 
-Frames that are not decoded in time are left out, and no frame is sent before the stage has drawn the one before: the
-time that is seen is right, however slow the machine or the line.
+Frames that are not decoded in time are dropped, and a frame is sent when the stage has drawn the one before, so that
+the displayed time is right at any speed of machine and network.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from mixseq.viewing.clock import Clock
 from mixseq.viewing.frame_cache import MEMORY, FrameCache
 
 PATIENCE = 0.25
-"""Seconds after which a frame counts as drawn, though nobody said so."""
+"""Seconds after which a frame counts as drawn without confirmation."""
 
 IDLE = 0.5
-"""Seconds after which a stage is asked again, where nothing happens."""
+"""Seconds after which an idle stage is polled."""
 
 
 class Stage(Protocol):
-    """What draws."""
+    """Draws moments of a scene."""
 
     @property
     def busy(self) -> bool:
-        """Whether it still draws the last moment; it then calls `Playback.drawn`."""
+        """Whether it is still drawing the last moment; it calls `Playback.drawn` afterwards."""
 
     def show(self, moment: Moment) -> None:
         """Draw a moment."""
@@ -39,7 +39,7 @@ class Stage(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """What is seen at a time."""
+    """The scene at a time."""
 
     scene: Scene  # what is shown
     frame: int  # which frame of it
@@ -75,21 +75,21 @@ class Playback(Background):
 
     @property
     def scene(self) -> Scene:
-        """What is shown."""
+        """The current scene."""
         return self._shot
 
     @property
     def plays(self) -> bool:
-        """Whether it runs."""
+        """Whether it is playing."""
         return self._clock.runs
 
     @property
     def frame(self) -> int:
-        """The frame that is due."""
+        """The current frame."""
         return self._clock.at(monotonic())
 
     def play(self) -> None:
-        """Go on, from the begin if it stands at the end."""
+        """Play, from the start if it is at the end."""
         with self._changed:
             if not self._clock.runs and self._clock.at(monotonic()) == self._clock.count - 1:
                 self._clock = self._clock.sought(0, monotonic())
@@ -97,7 +97,7 @@ class Playback(Background):
             self._changed.notify_all()
 
     def pause(self) -> None:
-        """Stand still at the frame that was shown last, if it runs."""
+        """Stop at the frame that was shown last."""
         with self._changed:
             if not self._clock.runs:
                 return
@@ -113,38 +113,38 @@ class Playback(Background):
             self._changed.notify_all()
 
     def pace(self, speed: float) -> None:
-        """Play at another speed."""
+        """Set the speed."""
         with self._changed:
             self._clock = self._clock.paced(speed, monotonic())
             self._changed.notify_all()
 
     def rate(self, fps: float) -> None:
-        """Show so many frames a second: of models all of them, of sequences the nearest."""
+        """Set the frames per second: models at all of them, sequences at the nearest frames."""
         with self._changed:
             self.change(replace(self._shot, rate=fps))
 
     def change(self, scene: Scene, settled: bool = True) -> None:
-        """Show something else at the same time."""
+        """Show another scene at the same time."""
         with self._changed:
             self._clock = self._clock.over(scene.count, scene.fps, monotonic())
             self._shot, self._settled = scene, settled
             self._changed.notify_all()
 
     def refresh(self) -> None:
-        """Show the same again, in other colours."""
+        """Show the current moment again, in other colours."""
         with self._changed:
             self._shown, self._stale = None, True
             self._changed.notify_all()
 
     def caught_up(self, patience: float) -> bool:
-        """Wait until what is shown now was sent to the stage, at most so many seconds, and return whether it was."""
+        """Wait some seconds until the current scene was sent to the stage, and return whether it was."""
         with self._changed:
             return self._changed.wait_for(
                 lambda: self._closed or (self._shown is not None and self._shown[0] is self._shot), patience
             )
 
     def drawn(self) -> None:
-        """Wake up: the stage is ready again, or a frame was decoded."""
+        """Wake the thread: the stage is ready, or a frame was decoded."""
         with self._changed:
             self._changed.notify_all()
 

@@ -1,7 +1,6 @@
-"""Edit the models of a scene: which one is edited, its history, and the thread that does the edits.
+"""Session of editing the models of a scene: the edited model, its history, and the thread that runs edits.
 
-Edits are done one after the other. Of previews, which follow the mouse, only the newest is done, and not before the one
-before was seen.
+Edits run in order. Of previews, which follow the mouse, only the newest runs, after the one before was shown.
 """
 
 from __future__ import annotations
@@ -28,30 +27,30 @@ class Save(Protocol):
     """Writes a model to a file, as a model or as a sequence."""
 
     def __call__(self, path: Path, model: Model, replace: bool) -> str:
-        """Write it, and return a sentence about the file."""
+        """Write the file, and return a sentence about it."""
 
 
 PATIENCE = 1.0
-"""Seconds after which the next preview is made, though the last one was not seen."""
+"""Seconds after which the next preview runs although the last one was not shown."""
 
 MOST_WRITTEN = 8
-"""Files that are written at a time."""
+"""Largest number of files written at a time."""
 
 
 class SessionListener(Protocol):
-    """What is called when something happens, on another thread."""
+    """Callbacks, called on another thread."""
 
     def edited(self, session: Session) -> None:
-        """The model that is edited is another one."""
+        """Handle a changed model."""
 
     def chosen(self, session: Session) -> None:
-        """Another model is edited."""
+        """Handle another choice of the edited model."""
 
     def failed(self, what: str, error: Exception) -> None:
-        """Something could not be done."""
+        """Handle an error."""
 
     def saved(self, what: str) -> None:
-        """A file was written; `what` tells which, and what it needs."""
+        """Handle a written file; `what` is its description."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,34 +79,34 @@ class Session(Jobs[_Job]):
         super().__init__(listener.failed)
 
     def close(self) -> None:
-        """End the threads, after the edit and the files that they are at."""
+        """End the threads, after the current edit and files."""
         super().close()
         for writing in self._writing:
             writing.join()
 
     @property
     def editable(self) -> list[int]:
-        """Which items of the scene are models."""
+        """Indices of the scene's items that are models."""
         return list(self._histories)
 
     @property
     def index(self) -> int:
-        """Which item is edited; -1 if none is a model."""
+        """Index of the edited item; -1 if none is a model."""
         return self._index
 
     @property
     def history(self) -> History:
-        """What was done to the model that is edited."""
+        """History of the edited model."""
         return self._histories[self._index]
 
     @property
     def model(self) -> Model:
-        """The model that is edited, as it is now."""
+        """Current state of the edited model."""
         return self.history.model
 
     @property
     def unsaved(self) -> dict[str, Model]:
-        """The models that were edited and are in no file, by name."""
+        """Edited models without a file, by name."""
         return {
             self._playback.scene.items[index].name: history.model
             for index, history in self._histories.items()
@@ -121,23 +120,15 @@ class Session(Jobs[_Job]):
             self._listener.chosen(self)
 
     def edit(self, name: str, edit: Edit) -> None:
-        """Do something to the model, on another thread; it can be undone."""
+        """Edit the model on another thread, as a step that can be undone."""
         self._ask(_Job(name, self._index, _step(name, edit)))
 
     def preview(self, name: str, edit: Edit) -> None:
-        """Show what an edit of the model would make of it, unless another one is asked for first."""
+        """Show the result of an edit, unless a newer job replaces it."""
         self._ask(_Job(name, self._index, _step(name, edit), preview=True))
 
     def retime(self, keys: Float, preview: bool = False) -> None:
-        """Retime the model; if that was the last step, it is done anew.
-
-        Parameters
-        ----------
-        keys : (n, 2) float64
-            Times of the output, and of the model before that, in seconds.
-        preview : bool
-            Whether it is only shown, as by `preview`.
-        """
+        """Retime the model by keys ``(n, 2)`` of output and source seconds, in place of a retiming as last step."""
 
         def change(history: History) -> History:
             model = retime(history.before_retiming.model, keys)
@@ -146,28 +137,20 @@ class Session(Jobs[_Job]):
         self._ask(_Job("retime", self._index, change, preview))
 
     def undo(self) -> None:
-        """Take back the last step, after the edits that were asked for before."""
+        """Undo the last step, after the queued edits."""
         self._ask(_Job("undo", self._index, History.undone))
 
     def redo(self) -> None:
-        """Do again what was taken back."""
+        """Redo the last undone step."""
         self._ask(_Job("redo", self._index, History.redone))
 
     def settle(self) -> None:
-        """Show the model as it is, whatever a preview shows."""
+        """Show the current model in place of a preview."""
         if self._histories:
             self._ask(_Job("settle", self._index, lambda history: history))
 
     def save(self, path: Path, replace: bool = False) -> None:
-        """Write the model to a file, on a thread of its own; does nothing once the session is closed.
-
-        Parameters
-        ----------
-        path : Path
-            The file.
-        replace : bool
-            Whether a file that there is may be replaced.
-        """
+        """Write the model to a file on its own thread, over an existing one if `replace`; ignored once closed."""
         writing = Thread(target=self._write, args=(path, self._index, self.model, replace), daemon=True)
         with self._changed:
             if self._closed:  # nobody would wait for it, and a process that ends while HDF5 writes may hang

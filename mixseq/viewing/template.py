@@ -1,7 +1,7 @@
-"""Scripts and styles of the pages, which come with the package, and all of them as one page that needs nothing else.
+"""Scripts and styles of the pages, which are part of the package, and their assembly into one self-contained page.
 
-A page is a small document that unpacks itself: its first stream, deflated, is style, body, decoder, scripts and
-description, with NUL between them; the others belong to the meshes. `mixseq.viewing.packing` makes text of them.
+A page is a small document that unpacks itself: its first stream, deflated, has style, body, decoder, scripts and
+description, separated by NUL; the others belong to the meshes. `mixseq.viewing.packing` encodes them as text.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ CHART_SCRIPTS = (
     "chart_coefficients.js",
     "charts.js",
 )
-"""What charts are made of, in the order in which a page loads it."""
+"""Scripts of charts, in loading order."""
 
 EDITING_SCRIPTS = ("chart_retiming.js",)
-"""What charts have besides, where models are edited."""
+"""Additional scripts of editable charts."""
 
 PLAYER_SCRIPTS = (
     "clock.js",
@@ -43,25 +43,25 @@ PLAYER_SCRIPTS = (
     "pose_source.js",
     "player.js",
 )
-"""What plays meshes on a page."""
+"""Scripts of the player of meshes."""
 
 POSE_SCRIPTS = ("normals.js", "topology.js", "measures.js", "poses.js")
-"""What makes poses of streams, with the decoder."""
+"""Scripts that decode streams to poses, with the decoder."""
 
 
 @cache
 def script(name: str) -> str:
-    """Return the text of a file of the folder ``page``, such as ``"charts.js"``."""
+    """Return a file of the folder ``page`` as text, such as ``"charts.js"``."""
     return files("mixseq.viewing").joinpath("page", name).read_text(encoding="utf-8")
 
 
 def chart_scripts() -> str:
-    """Return all scripts of charts that can be edited as one text, for one script element of a page."""
+    """Return all scripts of editable charts as one text, for one script element."""
     return "\n".join(map(script, (*CHART_SCRIPTS, *EDITING_SCRIPTS)))
 
 
 def page_text(description: Mapping[str, Any], data: Sequence[bytes]) -> bytes:
-    """Return a page."""
+    """Return a page as bytes."""
     charts = any(item["signals"] for item in description["items"])
     parts = (
         _plain(script("player.css")),
@@ -82,7 +82,7 @@ def page_text(description: Mapping[str, Any], data: Sequence[bytes]) -> bytes:
 
 @cache
 def decoder_script() -> str:
-    """Return what makes poses of streams, for a worker or a script element."""
+    """Return the script that decodes streams to poses, for a worker or a script element."""
     decoder = re.sub(r"^export const ?{.*}=(\w+);$", r"return \1;", bundled(), flags=re.MULTILINE)
     return f"var mixseqDecoder = (() => {{\n{decoder}}})();\n" + "".join(
         stripped(script(name)) for name in POSE_SCRIPTS
@@ -100,7 +100,7 @@ _DATA = "<!-- data -->"
 
 
 def _plain(text: str) -> str:
-    """Return HTML or CSS without indentation and comments, but for the place of the data."""
+    """Return HTML or CSS without indentation and comments, except for the place of the data."""
     return re.sub(r"\n\s*", "\n", re.sub(r"<!--(?! data).*?-->|/\*.*?\*/", "", text))
 
 
@@ -110,5 +110,5 @@ def _element(data: bytes) -> bytes:
 
 
 def script_json(value: Any) -> str:
-    """Return JSON that can stand in a script: there is no ``<`` in it, so nothing ends the script too early."""
+    """Return JSON without ``<``, which could end its script element."""
     return json.dumps(value, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")

@@ -1,7 +1,6 @@
-"""Films of mesh sequences and models, drawn in software and encoded by Pillow, or ffmpeg (the extra ``plot``).
+"""Films of mesh sequences and models, drawn in software and encoded by Pillow or ffmpeg (the extra ``plot``).
 
-`film` puts them together: what the panels show of a scene (panels), around them names and a colour bar (backdrop), and
-in which file (encoding, ffmpeg).
+`film` combines the frames of a scene (panels), names and a colour bar (backdrop), and the file (encoding, ffmpeg).
 """
 
 from mixseq.choices import COLOURS, Colour

@@ -1,4 +1,4 @@
-"""The backdrop of a film, which stands still: where its panels are, their names, and the colour bar."""
+"""The static backdrop of a film: places of panels, their names, and the colour bar."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ Rectangle = tuple[slice, slice]
 """Rows and columns of a picture."""
 
 LETTERS = 1 / 32
-"""Height of letters, as a share of the picture's."""
+"""Height of letters, as a fraction of the picture's."""
 
 SMALLEST = 24
-"""Pixels along a side of a panel."""
+"""Smallest side of a panel, in pixels."""
 
 STRIP = 2.0
 """Height of a line with its margins, in letters."""
@@ -36,26 +36,7 @@ STRIP = 2.0
 def panels_of(
     count: int, width: int, height: int, aspect: float, named: bool, barred: bool
 ) -> list[Rectangle]:
-    """Divide a picture into equal panels, in as many columns as make meshes largest.
-
-    Parameters
-    ----------
-    count : int
-        Number of panels.
-    width, height : int
-        Size of the picture in pixels.
-    aspect : float
-        Height per width of the meshes.
-    named : bool
-        Whether names stand above the panels.
-    barred : bool
-        Whether a colour bar stands below them.
-
-    Examples
-    --------
-    >>> panels_of(2, 100, 50, 1.0, False, False)
-    [(slice(0, 50, None), slice(0, 50, None)), (slice(0, 50, None), slice(50, 100, None))]
-    """
+    """Divide a picture into equal panels, with as many columns as make meshes of an aspect largest."""
     strip = line_height(height)
     free = height - strip * barred
 
@@ -80,7 +61,7 @@ def panels_of(
 
 
 def line_height(height: int) -> int:
-    """Return how many pixels a line of text takes in a picture of some height."""
+    """Return the height of a line of text in pixels, for a picture of some height."""
     return round(STRIP * _letters(height))
 
 
@@ -127,7 +108,7 @@ def _draw_bar(
 
 
 def _font(size: int) -> FreeTypeFont:
-    """Return the letters of the charts, which come with matplotlib; laid out alike everywhere."""
+    """Return the font of the charts, from matplotlib, with equal layout on all machines."""
     folder = Path(matplotlib_module("_api").__file__).parents[1] / "mpl-data" / "fonts" / "ttf"
     fonts = pillow_module("ImageFont")
     font: FreeTypeFont = fonts.truetype(folder / "DejaVuSans.ttf", size, layout_engine=fonts.Layout.BASIC)
@@ -135,7 +116,7 @@ def _font(size: int) -> FreeTypeFont:
 
 
 def _shortened(text: str, font: FreeTypeFont, room: float) -> str:
-    """Leave out the middle of a text that is too long."""
+    """Return a text with its middle left out if it is too long."""
     kept = len(text)
     short = text
     while kept > 2 and font.getlength(short) > room:

@@ -1,4 +1,4 @@
-"""Cameras of films: in front of a body, or at an angle that is asked for; they may turn, and go with a body."""
+"""Cameras of films: in front of a body or at a given angle, optionally turning or following a body."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from mixseq.scene.items import DecodedItem
 from mixseq.threads import one_blas_thread
 
 SMOOTHED = 0.25
-"""Seconds over which the camera evens out the swing of a body that it follows."""
+"""Time constant in seconds over which a following camera smooths the swing of a body."""
 
 
 @dataclass(frozen=True)
 class Aim:
-    """From where a film is seen."""
+    """The view of a film."""
 
     # Degrees from the body's front, to its left, and above the horizon; by default its front and a side.
     camera: tuple[float, float] | None = None
@@ -28,7 +28,7 @@ class Aim:
 
 
 def cameras_of(items: Sequence[DecodedItem], aim: Aim, fps: float) -> list[Camera]:
-    """Place the cameras: one for all that have the triangles of the first, one of its own for each other."""
+    """Return the cameras: a common one for meshes with the triangles of the first, one for each other."""
     groups: dict[int, list[DecodedItem]] = {}
     group_of = []
     for number, item in enumerate(items):
@@ -41,7 +41,6 @@ def cameras_of(items: Sequence[DecodedItem], aim: Aim, fps: float) -> list[Camer
 
 
 def _camera(items: Sequence[DecodedItem], aim: Aim, fps: float) -> Camera:
-    """Place the camera of meshes that are seen alike."""
     first, frames = items[0], len(items[0].pose_of_frame)
     path = travel_path(first, fps) if aim.follow else np.zeros((frames, 3))
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
@@ -66,10 +65,7 @@ def _camera(items: Sequence[DecodedItem], aim: Aim, fps: float) -> Camera:
 
 
 def travel_path(item: DecodedItem, fps: float) -> Float:
-    """Return where a mesh goes ``(N, 3)`` over the ground during a film, Y up, from where it is at first.
-
-    It is the middle of its vertices without steps and swings, so that a camera that follows it moves evenly.
-    """
+    """Return the smoothed path ``(N, 3)`` of a mesh over the ground in a film, Y up, from its first place."""
     middles = np.stack(
         [y_up(item.pose(frame), item.header.up_axis).mean(axis=0) for frame in range(len(item.pose_of_frame))]
     )

@@ -1,7 +1,7 @@
-"""Frames of a film as a file: WebP and GIF by Pillow, MP4 by ffmpeg.
+"""Encoding of films: WebP and GIF by Pillow, MP4 by ffmpeg.
 
-Frames are drawn while they are encoded. Pillow keeps what is coded of a WebP, and one byte per pixel of all frames of a
-GIF. Encoders run on one thread, so that equal films are equal files.
+Frames are drawn while they are encoded. Pillow keeps the encoded WebP, and one byte per pixel of all GIF frames, in
+memory. Encoders run on one thread, so that equal films are equal files.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ FilmFormat = Literal["mp4", "gif", "webp"]
 FILM_FORMATS: tuple[FilmFormat, ...] = get_args(FilmFormat)
 
 Draw = Callable[[Iterable[int]], Iterator[Picture]]
-"""Draws frames of a film, whose numbers it is given: pictures ``(H, W, 3)`` in their order."""
+"""From frame numbers to pictures ``(H, W, 3)`` in their order."""
 
 SMALLEST, LARGEST = 64, 8192
-"""Pixels along a side of a film."""
+"""Sides of a film, in pixels."""
 
 WEBP_QUALITY = 80
-"""Out of 100."""
+"""WebP quality, of 100."""
 
 WEBP_EFFORT = 3
-"""From 0, fast, to 6, small."""
+"""WebP effort, from 0 (fast) to 6 (small)."""
 
 WEBP_KEYFRAME_DISTANCES = 24, 48
 """Smallest and largest number of frames from one keyframe to the next."""
@@ -41,14 +41,14 @@ GIF_PALETTE_FRAMES = 6
 """Number of frames, evenly spaced, whose colours make the palette of a GIF."""
 
 FASTEST_GIF = 50.0
-"""Frames per second: GIF counts in hundredths of seconds, and players slow down what is shorter than two of them."""
+"""Largest GIF frame rate, in 1/s: delays are in hundredths of seconds, and players slow down delays below two."""
 
 LONGEST_GIF = 655.0
-"""Seconds: as long as GIF can show one picture, which all frames may be."""
+"""Longest duration of one GIF picture, which may cover all frames, in seconds."""
 
 
 def film_format(target: str | PathLike[str]) -> FilmFormat:
-    """Tell a film's format from its file's extension."""
+    """Return a film's format from its file's extension."""
     extension = Path(target).suffix.lower().removeprefix(".")
     for known in FILM_FORMATS:
         if extension == known:
@@ -57,7 +57,7 @@ def film_format(target: str | PathLike[str]) -> FilmFormat:
 
 
 def check_film(form: FilmFormat, size: tuple[int, int], fps: float | None = None) -> None:
-    """Refuse before the work what a format or this machine cannot do."""
+    """Raise errors for limits of a format or of this machine, before the work."""
     for side in size:
         if not SMALLEST <= side <= LARGEST:
             raise SettingsError(
@@ -98,7 +98,6 @@ def encode_film(target: Path, form: FilmFormat, draw: Draw, count: int, fps: flo
 
 
 def _write_webp(file: IO[bytes], pictures: Iterator[Picture], count: int, fps: float) -> None:
-    """Write frames as a WebP that plays for ever."""
     frames = map(pillow_module("Image").fromarray, pictures)
     least, most = WEBP_KEYFRAME_DISTANCES
     next(frames).save(
@@ -116,7 +115,7 @@ def _write_webp(file: IO[bytes], pictures: Iterator[Picture], count: int, fps: f
 
 
 class _Reel:
-    """An animation for Pillow whose frames are drawn when they are sought, as a list of frames would be in memory."""
+    """An animation for Pillow whose frames are drawn when they are sought, to save memory."""
 
     def __init__(self, frames: Iterator[Any], count: int) -> None:
         self.n_frames = count
@@ -131,7 +130,7 @@ class _Reel:
 
 
 def _write_gif(file: IO[bytes], draw: Draw, count: int, fps: float) -> None:
-    """Write frames as a GIF that plays for ever, with one palette; noise of dithering would flicker."""
+    """Write frames as an endless GIF with one palette, without dithering, which would flicker."""
     if count > LONGEST_GIF * fps:
         raise SettingsError(
             f"the film takes {count / fps:g} s; GIF has at most {LONGEST_GIF:g} s, write .mp4 or .webp"
@@ -159,7 +158,7 @@ def _write_gif(file: IO[bytes], draw: Draw, count: int, fps: float) -> None:
 
 
 def pillow_module(name: str) -> Any:
-    """Import a module of Pillow when it is needed."""
+    """Import a module of Pillow on first use."""
     try:
         return import_module(f"PIL.{name}")
     except ImportError as error:

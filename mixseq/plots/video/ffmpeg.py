@@ -1,4 +1,4 @@
-"""H.264 in MP4 by the program ffmpeg, to which raw frames go through a pipe.
+"""H.264 in MP4 by the program ffmpeg, with raw frames through a pipe.
 
 One thread and no metadata, so that equal films are equal files on any number of cores.
 """
@@ -20,7 +20,7 @@ CONSTANT_RATE_FACTOR = 18
 """Quality of H.264, from 0 (lossless) to 51; 18 looks like the original."""
 
 KEYFRAME_SECONDS = 2.0
-"""Largest distance of keyframes, to which players can jump."""
+"""Largest distance of keyframes, to which players can jump, in seconds."""
 
 _COLOURS = ("-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709", "-color_range", "tv")
 
@@ -83,11 +83,5 @@ def write_mp4(target: Path, pictures: Iterator[Picture], fps: float) -> None:
 
 
 def frame_rate(fps: float) -> Fraction:
-    """Return frames per second as a fraction, of which 24000/1001 is one.
-
-    Examples
-    --------
-    >>> str(frame_rate(24000 / 1001)), str(frame_rate(1e-4))
-    ('24000/1001', '1/10000')
-    """
+    """Return frames per second as a fraction, such as 24000/1001."""
     return Fraction(fps).limit_denominator(1001) or Fraction(1, max(1, round(1 / fps)))

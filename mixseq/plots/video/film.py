@@ -1,4 +1,4 @@
-"""Films of meshes: one or more of them side by side, over time, from a camera that may turn; drawn in software."""
+"""Films of one or more meshes side by side, from a camera that may turn, drawn in software."""
 
 from __future__ import annotations
 
@@ -28,45 +28,25 @@ from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence import Frames, SequenceHeader
 
 _MEANING = {"error": ("diagonals", 1.0), "strain": ("strain", 100.0), "curvature": ("degrees", 1.0)}
-"""What the colours with a scale are measured in here, and how many units of `Colouring` that is: strain is a share."""
+"""Units of colour scales in films, and how many units of `Colouring` each is."""
 
 SMALLEST = 1e-12
-"""The colour scale goes at least so far: rounding has no colours."""
+"""Smallest end of the colour scale, above rounding."""
 
 
 @dataclass(frozen=True)
 class FilmSettings:
-    """How a film is made.
+    """The settings of a film."""
 
-    Parameters
-    ----------
-    size : (int, int)
-        Width and height in pixels.
-    fps : float, optional
-        Frames per second, by default those of the first mesh.
-    seconds : float, optional
-        Duration, by default that of the longest sequence; 4 s where nothing moves.
-    turn : float
-        Degrees by which the camera goes around the meshes in the film.
-    camera : (float, float), optional
-        From where it is seen: degrees from the front, to the body's left, and above the horizon; by default the front
-        and a side, see `three_quarter_view`.
-    follow : bool
-        Whether the camera goes with a body that travels.
-    colour : {"clay", "parts", "error", "strain", "curvature"}
-        What colours show.
-    scale : float, optional
-        Error (in diagonals), strain or change of angles (in degrees) that has the last colour, by default the
-        largest of the film.
-    """
-
-    size: tuple[int, int] = (1280, 720)
-    fps: float | None = None
-    seconds: float | None = None
-    turn: float = 0.0
+    size: tuple[int, int] = (1280, 720)  # width and height in pixels
+    fps: float | None = None  # frames per second, by default of the first mesh
+    seconds: float | None = None  # duration, by default of the longest sequence; 4 s for still poses
+    turn: float = 0.0  # rotation of the camera about the meshes during the film, in degrees
+    # Degrees from the front, to the body's left, and above the horizon; by default `three_quarter_view`.
     camera: tuple[float, float] | None = None
-    follow: bool = False
-    colour: Colour = "clay"
+    follow: bool = False  # whether the camera follows bodies that travel
+    colour: Colour = "clay"  # the colouring
+    # Error (diagonals), strain or change of angles (degrees) of the last colour, by default the largest of the film.
     scale: float | None = None
 
     def __post_init__(self) -> None:
@@ -93,24 +73,10 @@ def film(
     progress: Progress = silent,
     workers: Executor | None = None,
 ) -> None:
-    """Make a film of meshes side by side.
+    """Make a film of meshes side by side, as .mp4 (by ffmpeg), .gif or .webp; the file is replaced when complete.
 
-    Frames are drawn on several threads and encoded as they come; the file is the same whatever their number.
-
-    Parameters
-    ----------
-    target : path
-        The file: .mp4 (by ffmpeg), .gif or .webp. It is replaced when the film is complete.
-    shown : sequence of SceneItem
-        What is shown, from left to right.
-    settings : FilmSettings, optional
-        How.
-    against : sequence, optional
-        The original, for the colour "error"; only its frames are shown then.
-    progress : callable, optional
-        Told about every frame.
-    workers : Executor, optional
-        Who draws, by default as many threads as there are cores.
+    Frames are drawn on several threads; the file is the same for any number. `against` is the original for the colour
+    "error"; only its frames are shown then.
     """
     chosen = settings or FilmSettings()
     form = film_format(target)
@@ -140,7 +106,7 @@ def film(
 
 
 def check_shown(shown: Sequence[SceneItem], settings: FilmSettings, against: object) -> None:
-    """Refuse what cannot be shown, before the work."""
+    """Raise errors for items that cannot be shown, before the work."""
     if not shown:
         raise SettingsError("there is nothing to show; give a sequence or a model")
     if settings.colour == "error" and against is None:
@@ -171,7 +137,7 @@ def _parts(shown: Sequence[SceneItem]) -> list[Decomposition]:
 def _colourings(
     items: Sequence[SceneItem], decoded: Sequence[DecodedItem], colour: Colour, original: SceneItem | None
 ) -> list[Colouring]:
-    """Return what colours show of each mesh, against its first frame in the film or against the original."""
+    """Return the colouring of each mesh, against its first frame in the film or against the original."""
     parts = _parts(items) if colour == "parts" else [None] * len(items)
     for item in items:
         if colour == "own" and item.header.surface.colours is None:
@@ -188,7 +154,6 @@ def _colourings(
 
 
 def _check_mesh(item: SceneItem, original: SequenceHeader) -> None:
-    """Refuse to measure errors of another mesh."""
     header = item.header
     if not same_mesh(header, original):
         raise SettingsError(
@@ -200,7 +165,7 @@ def _check_mesh(item: SceneItem, original: SequenceHeader) -> None:
 def _scaled(
     colourings: list[Colouring], items: Sequence[DecodedItem], times: Float, settings: FilmSettings
 ) -> list[Colouring]:
-    """Let the scale of all meshes end at what was asked for, else at the largest number of the film."""
+    """Scale all colourings to the given end, by default the largest number of the film."""
     if settings.colour not in _MEANING:
         return colourings
     _, part = _MEANING[settings.colour]
@@ -219,7 +184,6 @@ def _layout(
     settings: FilmSettings,
     fps: float,
 ) -> Layout:
-    """Place panels and cameras, and draw what does not change."""
     width, height = settings.size
     meaning, part = _MEANING.get(settings.colour, ("", 1.0))
     frames = len(items[0].pose_of_frame)
@@ -243,6 +207,6 @@ def _layout(
 
 
 def colour_scale() -> Float:
-    """Return the colours ``(256, 3)`` from zero to the largest number, as those of the errors on paper."""
+    """Return the colours ``(256, 3)`` from zero to the largest number, as in pictures of errors."""
     scale = matplotlib_module("cm").ScalarMappable(None, "viridis").get_cmap()
     return np.asarray(scale(np.arange(256))[:, :3], dtype=np.float64)

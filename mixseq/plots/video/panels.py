@@ -16,12 +16,12 @@ from mixseq.scene.items import DecodedItem
 from mixseq.sequence import SequenceHeader
 
 HEAT_CONTRAST = 0.25
-"""Strength of the shading under colours that mean numbers, as on paper."""
+"""Strength of the shading under measured colours, as on paper."""
 
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """What one panel shows."""
+    """One panel of a film."""
 
     header: SequenceHeader  # the mesh
     colours: ArrayLike  # (3,) RGB in 0..1 of the mesh or of each face, where nothing is measured
@@ -31,7 +31,7 @@ class Panel:
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """All that the frames of a film have in common."""
+    """The static data of all frames of a film."""
 
     panels: Sequence[Panel]  # from left to right, and down
     backdrop: Picture  # (H, W, 3) what does not change: names and the colour bar
@@ -40,13 +40,13 @@ class Layout:
 
 
 Moment = tuple[int, list[tuple[Float, Bytes | None]]]
-"""A frame's number, and of each mesh in it the points and, if it is measured, entries ``(V,)`` of the palette."""
+"""A frame number, and for each mesh its points ``(V, 3)`` and, if measured, palette entries ``(V,)``."""
 
 
 def moments(
     items: Sequence[DecodedItem], colourings: Sequence[Colouring], times: Float, frames: Iterable[int]
 ) -> Iterator[Moment]:
-    """Yield what frames of a film show, whose frames are at times ``(N,)``."""
+    """Yield the data of film frames at times ``(N,)``."""
     for frame in frames:
         seen: list[tuple[Float, Bytes | None]] = []
         for item, colouring in zip(items, colourings, strict=True):

@@ -1,4 +1,4 @@
-"""The viewer in a browser: a server of viser with our meshes, controls and charts (extra ``viewer``)."""
+"""The viewer in a browser: a viser server with meshes, controls and charts (extra ``viewer``)."""
 
 from mixseq.viewing.live.marking_viewer import MarkedMeshes, MarkingViewer, marking_viewer
 from mixseq.viewing.live.server import check_viser

@@ -1,4 +1,4 @@
-"""Who may connect to a viewer: browsers that were given its address with the token, under a name that it has."""
+"""Access control of a viewer: browsers with the token in its address, under one of its names."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from typing import Protocol
 from urllib.parse import parse_qs, urlsplit
 
 EVERYWHERE = ("0.0.0.0", "::", "")
-"""Hosts that stand for all addresses of a machine."""
+"""Hosts that mean all addresses of a machine."""
 
 CLOSED = "This is a viewer of mixseq. Open the address that it printed, with its token."
-"""What is told to somebody without the token, whatever else is wrong: no more than that."""
+"""Message without the token, for any refusal."""
 
 
 class Headers(Protocol):
-    """Headers of a request, any of which may be there several times."""
+    """Headers of a request, with repetitions."""
 
     def get_all(self, key: str) -> list[str]:
         """Return all values of a header."""
@@ -25,12 +25,11 @@ class Headers(Protocol):
 
 @dataclass
 class Access:
-    """Tells which requests a viewer answers.
+    """Decides which requests a viewer answers.
 
-    A page of somebody else, open in the same browser, can send requests to a viewer, with cookies if it is on the same
-    host. It does not know the token, its cookie is for our own pages only (``SameSite=Strict``), and the browser says
-    whose page it is (``Origin``). A page whose name was made to mean this machine (DNS rebinding) gives itself away by
-    that name (``Host``).
+    Other pages in the same browser can send requests, with cookies if they are on the same host. They lack the token,
+    its cookie is ``SameSite=Strict``, and the browser sends their ``Origin``. Pages whose name resolves to this machine
+    (DNS rebinding) are recognised by that name (``Host``).
     """
 
     host: str
@@ -39,17 +38,17 @@ class Access:
 
     @property
     def address(self) -> str:
-        """Where a browser finds the viewer, with the token."""
+        """Address of the viewer for a browser, with the token."""
         name = "127.0.0.1" if self.host in EVERYWHERE else self.host
         return f"http://{_bracketed(name)}:{self.port}/?token={self.token}"
 
     @property
     def cookie(self) -> str:
-        """What a browser shall keep, so that it need not give the token again."""
+        """Cookie with the token."""
         return f"{self._cookie_name}={self.token}; Path=/; HttpOnly; SameSite=Strict"
 
     def refusal(self, path: str, headers: Headers) -> str | None:
-        """Return why a request is refused, None if it is not."""
+        """Return the reason for refusing a request, None if it is allowed."""
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
         if len(hosts) != 1 or not self._is_ours(hosts[0].lower()):
             return "a name that is not this machine's"
@@ -68,7 +67,7 @@ class Access:
 
     @property
     def _cookie_name(self) -> str:
-        """Cookies are the same at all ports of a host, where another viewer may run."""
+        """Name with the port, as all ports of a host share cookies."""
         return f"mixseq-{self.port}"
 
     def _cookies(self, headers: Headers) -> list[str]:

@@ -1,7 +1,7 @@
-"""Our scripts in viser's page, and what they say to Python.
+"""Scripts in viser's page, and their messages to Python.
 
-What is written with ``add_html`` runs no scripts, but the document of an ``iframe`` does, and may add ours to the page.
-To Python they talk through a text input that nobody sees: its callback runs on viser's event loop, in order.
+``add_html`` does not run scripts, but the document of an ``iframe`` does, and can add them to the page. They send
+messages through a hidden text input, whose callback runs in order on viser's event loop.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from mixseq.viewing.template import chart_scripts, script, script_json
 
 
 def add_bridge(server: Any, heard: Callable[[Message], None]) -> None:
-    """Add our scripts to the page of a server, where its controls are added now."""
+    """Add the scripts to the page of a server, at the current position of its controls."""
     line = server.gui.add_text("mixseq", "", visible=False)
 
     @line.on_update  # type: ignore[untyped-decorator]
@@ -28,7 +28,6 @@ def add_bridge(server: Any, heard: Callable[[Message], None]) -> None:
 
 
 def _frame(line: str) -> str:
-    """Return an element that brings our scripts into the page that it is in."""
     source = "\n".join([chart_scripts(), script("live_window.js"), script("live.js")])
     start = f"""<script>
 const text = {script_json(source)};

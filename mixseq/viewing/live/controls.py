@@ -1,4 +1,4 @@
-"""The panel on the right: playing, what is shown, and saving."""
+"""The right panel: playback, display, and saving."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from mixseq.viewing.playback import Moment, Playback
 
 SPEEDS = {"1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
 HAND = 0.5
-"""Seconds for which a slider that was moved stays where the hand has it: what is shown comes a little later."""
+"""Seconds for which a moved slider keeps its value, as the display lags behind."""
 
 DIGITS = 3
-"""Decimals of frame numbers that are not whole."""
+"""Decimals of fractional frame numbers."""
 
 LONGEST_NAME = 200
-"""Bytes of the name of a file; folders hold names of 255, and writers put some letters of theirs to it at first."""
+"""Longest file name in bytes: folders allow 255, and writers temporarily add some letters."""
 
 ROW, PLACE = "side by side", "in one place"
 
 
 @dataclass(frozen=True)
 class TimeBase:
-    """The times that are shown: those of one mesh of a scene, in seconds and by the numbers of its frames."""
+    """The displayed times: seconds and frame numbers of one mesh of a scene."""
 
     start: float  # time of the mesh's first frame, in seconds
     fps: float  # frames per second of the mesh
@@ -42,7 +42,7 @@ class TimeBase:
 
     @classmethod
     def of(cls, scene: Scene, index: int) -> TimeBase:
-        """Take the times of a mesh."""
+        """Make the time base of a mesh."""
         header = scene.items[index].header
         return cls(float(header.times[0]), header.fps, scene.elapsed(scene.count - 1), scene.fps)
 
@@ -56,20 +56,20 @@ class TimeBase:
 
     @property
     def slider(self) -> tuple[float, float, float, int]:
-        """Least and largest number, the step from frame to frame, and decimals that they need."""
+        """Smallest and largest number, the step between frames, and their decimals."""
         low, high, step = self.number(0.0), self.number(self.last), self.fps / self.rate
         digits = 0 if all(each == round(each) for each in (low, high, step)) else DIGITS
         scale = 10.0**digits  # what is rounded must not be outside
         return floor(low * scale + 1e-6) / scale, ceil(high * scale - 1e-6) / scale, step, digits
 
     def text(self, elapsed: float) -> str:
-        """Tell in words what time it is."""
+        """Format a time."""
         number, end = frame_text(self.start + elapsed, self.fps), frame_text(self.start + self.last, self.fps)
         return f"frame {number} of {end}, {self.start + elapsed:.3f} of {self.start + self.last:.3f} s"
 
 
 class PlayControls:
-    """Play, scrub, and choose the rate."""
+    """Playback, scrubbing, and frame rate."""
 
     def __init__(self, server: Any, playback: Playback, index: int) -> None:
         gui = server.gui
@@ -103,13 +103,13 @@ class PlayControls:
         self.refresh()
 
     def refresh(self) -> None:
-        """Show whether it plays."""
+        """Show the state of playback."""
         plays = self._playback.plays
         self._button.label = "Pause" if plays else "Play"
         self._button.icon = self._icons[plays]
 
     def show(self, moment: Moment, index: int) -> None:
-        """Show what moment is seen, in the times of a mesh."""
+        """Show the current time, in the time base of a mesh."""
         base, elapsed = TimeBase.of(moment.scene, index), moment.scene.elapsed(moment.frame)
         if base != self._base:
             self._base = base
@@ -141,7 +141,7 @@ class PlayControls:
 
 
 class ShowControls:
-    """Colours, arrangement, and which meshes are shown."""
+    """Colours, arrangement, and visibility of meshes."""
 
     def __init__(self, server: Any, playback: Playback, stage: LiveStage, colours: SceneColours) -> None:
         gui, names = server.gui, [item.name for item in playback.scene.items]
@@ -166,7 +166,7 @@ class ShowControls:
         follow.on_update(lambda _: self._follow(playback, follow.value))
 
     def picked(self, text: str) -> None:
-        """Show what was clicked."""
+        """Show the picked mesh element."""
         self._picked.content = _line(text, "mixseq-picked")
 
     def _add_switch(self, gui: Any, index: int, name: str) -> None:
@@ -189,7 +189,7 @@ class ShowControls:
 
 
 class SaveControls:
-    """Save what was edited, under a name in the folder where the viewer was started."""
+    """Save edits under a name in the folder where the viewer was started."""
 
     def __init__(self, server: Any, folder: Path, name: str, save: Callable[[Path, bool], None]) -> None:
         gui = server.gui
@@ -222,24 +222,24 @@ class SaveControls:
 
 
 def _is_file_name(name: str) -> bool:
-    """Whether a text is the name of a file in a folder, on any system, and no path."""
+    """Whether a text is a plain file name on any system, without a path."""
     plain = name not in ("", ".", "..") and not any(each in name for each in "/\\:")
     return plain and name.isprintable() and len(name.encode(errors="replace")) <= LONGEST_NAME
 
 
 def notify(client: Any, title: str, text: str, good: bool = False) -> None:
-    """Tell something on a page for some seconds."""
+    """Show a notification on a page for some seconds."""
     client.add_notification(title, text, auto_close_seconds=6.0, color="teal" if good else "red")
 
 
 def notify_all(server: Any, title: str, text: str, good: bool = False) -> None:
-    """Tell something on all pages."""
+    """Show a notification on all pages."""
     for client in server.get_clients().values():
         notify(client, title, text, good)
 
 
 def _legend(colourings: list[Colouring]) -> str:
-    """Return the scale of colours, as a bar with its ends."""
+    """Return the colour scale as a bar with its ends."""
     shown = next((each for each in colourings if not each.constant), None)
     if shown is None:
         return ""

@@ -1,4 +1,4 @@
-"""The panel on the left: charts of the edited model, in which the mouse drags, draws and retimes."""
+"""The left panel: charts of the edited model, with dragging, drawing and retiming by mouse."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Charts:
         self.draw()
 
     def draw(self) -> None:
-        """Draw the model that is edited."""
+        """Draw the edited model."""
         with self._lock:  # the newest model is drawn last, whoever asks
             self._version += 1
             history = self._session.history
@@ -52,28 +52,28 @@ class Charts:
             )
 
     def show(self, moment: Moment) -> None:
-        """Move the point that is now."""
+        """Move the point of the current time."""
         model = self._session.model
         time = min(model.start + moment.scene.elapsed(moment.frame), model.end)
         pen = "true" if self._pen else "false"
         self._now.content = f'<span id="mixseq-now" data-time="{time:.6f}" data-pen="{pen}" hidden></span>'
 
     def pen(self, on: bool) -> None:
-        """Let the mouse draw, or drag."""
+        """Set the mouse to drawing or dragging."""
         self._pen = on
         self._playback.refresh()
 
     def reach(self, seconds: float) -> None:
-        """Choose over how many seconds the curve follows the mouse."""
+        """Set the reach of dragging, in seconds."""
         self._reach = seconds
         self.draw()
 
     def last(self, seconds: float) -> None:
-        """Choose how long lasts what is drawn."""
+        """Set the duration of drawn curves."""
         self._seconds = seconds
 
     def heard(self, message: Message) -> None:
-        """Do what was done with the mouse."""
+        """Apply a mouse message of the charts."""
         session, scene = self._session, self._playback.scene
         match message:
             case Seek(time):
@@ -92,7 +92,7 @@ class Charts:
 
     @property
     def _plane(self) -> Plane:
-        """The embedding that is drawn: what is dragged should not turn the picture that it is dragged in."""
+        """The drawn embedding, which is kept while dragging so that the picture stays."""
         model, index = self._session.model, self._session.index
         if index not in self._planes or not _fits(model, self._planes[index]):
             self._planes[index] = model.plane
@@ -100,7 +100,6 @@ class Charts:
 
 
 def _fits(model: Model, plane: Plane) -> bool:
-    """Whether a plane can be one of a model."""
     try:
         model.known(plane)
     except SettingsError:

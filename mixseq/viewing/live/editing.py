@@ -28,7 +28,7 @@ NO_HOLD = (
 )
 
 SHORTEST = 1e-3
-"""Seconds that a length of time has at least."""
+"""Smallest duration in controls, in seconds."""
 
 
 class EditControls:
@@ -77,7 +77,7 @@ class EditControls:
         gui.add_command("Redo", hotkey="Z", modifier="cmd/ctrl+shift").on_trigger(lambda _: session.redo())
 
     def edited(self) -> None:
-        """Fit what can be chosen to the model, and keep what was chosen as far as that fits."""
+        """Adapt the controls to the model, and keep the choices that still fit."""
         model, history = self._session.model, self._session.history
         done = f"{history.now} of {len(history.steps) - 1} steps"
         last = f": {history.undoes}" if history.undoes else ""
@@ -93,7 +93,7 @@ class EditControls:
         self._tell_frames()
 
     def chosen(self) -> None:
-        """Begin anew with another model."""
+        """Reset the controls to another model."""
         model = self._session.model
         self._section.min, self._section.max = span(model)
         self._section.value = span(model)
@@ -104,7 +104,7 @@ class EditControls:
         self.edited()
 
     def picked(self, index: int, picked: Picked) -> str:
-        """Choose the part that was clicked, and return what was."""
+        """Choose the part that was clicked, and describe the picked element."""
         motion = self._playback.scene.items[index].motion
         text = f"vertex {picked.vertex}, triangle {picked.face}"
         if isinstance(motion, Model) and motion.space.decomposed is not None:
@@ -139,7 +139,7 @@ class EditControls:
 
     @property
     def _chosen_section(self) -> tuple[float, float]:
-        """From when to when, in the times of the model; the slider has rounded them."""
+        """Start and end in seconds of the model, clipped, as the slider rounds them."""
         model = self._session.model
         first, last = (min(max(each, model.start), model.end) for each in self._section.value)
         return first, last
@@ -152,31 +152,31 @@ class EditControls:
 
     @property
     def _time(self) -> float:
-        """The time of the model that is seen."""
+        """Current time of the model, in seconds."""
         model, playback = self._session.model, self._playback
         return min(model.start + playback.scene.elapsed(playback.frame), model.end)
 
 
 def span(model: Model) -> tuple[float, float]:
-    """Return from when to when a model is, in seconds, at least a frame: rounded so that no slider ends within it."""
+    """Return start and end of a model in seconds, at least a frame apart, rounded outwards to the slider's steps."""
     first = float(np.floor(model.start / SHORTEST + 1e-6) * SHORTEST)
     last = float(np.ceil(model.end / SHORTEST - 1e-6) * SHORTEST)
     return first, max(last, first + max(1 / model.header.fps, SHORTEST))
 
 
 def duration(model: Model) -> float:
-    """Return how long a model lasts, in seconds, or at least a frame: rounded up, so that no slider ends before it."""
+    """Return the duration of a model in seconds, at least a frame, rounded up to the slider's steps."""
     lasts = max(model.end - model.start, 1 / model.header.fps, SHORTEST)
     return float(np.ceil(lasts / SHORTEST - 1e-6) * SHORTEST)
 
 
 def reach_of(model: Model) -> float:
-    """Return over how many seconds a dragged curve follows, if nothing else is chosen."""
+    """Return the default reach of dragging, in seconds."""
     return max(round(default_reach(model), 3), SHORTEST)
 
 
 def _parts(model: Model) -> tuple[str, ...]:
-    """Return the numbers of the parts that can be chosen: those that hang on another one."""
+    """Return the numbers of parts with a parent."""
     if not isinstance(model.space, MixedSpace) or model.space.placement == "free":
         return ()
     return tuple(str(part) for part in np.flatnonzero(model.space.articulation.parents >= 0))
@@ -197,7 +197,7 @@ class Editor:
         self._saving = SaveControls(server, folder, self._target, session.save)
 
     def edited(self) -> None:
-        """Show the model that came of an edit."""
+        """Show the model after an edit."""
         self._charts.draw()
         self._controls.edited()
 
@@ -209,22 +209,22 @@ class Editor:
         self._playback.refresh()
 
     def undone(self) -> None:
-        """Draw the model again, over what a hand has done to its charts."""
+        """Draw the model again, over unfinished mouse edits of its charts."""
         self._charts.draw()
 
     def show(self, moment: Moment) -> None:
-        """Show what moment is seen."""
+        """Show the current time."""
         self._charts.show(moment)
 
     def heard(self, message: Message) -> None:
-        """Do what was done with the mouse in the charts."""
+        """Apply a mouse message of the charts."""
         self._charts.heard(message)
 
     def picked(self, index: int, picked: Picked) -> str:
-        """Choose what was clicked, and tell in words what it was."""
+        """Choose the picked mesh element, and describe it."""
         return self._controls.picked(index, picked)
 
     @property
     def _target(self) -> str:
-        """Under which name the model is saved, if no other is typed."""
+        """Default file name of the model."""
         return f"{Path(self._playback.scene.items[self._session.index].name).stem}-edited.h5"

@@ -1,7 +1,7 @@
-"""A guard before viser's server: it answers whom `Access` lets in, and hears what `checked_message` lets through.
+"""A guard in front of viser's server, for requests allowed by `Access` and messages allowed by `checked_message`.
 
-viser makes its server with ``websockets.asyncio.server.serve``, which takes a function that sees requests first and a
-class of connections; there is no other way to hand them to it.
+viser creates its server with ``websockets.asyncio.server.serve``, whose arguments for a request hook and a connection
+class are set by replacing that function.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from mixseq.viewing.live.access import CLOSED, Access
 from mixseq.viewing.live.incoming import LARGEST, Rate, checked_message
 
 FAST = 1000.0, 2000.0
-"""Messages of a page a second, and at once; more have to wait. At 144 Hz a page sends some 400."""
+"""Messages of a page per second, and in a burst; more are delayed. At 144 Hz a page sends some 400."""
 
 BAD = 1.0, 20.0
-"""Bad messages of a page a second, and at once; with more the connection is closed."""
+"""Bad messages of a page per second, and in a burst; more close the connection."""
 
 MOST = 256
-"""Websockets at a time; a page has one."""
+"""Largest number of websockets; a page has one."""
 
 LINES = 0.5, 20.0
-"""Lines on the terminal a second, and at once; more are left out."""
+"""Lines on the terminal per second, and in a burst; more are dropped."""
 
 PATIENCE = 1.0
-"""Seconds until a connection ends at which the other side does not take leave."""
+"""Seconds to wait for the other side when closing a connection."""
 
 HEADERS = {
     "Cache-Control": "no-store",
@@ -44,11 +44,11 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "SAMEORIGIN",
 }
-"""What every page of a viewer comes with: it is for no other page, and tells none where it is."""
+"""Headers of every page: no embedding elsewhere, no referrer."""
 
 
 class Guard:
-    """Stands before one server of viser."""
+    """Guards one viser server."""
 
     def __init__(self, access: Access) -> None:
         self.access = access
@@ -60,14 +60,14 @@ class Guard:
         self._log.addHandler(logging.NullHandler())
 
     def tell(self, text: str) -> None:
-        """Write a line about something that was refused, unless there were many of late."""
+        """Print a line about a refusal, within the rate `LINES`."""
         if self._lines.spare():
             line = "".join(each if each.isprintable() else "?" for each in text[:200])
             print(f"mixseq: viewer: {line}", file=sys.stderr, flush=True)
 
     @contextmanager
     def posted(self) -> Iterator[None]:
-        """Guard the server that is started meanwhile."""
+        """Guard the server that is started in the block."""
         usual, started = sockets.serve, []
 
         def serve(handler: Any, host: str, port: int, **settings: Any) -> Any:
@@ -91,7 +91,7 @@ class Guard:
             raise RuntimeError("this version of viser cannot be guarded")
 
     def unhook(self, server: Any) -> None:
-        """Take away what no page of ours asks viser for, public tunnels and uploads, and learn its controls."""
+        """Remove viser's handlers of public tunnels and uploads, and get its controls."""
         from viser import _messages as kinds
 
         for kind in (
@@ -104,7 +104,7 @@ class Guard:
         self.controls = server.gui._gui_input_handle_from_uuid
 
     def _answer(self, pages: Callable[..., Any], connection: Any, request: Any) -> Any:
-        """Answer a request, or let a websocket be opened."""
+        """Answer a request, or accept a websocket."""
         why = self.access.refusal(request.path, request.headers)
         if why is not None:
             if why not in self._refusals:  # a page of an earlier viewer asks again and again
@@ -131,7 +131,7 @@ class Guard:
 
 
 class _Connection(sockets.ServerConnection):
-    """A connection that hears only what a page may say."""
+    """A connection that passes only allowed messages."""
 
     def __init__(self, guard: Guard, *args: Any, **settings: Any) -> None:
         super().__init__(*args, **settings)
@@ -140,14 +140,14 @@ class _Connection(sockets.ServerConnection):
         self.counted = False
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Make room for another one."""
+        """Free the place of the connection."""
         super().connection_lost(exc)
         if self.counted:
             self.counted = False
             self._guard.connected -= 1
 
     async def recv(self, decode: bool | None = None) -> Any:
-        """Return the next message that is in order."""
+        """Return the next valid message."""
         while True:
             try:
                 raw = await super().recv(decode)

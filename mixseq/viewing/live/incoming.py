@@ -1,4 +1,4 @@
-"""What a page may say to viser: a few kinds of messages, each checked, and no faster than hands are."""
+"""Messages of a page to viser: a few kinds, checked, at a limited rate."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import msgspec
 
 LARGEST = 2**20
-"""Bytes of a message; a stroke of the pen has some 200,000."""
+"""Largest message, in bytes; a stroke of the pen has some 200,000."""
 
 Number = Annotated[float, msgspec.Meta(ge=-1e15, le=1e15)]
 Pixels = Annotated[float, msgspec.Meta(ge=1, le=1e6)]
@@ -21,11 +21,11 @@ Value = bool | Number | str | Annotated[list[Number], msgspec.Meta(max_length=16
 
 
 class Said(msgspec.Struct, tag_field="type", forbid_unknown_fields=True):
-    """A message of a page. viser has some twenty kinds more: uploads, tunnels, images; ours needs none of them."""
+    """A message of a page; viser's other kinds (uploads, tunnels, images) are rejected."""
 
 
 class Camera(Said, tag="ViewerCameraMessage"):
-    """From where the scene is seen."""
+    """The view of the scene."""
 
     wxyz: tuple[Number, Number, Number, Number]
     position: Triple
@@ -57,7 +57,7 @@ class Command(Said, tag="CommandTriggerMessage"):
 
 
 class NewValue(msgspec.Struct, forbid_unknown_fields=True):
-    """The value of a control, and nothing else of it."""
+    """The new value of a control, without other properties."""
 
     value: Value
 
@@ -74,7 +74,7 @@ _ENCODER = msgspec.msgpack.Encoder()
 
 
 def checked_message(raw: bytes | str, controls: Mapping[str, Any]) -> bytes | None:
-    """Return a message as viser shall read it."""
+    """Validate a message and encode it for viser; None to ignore it, ValueError if it is bad."""
     if isinstance(raw, str):
         raise ValueError("text, where bytes are expected")
     try:
@@ -92,7 +92,7 @@ def checked_message(raw: bytes | str, controls: Mapping[str, Any]) -> bytes | No
 
 
 def _check_kind(value: Any, before: Any, options: Any) -> None:
-    """Refuse a value that a control cannot have."""
+    """Raise ValueError for a value of a wrong type for a control."""
     if isinstance(before, bool):
         fits = isinstance(value, bool)
     elif isinstance(before, int | float):
@@ -120,7 +120,7 @@ def _in_range(value: Any, props: Any) -> bool:
 
 @dataclass
 class Rate:
-    """Allows so many things a second, and some more at once."""
+    """A token bucket: events per second, and in a burst."""
 
     persecond: float
     atonce: float
@@ -131,14 +131,14 @@ class Rate:
         self._left, self._when = self.atonce, monotonic()
 
     def wait(self) -> float:
-        """Count one thing, and return how many seconds too early it is."""
+        """Count an event, and return the seconds by which it is early."""
         now = monotonic()
         self._left = min(self.atonce, self._left + (now - self._when) * self.persecond) - 1
         self._when = now
         return max(0.0, -self._left / self.persecond)
 
     def spare(self) -> bool:
-        """Whether one more thing is allowed; only then it counts."""
+        """Whether another event is allowed; only then it is counted."""
         if self.wait() > 0:
             self._left += 1
             return False

@@ -1,4 +1,4 @@
-"""The panel beside two meshes on which markers are set."""
+"""The panel for setting markers, beside the two meshes."""
 
 from __future__ import annotations
 
@@ -21,32 +21,14 @@ VIEWS = {
     "Above": (90.0, 80.0),
     "Below": (90.0, -80.0),
 }
-"""From where both are seen: degrees from the front of the first, to its left, and above the horizon."""
+"""Views of both meshes: degrees from the front of the first, to its left, and above the horizon."""
 
 LISTED = 5
-"""Markers with the largest residuals that are listed."""
+"""Number of listed markers, those of largest residuals."""
 
 
 class MarkingControls:
-    """Undo, proposals, what is known about the map, and saving.
-
-    Parameters
-    ----------
-    server : viser.ViserServer
-        Where they are added.
-    session : MarkingSession
-        What is set.
-    names : (str, str)
-        What the two meshes are called.
-    file : str
-        The file that is saved to.
-    look : callable
-        Looks from elsewhere.
-    other : callable
-        Lets a camera look at the other mesh.
-    save : callable
-        Saves.
-    """
+    """Undo, proposals, examination of the map, and saving."""
 
     def __init__(
         self,
@@ -95,7 +77,7 @@ class MarkingControls:
             command.on_trigger(lambda _, act=action: act())
 
     def show(self) -> None:
-        """Show what is set now, and what is known about it."""
+        """Show the current markers and their examination."""
         session = self._session
         marking, proposals, examination = session.marking, session.proposals, session.examination
         self._hint.content = _lines("mixseq-hint", [_hint(marking, self._names)])

@@ -1,4 +1,4 @@
-"""Markers in the scene: a ball and a number at either end of a pair, dark balls where pairs are proposed."""
+"""Markers in the scene: a ball and a number at both ends of a pair, dark balls for proposals."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from mixseq.topology import Topology
 from mixseq.viewing.marking import Marking, Pair
 
 RADIUS = 0.004
-"""That of a ball, by how far away the camera is from what it looks at; ours, as all sizes here."""
+"""Radius of a ball, relative to the distance of the camera from its target."""
 
 FARTHEST = 2.5 * HEIGHT
-"""From farther away, balls get smaller on the screen."""
+"""Distance beyond which balls shrink on the screen."""
 
 STEP = 1.15
-"""Balls are drawn anew when their radius changes by this factor."""
+"""Factor of the radius at which balls are drawn again."""
 
 CHOSEN = 1.6
-"""How many times as large is the ball of a chosen pair, or of one that is begun."""
+"""Relative size of the ball of a chosen or begun pair."""
 
 ABOVE = 3.0
-"""How many radii a number stands away from the surface, so that it is seen where the ball is."""
+"""Distance of a number from the surface, in radii, for visibility."""
 
 SPARE, AWAY = 64, 1e4
-"""Balls that there are at least, and how far below the ground they are that are not used."""
+"""Smallest number of balls, and the depth of unused ones below the ground."""
 
 PROPOSED = (40, 40, 40)
-"""Colour of what is proposed."""
+"""Colour of proposals."""
 
 GOLDEN = 0.618034
-"""Turn of the hue from a number to the next, so that neighbours differ."""
+"""Step of the hue between consecutive numbers, so that neighbours differ."""
 
 
 def colour(number: int) -> tuple[int, int, int]:
@@ -50,14 +50,14 @@ def colour(number: int) -> tuple[int, int, int]:
 class Ball:
     """A ball on one of the meshes."""
 
-    vertex: int  # where it is
-    text: str  # what stands beside it; may be empty
+    vertex: int  # vertex of the mesh
+    text: str  # label, may be empty
     colour: tuple[int, int, int]  # its colour
-    scale: float  # how many times the usual radius it has
+    scale: float  # radius relative to the usual one
 
 
 def balls(marking: Marking, proposals: Sequence[Pair], suspects: frozenset[int], side: int) -> Iterator[Ball]:
-    """Yield what is drawn on a side: pairs with their numbers, with a ``!`` where they are suspected."""
+    """Yield the balls of a side: pairs with their numbers, with ``!`` for suspects."""
     for number, pair in enumerate(marking.pairs):
         text = f"{number + 1}{'!' if number in suspects else ''}"
         scale = CHOSEN if number == marking.chosen else 1.0
@@ -86,20 +86,20 @@ class MarkingStage:
         self._ball = _icosphere()
 
     def place(self, side: int, points: Float) -> None:
-        """Take notice of where the vertices ``(V, 3)`` of a mesh are, seen from where it stands."""
+        """Set the vertices ``(V, 3)`` of a mesh, relative to its place."""
         self._placed[side] = points, TriangleMesh(points, self._topologies[side]).vertex_normals
 
     def stand(self, offsets: Float) -> None:
-        """Take notice of where the meshes stand ``(2, 3)``."""
+        """Set the places ``(2, 3)`` of the meshes."""
         for frame, offset in zip(self._frames, offsets, strict=True):
             frame.position = offset
 
     def standing(self, side: int, vertices: Index) -> Float:
-        """Return where vertices of a mesh are in the scene ``(n, 3)``."""
+        """Return the places ``(n, 3)`` of vertices in the scene."""
         return np.asarray(self._placed[side][0][vertices] + self._frames[side].position)
 
     def seen_from(self, distance: float) -> bool:
-        """Take notice of how far away the camera is; returns whether balls are to be drawn anew."""
+        """Set the distance of the camera; returns whether balls must be drawn again."""
         radius = RADIUS * min(distance, FARTHEST)
         if 1 / STEP < radius / self._radius < STEP:
             return False
@@ -107,7 +107,7 @@ class MarkingStage:
         return True
 
     def draw(self, side: int, drawn: Sequence[Ball]) -> None:
-        """Draw the balls of a side, and no others."""
+        """Draw exactly the given balls of a side."""
         points, normals = self._placed[side]
         vertices = np.array([ball.vertex for ball in drawn], np.int64)
         with self._server.atomic():
@@ -115,7 +115,7 @@ class MarkingStage:
             self._write(side, drawn, points[vertices] + ABOVE * self._radius * normals[vertices])
 
     def _show(self, side: int, drawn: Sequence[Ball], places: Float) -> None:
-        """Move the balls of a side; some are spare, and far away, as new ones blink when they come."""
+        """Move the balls of a side; spare ones are kept far away, as new ones blink."""
         count = max(SPARE, 1 << len(drawn).bit_length())
         positions = np.tile(np.array([0.0, -AWAY, 0.0], np.float32), (count, 1))
         scales = np.full(count, self._radius, np.float32)
@@ -170,7 +170,7 @@ class MarkingStage:
 
 
 def _icosphere() -> tuple[Float, Index]:
-    """Points and triangles of a ball of radius 1."""
+    """Return points and triangles of a ball of radius 1."""
     import trimesh
 
     ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0)

@@ -1,4 +1,4 @@
-"""The viewer in which markers are set: two meshes at rest, side by side, whose points are clicked in pairs."""
+"""The viewer for markers: two meshes at rest, side by side, whose points are clicked in pairs."""
 
 from __future__ import annotations
 
@@ -29,31 +29,31 @@ from mixseq.viewing.messages import Drawn, Message
 from mixseq.viewing.playback import Playback
 
 TURNED = 2.0
-"""Degrees by which the camera turns before the meshes follow."""
+"""Degrees of camera rotation after which the meshes follow."""
 
 BETWEEN = 0.25
-"""A camera that looks so far beside a mesh looks at neither, as a share of the way from one to the other."""
+"""Distance of the target from a mesh beyond which none is looked at, relative to the distance of both."""
 
 STEEP = 0.05
-"""From so near to straight above or below it is not told from which side they are seen."""
+"""Tangent of the angle to the vertical below which the azimuth of the view is undefined."""
 
 SaveMarkers = Callable[[Markers], str]
-"""Writes markers to the file that was named when the viewer was started, and returns a sentence about it."""
+"""Writes markers to the file given at start, and returns a sentence about it."""
 
 
 @dataclass(frozen=True, eq=False)
 class MarkedMeshes:
-    """What markers are set on."""
+    """The meshes to be marked."""
 
     source: MeshSequence  # source at rest, in its first frame
     target: MeshSequence  # target at rest, in its first frame
-    names: tuple[str, str]  # what they are called
-    markers: Markers  # those that are set at first
-    file: str  # what the file is called that they are saved to
+    names: tuple[str, str]  # names of the meshes
+    markers: Markers  # initial markers
+    file: str  # name of the file to save to
 
     @property
     def scene(self) -> Scene:
-        """Both as they are shown: of one size, whatever their units."""
+        """Both meshes at rest, scaled to one size."""
         items = []
         for name, mesh in zip(self.names, (self.source, self.target), strict=True):
             points = np.asarray(mesh.points[:1], np.float64)
@@ -105,7 +105,7 @@ class MarkingViewer:
     # What the session tells -----------------------------------------------------------------------------
 
     def changed(self) -> None:
-        """Draw what is set now."""
+        """Draw the current markers."""
         controls = self._controls
         if controls is None:  # not all is there yet
             return
@@ -118,11 +118,11 @@ class MarkingViewer:
             controls.show()
 
     def failed(self, what: str, error: Exception) -> None:
-        """Tell on all pages what could not be done."""
+        """Show an error on all pages."""
         notify_all(self._server, f"{what}: not done", str(error))
 
     def save(self) -> None:
-        """Write what is set to the file."""
+        """Write the markers to the file."""
         marking = self.session.marking
         try:
             what = self._save(marking.markers)
@@ -143,7 +143,7 @@ class MarkingViewer:
         self._place()
 
     def _place(self) -> None:
-        """Put balls where the meshes stand now."""
+        """Move balls to the current places of the meshes."""
         arrangement = self._stage.arrangement
         for side, item in enumerate(self._playback.scene.items):
             points = arrangement.placed(side, item.pose(0.0)).astype(np.float64)
@@ -152,7 +152,7 @@ class MarkingViewer:
         self.changed()
 
     def _moved(self, camera: Any) -> None:
-        """Keep meshes beside each other, and balls small, while the camera of a page moves."""
+        """Keep meshes side by side, and balls small, while the camera of a page moves."""
         toward = camera.position - camera.look_at
         azimuth, distance = float(np.degrees(np.arctan2(toward[0], toward[2]))), float(np.linalg.norm(toward))
         turned = abs((azimuth - self._stage.arrangement.view.azimuth + 180) % 360 - 180)
@@ -163,7 +163,7 @@ class MarkingViewer:
             self.changed()
 
     def _other(self, camera: Any) -> None:
-        """Look at the same place of the other mesh: the marker that is nearest tells where that is."""
+        """Look at the corresponding place of the other mesh, by the nearest marker."""
         middles = self._stage.arrangement.middles
         here = int(np.linalg.norm(middles - camera.look_at, axis=1).argmin())
         pairs = np.array(
@@ -195,7 +195,7 @@ class MarkingViewer:
 def marking_viewer(
     meshes: MarkedMeshes, settings: ViewSettings, save: SaveMarkers
 ) -> Iterator[MarkingViewer]:
-    """Run a viewer in which markers are set in the background, as long as the context lasts."""
+    """Run a viewer for markers in the background, for the duration of the context."""
     with ExitStack() as stack:
         server, address = stack.enter_context(served(settings.host, settings.port))
         yield MarkingViewer(server, address, meshes, settings, save, stack)

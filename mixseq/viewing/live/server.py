@@ -1,4 +1,4 @@
-"""A guarded server of viser, at an address that it prints for those whom it lets in."""
+"""A guarded viser server, which prints its address with the token."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mixseq.errors import MissingExtraError, SettingsError
 
 
 def check_viser() -> None:
-    """Refuse to go on without viser."""
+    """Raise MissingExtraError without viser."""
     try:
         import viser  # noqa: F401
     except ImportError:
@@ -24,7 +24,7 @@ def check_viser() -> None:
 
 @contextmanager
 def served(host: str, wanted: int | None) -> Iterator[tuple[Any, str]]:
-    """Run a server as long as the context lasts; yields it, and its address with the token that lets one in."""
+    """Run a server for the duration of the context; yields it, and its address with the token."""
     check_viser()
     import viser
 
@@ -47,11 +47,11 @@ def _stop(server: Any) -> None:
 
 
 FIRST_PORT, PORTS = 8080, 100
-"""Where a free port is looked for."""
+"""Range of ports in which a free one is searched."""
 
 
 def free_port(host: str, wanted: int | None) -> int:
-    """Return a port at which one may listen: the one that is wanted, or else the first that is free."""
+    """Return the wanted port, or by default the first free one."""
     for port in [wanted] if wanted is not None else range(FIRST_PORT, FIRST_PORT + PORTS):
         try:
             with socket.create_server((host, port), family=_family(host)):

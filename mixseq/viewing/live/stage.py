@@ -21,31 +21,17 @@ LINES = (222, 222, 218)
 MARK = (20, 20, 20)
 
 CELL = HEIGHT / 2
-"""Size of the squares on the ground."""
+"""Size of the grid cells of the ground."""
 
 WIDER = 0.02
-"""Windows of pages that changed their shape by less need no other camera."""
+"""Change of a window's aspect below which the camera stays."""
 
 
 class LiveStage:
-    """Meshes in the scene of a server; see `mixseq.viewing.playback.Stage`.
+    """Meshes in the scene of a viser server; see `mixseq.viewing.playback.Stage`.
 
-    Parameters
-    ----------
-    server : viser.ViserServer
-        The server.
-    colours : SceneColours
-        Colours.
-    material : {"standard", "toon5"}
-        How light falls on meshes; the second is quick without a graphics card.
-    overlaid : bool
-        Whether meshes stand in one place at first, rather than side by side.
-    report : callable
-        Called with every moment that is shown, while it is.
-    camera : (float, float), optional
-        From where, see `mixseq.scene.camera.seen_from`.
-    following : bool
-        Whether bodies that travel stay where they are, and the ground moves, at first.
+    `report` is called with every shown moment. `overlaid` and `following` (bodies stay in place, the ground moves) are
+    initial states; `camera` as in `mixseq.scene.camera.seen_from`, `material` as in `ViewSettings`.
     """
 
     def __init__(
@@ -112,16 +98,16 @@ class LiveStage:
 
     @property
     def busy(self) -> bool:
-        """Whether the page has not drawn the last moment yet."""
+        """Whether the page is still drawing the last moment."""
         return self._drawing
 
     def drawn(self) -> None:
-        """Take notice that the page has drawn it."""
+        """Mark the last moment as drawn."""
         self._drawing = False
 
     @property
     def colours(self) -> list[Colouring]:
-        """What colours show now of every mesh."""
+        """Current colourings of all meshes."""
         return self._scene_colours.shared(self._colour)
 
     def show(self, moment: Moment) -> None:
@@ -143,7 +129,7 @@ class LiveStage:
             self._report(moment)
 
     def _standing(self, arrangement: Arrangement, index: int, points: Single) -> tuple[Single, Float]:
-        """Return where a mesh stands ``(V, 3)``, and how far ``(3,)`` it would have travelled if it is followed."""
+        """Return a mesh ``(V, 3)`` at its place, and the travel ``(3,)`` removed if it is followed."""
         placed = arrangement.placed(index, points)
         if not self.following:
             return placed, np.zeros(3)
@@ -151,28 +137,28 @@ class LiveStage:
         return np.asarray(placed - shift, dtype=np.float32), shift
 
     def colour(self, name: str) -> None:
-        """Choose what colours show; the next moment does."""
+        """Choose the colouring, from the next moment on."""
         self._colour = name
 
     def look(self, scene: Scene, camera: tuple[float, float]) -> None:
-        """Look from elsewhere, see `mixseq.scene.camera.seen_from`, at meshes that stand side by side from there."""
+        """Set the view, see `mixseq.scene.camera.seen_from`, with meshes side by side across it."""
         self._camera = camera
         self.arrange(scene, side_by_side=True)
 
     def turn(self, azimuth: float, looked_at: Float, distance: float) -> None:
-        """Keep meshes side by side, see `Arrangement.turned`; the camera is there already."""
+        """Keep meshes side by side across the current view, see `Arrangement.turned`."""
         with self._lock:
             self._arrangement = self._arrangement.turned(azimuth, looked_at, distance)
         self._place_meshes()
 
     @property
     def arrangement(self) -> Arrangement:
-        """Where meshes stand."""
+        """Current places of the meshes."""
         with self._lock:
             return self._arrangement
 
     def arrange(self, scene: Scene, side_by_side: bool) -> None:
-        """Put meshes side by side or into one place; the next moment does."""
+        """Set meshes side by side or overlaid, from the next moment on."""
         arrangement = arranged(scene, side_by_side, self._camera)
         with self._lock:
             self._arrangement = arrangement
@@ -187,18 +173,18 @@ class LiveStage:
                 label.position = place
 
     def hide(self, index: int, hidden: bool) -> None:
-        """Hide a mesh, or show it again."""
+        """Hide or show a mesh."""
         self._meshes[index].visible = not hidden
         if self._labels:
             self._labels[index].visible = not hidden
 
     def wire(self, on: bool) -> None:
-        """Draw edges instead of surfaces."""
+        """Draw edges or surfaces."""
         for mesh in self._meshes:
             mesh.wireframe = on
 
     def on_click(self, report: Callable[[int, Picked], None], mark: bool = True) -> None:
-        """Report what is clicked: which mesh, and where it was hit; a ball marks it if wanted."""
+        """Report the clicked mesh and the picked point; a ball marks it if wanted."""
         for number, mesh in enumerate(self._meshes):
 
             @mesh.on_click  # type: ignore[untyped-decorator]
@@ -220,7 +206,6 @@ class LiveStage:
                     report(index, found)
 
     def _furnish(self) -> None:
-        """Set up the light, the ground and the camera."""
         scene = self._server.scene
         scene.set_up_direction("+y")
         scene.configure_default_lights(cast_shadow=False)
@@ -242,7 +227,7 @@ class LiveStage:
         self._place_cameras()
 
     def welcome(self, client: Any) -> None:
-        """Put the camera of a new page in front of everything, and keep it there until a hand moves it."""
+        """Show everything in the camera of a new page, until the user moves it."""
 
         @client.camera.on_update  # type: ignore[untyped-decorator]
         def _(camera: Any) -> None:
@@ -260,7 +245,7 @@ class LiveStage:
         self._place_camera(client)
 
     def forget(self, client: Any) -> None:
-        """Forget a page that went away."""
+        """Drop the state of a closed page."""
         self._placed.pop(client.client_id, None)
 
     def _place_camera(self, client: Any) -> None:
@@ -282,7 +267,7 @@ class LiveStage:
 
 
 def linear(colours: Bytes) -> Bytes:
-    """Return sRGB colours in linear light, in which three.js shades."""
+    """Convert sRGB colours to linear, as three.js shades."""
     shares = colours / 255.0
     light = np.where(shares <= 0.04045, shares / 12.92, ((shares + 0.055) / 1.055) ** 2.4)
     return np.asarray(np.rint(255 * light), dtype=np.uint8)

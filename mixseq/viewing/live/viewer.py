@@ -1,4 +1,4 @@
-"""The viewer: a server, a scene, controls, and the threads behind them."""
+"""The viewer: server, scene, controls, and their threads."""
 
 from __future__ import annotations
 
@@ -23,39 +23,18 @@ from mixseq.warned import warnings_heard
 
 @dataclass(frozen=True)
 class ViewSettings:
-    """How the viewer runs.
+    """The settings of the viewer."""
 
-    Parameters
-    ----------
-    host : str
-        Address that it listens at; ``127.0.0.1`` is this machine and nobody else.
-    port : int, optional
-        Port; by default 8080, or the next one that is free.
-    folder : Path
-        Where edited motions are saved.
-    threads : int
-        How many threads decode.
-    material : {"standard", "toon5"}
-        How light falls on meshes; the second is for machines without a graphics card.
-    overlaid : bool
-        Whether meshes stand in one place at first, rather than side by side.
-    read_only : bool
-        Whether nothing can be edited or saved: there are no controls for that.
-    camera : (float, float), optional
-        From where meshes are seen at first: degrees from the front of the first, to its left, and above the horizon.
-    following : bool
-        Whether bodies that travel stay in the middle at first, and the ground moves.
-    """
-
-    host: str = "127.0.0.1"
-    port: int | None = None
-    folder: Path = Path()
-    threads: int = 2
-    material: str = "standard"
-    overlaid: bool = False
-    read_only: bool = False
+    host: str = "127.0.0.1"  # listening address; 127.0.0.1 is this machine only
+    port: int | None = None  # port, by default 8080 or the next free one
+    folder: Path = Path()  # folder of saved motions
+    threads: int = 2  # number of decoding threads
+    material: str = "standard"  # or "toon5", for machines without a graphics card
+    overlaid: bool = False  # whether meshes initially stand in one place, instead of side by side
+    read_only: bool = False  # whether controls for editing and saving are left out
+    # Initial view: degrees from the front of the first mesh, to its left, and above the horizon.
     camera: tuple[float, float] | None = None
-    following: bool = False
+    following: bool = False  # whether bodies that travel initially stay in the middle
 
 
 class Viewer:
@@ -104,28 +83,28 @@ class Viewer:
     # What the session tells -----------------------------------------------------------------------------
 
     def edited(self, session: Session) -> None:
-        """Another model is seen."""
+        """Show the edited model."""
         if self._editor is not None:
             self._editor.edited()
 
     def chosen(self, session: Session) -> None:
-        """Another model is edited."""
+        """Show the chosen model."""
         if self._editor is not None:
             self._editor.chosen()
 
     def failed(self, what: str, error: Exception) -> None:
-        """Tell on all pages what could not be done, and draw what there is instead."""
+        """Show an error on all pages, and draw the current model."""
         notify_all(self._server, f"{what}: not done", str(error))
         if self._editor is not None:
             self._editor.undone()
 
     def saved(self, what: str) -> None:
-        """Tell on all pages that a file was written."""
+        """Notify all pages of a saved file."""
         notify_all(self._server, "Saved", what, good=True)
 
     @property
     def _index(self) -> int:
-        """The mesh whose times are shown: the model that is edited, or the first one."""
+        """The mesh of the displayed times: the edited model, or the first mesh."""
         return max(self.session.index, 0)
 
     # What the playback tells ----------------------------------------------------------------------------
@@ -168,7 +147,7 @@ class Viewer:
 
 @contextmanager
 def viewer(colours: SceneColours, settings: ViewSettings, save: Save) -> Iterator[Viewer]:
-    """Run a viewer in the background, as long as the context lasts."""
+    """Run a viewer in the background, for the duration of the context."""
     with ExitStack() as stack:
         server, address = stack.enter_context(served(settings.host, settings.port))
         running = Viewer(server, address, colours, settings, save, stack)
