@@ -45,8 +45,8 @@ class Format:
     """File format: its name in messages, lower-case extensions, capabilities, options, reader and writer.
 
     `reader` and `writer` are ``"module:function"``, imported at first use: ``(path, **options) -> SequenceReader`` and
-    ``(path, header, blocks, velocities, **options) -> None``. `signatures` are the first bytes of files. `numbered` files
-    hold one frame. `isolated` files are parsed by a C++ library in a process of its own, see `mixseq_io.isolation`.
+    ``(path, header, blocks, velocities, **options) -> None``. `signatures` are first bytes of files, `numbered` files
+    hold one frame, `isolated` files are parsed by a C++ library in a process of its own, see `mixseq_io.isolation`.
     """
 
     name: str

@@ -83,7 +83,7 @@ class Document:
         return items[index]
 
     def accessor(self, index: int) -> NDArray[Any]:
-        """Return an accessor's numbers ``(n,)`` or ``(n, k)``, sparse values filled in, normalised integers as floats."""
+        """Return an accessor's numbers ``(n,)`` or ``(n, k)``, sparse values filled in, normalised ones as floats."""
         accessor = self.item("accessors", index)
         dtype, width = layout_of(accessor)
         count = accessor.integer("count")

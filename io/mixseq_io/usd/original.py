@@ -24,8 +24,8 @@ from mixseq_io.usd.seams import Weld, unwelded, weld
 class Fit:
     """Mesh of the sequence matched with a mesh of the file.
 
-    `corner_points` ``(C,)`` are the points at the file's corners, `match` maps its polygons and corners to the sequence's,
-    `turned` means reversed corner order, `weld` maps points to vertices.
+    `corner_points` ``(C,)`` are the points at the file's corners, `match` maps its polygons and corners to the
+    sequence's, `turned` means reversed corner order, `weld` maps points to vertices.
     """
 
     scene_mesh: SceneMesh

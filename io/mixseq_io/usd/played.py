@@ -21,8 +21,8 @@ _SAME_END = 1.0 - 1e-3
 def author_times(layer: Sdf.Layer, header: SequenceHeader, shown: Shown, original: Original | None) -> None:
     """Author units, rates and the time range.
 
-    The range is that of the frames. Where they cover the meshes' motion in the file on one side, the file's range is kept
-    on that side if it is longer, since the meshes are at rest there.
+    The range is that of the frames. On a side where they cover the meshes' motion in the file, the file's range is kept
+    if it is longer, since the meshes are at rest there.
     """
     layer.timeCodesPerSecond = layer.framesPerSecond = header.fps
     start, end = float(shown.codes[0]), float(shown.codes[-1])

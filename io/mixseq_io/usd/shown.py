@@ -1,7 +1,7 @@
 """USD, writing: map from a layer's time to the time of the file below.
 
 A sublayer keeps its seconds at any rate of the layer above. When the whole stage is retimed, its moving attributes get
-samples in the layer, taken at the times that the frames show; a layer offset would only do for a constant speed forwards.
+samples in the layer, taken at the times that the frames show; a layer offset suffices for constant speed forwards only.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """USD, writing (.usd and .usdc binary, .usda text, .usdz packages).
 
-Sequences from a USD file become a layer over it (`overlay`), others a stand-alone file (`standalone`). Samples
-(`frames`) are in the file itself (`layers`) or in value clips (`clips`). Points are rounded to float32.
+Sequences from a USD file become a layer over it (`overlay`), others a stand-alone file (`component`). Samples
+(`frame_values`) are in the file itself (`layers`) or in value clips (`clips`). Points are rounded to float32.
 """
 
 from __future__ import annotations
