@@ -1,11 +1,10 @@
 """Arrays in npz files, whose size is compared with the limit of memory before anything is unpacked.
 
 A small zip file can unpack to any size, and its headers can lie. The archive's size of an array must match its shape,
-and all arrays read at once must fit the limit; zipfile unpacks no more than the archive states. Compression methods
-that NumPy does not write are refused, since their unpacking is unbounded.
+and all arrays read at once must fit the limit. Compression methods that NumPy does not write are refused, since their
+unpacking is unbounded.
 
-Specifications: https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html and
-https://pkware.cachefly.net/webdocs/casestudies/APPNOTE.TXT
+Specification: https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html
 """
 
 from __future__ import annotations

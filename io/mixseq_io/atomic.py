@@ -39,10 +39,9 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 @contextmanager
 def replacing_many(pattern: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield a temporary folder to write files to; they move beside `pattern` if the block succeeds.
+    """Yield a temporary folder to write files to; they move beside `pattern`, each atomically, if the block succeeds.
 
-    Files move one after the other, each atomically, once all are written and flushed; only a sudden end of the
-    process, as by SIGKILL, can leave some of them behind.
+    They move once all are written and flushed; only a sudden end of the process (SIGKILL) can leave some behind.
     """
     target = Path(os.path.realpath(pattern))
     folder = target.parent
@@ -66,8 +65,7 @@ def replacing_many(pattern: str | os.PathLike[str]) -> Iterator[Path]:
 def replacing_folder(path: str | os.PathLike[str], own: Container[str]) -> Iterator[Path]:
     """Yield a temporary folder to write files to; they move into `path` if the block ends without an exception.
 
-    An existing folder stays, with the files of others in it. Files are exchanged one after the other, as in
-    `replacing_many`; if one fails, all go back.
+    An existing folder stays, with the files of others. Files are exchanged one by one; if one fails, all go back.
     """
     target = Path(os.path.realpath(path))
     with _explaining(target):

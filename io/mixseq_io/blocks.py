@@ -97,10 +97,7 @@ def _as_floats(block: FloatArray) -> FloatArray:
 def in_step(
     pairs: Iterable[tuple[FloatArray, FloatArray]],
 ) -> tuple[Iterator[FloatArray], Iterator[FloatArray]]:
-    """Split pairs of a block of points and one of velocities, as made by `Model.moving_blocks`, into two iterators.
-
-    Writers advance both in turns, so that no more than one pair is in memory.
-    """
+    """Split pairs of blocks of points and velocities (`Model.moving_blocks`) into two iterators, advanced in turns."""
     one, other = tee(pairs)
     return (points for points, _ in one), (velocities for _, velocities in other)
 

@@ -1,7 +1,6 @@
 """Choice of a scene's meshes: those that `prim` names, or those that move.
 
-Scenes of all formats are trees of named objects. A reader makes a `SceneObject` of every mesh and its ancestors; the
-chosen meshes are returned as indices, in their order.
+Readers make a `SceneObject` of every mesh and its ancestors; the chosen meshes are indices in their order.
 """
 
 from __future__ import annotations
@@ -43,15 +42,7 @@ class SceneObject:
 def chosen(
     file: Path, meshes: Sequence[SceneObject], prim: str, among: Sequence[SceneObject] | None = None
 ) -> list[int]:
-    """Return the indices of the meshes at or below an object.
-
-    Examples
-    --------
-    >>> man = SceneObject("/man", ("man",))
-    >>> body, house = SceneObject("/man/body", ("body",), man), SceneObject("/house", ("house",))
-    >>> [chosen(Path("a.abc"), [body, house], prim) for prim in ("man", "/man/body", "/")]
-    [[0], [0], [0, 1]]
-    """
+    """Return the indices of the meshes at or below an object, given by path or name."""
     among = meshes if among is None else among
     if not prim.strip("/"):
         return list(range(len(among)))

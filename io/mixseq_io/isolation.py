@@ -1,11 +1,9 @@
 """Readers in a process of their own, for formats that are parsed by C++ libraries.
 
-Damaged files can make these libraries crash, hang, or take all memory, and none of that can be caught in the same
-process. Readers run in a worker (`mixseq_io.worker`), a second Python with limits on memory (`mixseq_io.memory`) and on
-the time per answer; its death is reported as an error of the file. Workers are few and reused, since starting one takes
-half a second (`mixseq_io.worker_pool`).
-
-``MIXSEQ_READER_SECONDS`` sets the limit of time: by default 120 s of processor time, and four times that by the clock.
+Damaged files can make these libraries crash, hang, or take all memory, which cannot be caught in the same process.
+Readers run in a reused worker (`mixseq_io.worker`), a second Python with limits on memory (`mixseq_io.memory`) and on
+time per answer; its death is reported as an error of the file. ``MIXSEQ_READER_SECONDS`` sets the limit of time: by
+default 120 s of processor time, and four times that by the clock.
 """
 
 from __future__ import annotations

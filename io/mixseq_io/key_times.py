@@ -1,8 +1,4 @@
-"""Times at which anything in a scene changes, from which frames are made.
-
-Each channel of an animation has its own key times: USD attributes, Alembic properties, glTF node properties. Frames are
-at all of them; times that differ only by rounding are merged.
-"""
+"""Times at which any channel of a scene changes, merged into frames where they differ only by rounding."""
 
 from __future__ import annotations
 
@@ -22,10 +18,7 @@ _EARLY = 2.0  # seconds; exporters compute earlier times from later ones
 
 
 def joined(channels: Iterable[Float], tolerance: float = SAME_TIME) -> Float:
-    """Return the times ``(n,)`` of all channels, increasing; equal times of two channels count once.
-
-    Times within a channel stay distinct, however close they are.
-    """
+    """Return the times ``(n,)`` of all channels, increasing, merged if equal in two channels, but not within one."""
     times = np.empty(0)
     for each in channels:
         times = united(times, each, tolerance)
@@ -41,10 +34,9 @@ def united(times: Float, more: Float, tolerance: float | Float) -> Float:
 
 
 def on_grid(times: Float, fps: float) -> Float:
-    """Return times ``(T,)``, those that are ``k / fps`` within float32 rounding moved onto it exactly.
+    """Return times ``(T,)``, moved to ``k / fps`` if within two float32 steps of it (of 2 s, for earlier times).
 
-    The tolerance is two steps of float32 at the time, or at 2 s if that is later. Other times stay as they are, and all
-    do where two would become one.
+    Other times stay as they are, and all do where two would become one.
     """
     with np.errstate(all="ignore"):  # what is not finite is told where the times are used
         nearest = np.rint(times * fps) / fps

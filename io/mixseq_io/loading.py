@@ -1,8 +1,4 @@
-"""Load models of any kind, importing only what a file needs, while it is read.
-
-Compressed models of HDF5 and GLB files come from `mixseq_io.coded.reading`, models with signals in any shape space
-from `mixseq_io.hdf5.model_files`.
-"""
+"""Load models of any kind, importing only what a file needs, while it is read."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""NumPy archives: a zip file of arrays, read and written in blocks of frames.
+"""NumPy archives: a zip file of arrays, read and written in blocks of frames; pickles are not read.
 
 ==================  ====================  =====================================================
 array               shape                 meaning
 ==================  ====================  =====================================================
-``points``          (T, V, 3) float       vertex positions
+``points``          (T, V, 3) float       vertex positions, kept as float32 or float64
 ``velocities``      (T, V, 3) float       optional, units per second
 ``faces``           (F, K) int            triangles (K = 3) or other equal polygons; or instead
 ``face_counts``     (P,) int              number of corners of each polygon
@@ -16,7 +16,6 @@ array               shape                 meaning
 ==================  ====================  =====================================================
 
 and those of `mixseq_io.surface_arrays`: texture coordinates, hard edges, face sets, objects.
-Points keep their precision, float32 or float64. Objects (pickles) are not read.
 """
 
 from __future__ import annotations

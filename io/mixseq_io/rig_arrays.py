@@ -15,10 +15,9 @@ _ROUNDING = 4 * float(np.finfo(np.float32).eps)
 
 
 def four_influences(skin: Skin) -> tuple[Index, NDArray[np.float32]]:
-    """Return four bones and weights ``(V, 4)`` per vertex, for engines.
+    """Return four bones and float32 weights ``(V, 4)`` per vertex, for engines.
 
-    Bones of a vertex are distinct, the largest weight comes first, bones without weight are 0, and weights sum to 1 in
-    float32.
+    Bones of a vertex are distinct, the largest weight first, bones without weight are 0, and weights sum to 1.
     """
     bones = skin.influences.copy()
     weights = skin.weights.copy()

@@ -60,7 +60,7 @@ def measure(path: Path, sequence: MeshSequence) -> Measured:
 
 
 def size_as_frames(header: SequenceHeader) -> int:
-    """Return the size in bytes of a .glb from `mixseq_io.write`, a morph target per frame, up to the text of bounds."""
+    """Return the size in bytes of a .glb with a morph target per frame, up to the text of bounds."""
     layout, meshes = new_scene(header)
     Morphs(layout, meshes, header)
     return glb_size(layout)

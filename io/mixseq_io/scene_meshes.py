@@ -46,10 +46,7 @@ class SceneMesh:
         return len(self.vertices)
 
     def as_numbered(self, original: Polygons) -> SceneMesh | None:
-        """Return the mesh with vertices in the order of a file, None if the file has another mesh.
-
-        Only compressed models renumber vertices.
-        """
+        """Return the mesh with the vertex order of a file (only compressed models renumber), None for another mesh."""
         found = numbering_of(self.polygons, original, [self.vertex_count])
         if found is None or found.order != "free":
             return None if found is None else self
@@ -144,10 +141,7 @@ def material_of_the_rest(path: str, polygon_count: int, bound: Iterable[FaceSet]
 
 
 def split(header: SequenceHeader) -> list[SceneMesh]:
-    """Return the meshes that a sequence joins, in order.
-
-    Defaults that `join` gave to meshes without texture coordinates, colours or hard edges are removed.
-    """
+    """Return the meshes that a sequence joins, in order, without defaults added by `join`."""
     surface, polygons = header.surface, header.polygons
     corners = np.concatenate([[0], np.cumsum(polygons.counts)])
     several = len(header.objects) > 1

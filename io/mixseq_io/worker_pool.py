@@ -129,9 +129,9 @@ class Worker:
         again: bool = False,
         meanwhile: Callable[[], object] | None = None,
     ) -> Any:
-        """Return the answer to a request about a file; raise its error, and repeat its warnings.
+        """Return the answer to a request about a file; raise its error, and repeat its warnings unless asked `again`.
 
-        Warnings of a request made `again` are dropped. `meanwhile` is called before waiting for the answer.
+        `meanwhile` is called before waiting for the answer.
         """
         try:
             with self._lock:

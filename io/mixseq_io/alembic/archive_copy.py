@@ -1,7 +1,6 @@
 """Copy an archive object by object and property by property, except for the points of some meshes.
 
-Properties determine the kind of an object (camera, curves, transform), so they are copied as stored, with metadata and
-sample times. Instances stay instances.
+Properties, copied with metadata and sample times, determine an object's kind. Instances stay instances.
 
 Specification: https://docs.alembic.io/reference/index.html (``Abc``)
 """

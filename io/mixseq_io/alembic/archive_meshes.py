@@ -1,6 +1,4 @@
-"""Meshes of an archive, and the choice of those to read.
-
-The schema in an object's metadata determines its kind. Instances appear in the tree as the objects they stand for.
+"""Meshes of an archive, and the choice of those to read; instances appear as the objects they stand for.
 
 Specification: https://docs.alembic.io/reference/index.html (``AbcGeom``)
 """
@@ -19,9 +17,7 @@ from mixseq_io.choosing import SceneObject, chosen, listed, moving
 
 _MOST_OBJECTS = 1_000_000
 LAID_OVER = "mixseq_laid_over"
-"""Metadata of meshes that mixseq laid over an archive: frames are at the sample times of their points only, and
-velocities are rates of the points in mesh space.
-"""
+"""Metadata of meshes laid over an archive: frames at their points' times only, velocities as rates in mesh space."""
 
 _DEEPEST = 200
 """Largest depth of objects; instances of their own ancestors would nest without end."""

@@ -1,6 +1,4 @@
-"""Access to alembic3d, the library for Alembic: archives, errors and arrays.
-
-`alembic3d` packages the official Python binding; its arrays come from `imath`, included in the package.
+"""Access to alembic3d, the packaged official binding of Alembic: archives, errors, and arrays of its `imath`.
 
 Specification: https://docs.alembic.io/python/alembic.html, https://docs.alembic.io/reference/index.html
 """
@@ -64,10 +62,7 @@ def open_archive(path: Path) -> Any:
 
 
 def selector(sampled: Any, sample: int) -> Any:
-    """Return the selector of a sample of a property or schema, given its number.
-
-    It selects by the sample's time, since Python calls the constructor for times with numbers, too.
-    """
+    """Return the selector of a sample by its time, since the constructor takes numbers for times in Python."""
     time = sampled.getTimeSampling().getSampleTime(sample)
     return Abc.ISampleSelector(time, Abc.ISampleSelector.TimeIndexType.kNearIndex)
 

@@ -17,9 +17,9 @@ Place = tuple[str, ...]
 
 
 def object_places(header: SequenceHeader, scene_meshes: Sequence[SceneMesh]) -> list[Place]:
-    """Return the places of all meshes of a sequence: their own paths, or ``/<name>/<object>/<object>``.
+    """Return the places of all meshes: ``/<name>/<object>/<object>``, or their own paths.
 
-    Paths are kept if all meshes have one with a transform, and their common ancestor is named as the sequence is.
+    Those are kept if all meshes have one with a transform, and their common ancestor is named as the sequence.
     """
     kept = [tuple(each.path.split("/")[1:]) for each in scene_meshes if each.path.startswith("/")]
     if len(kept) == len(scene_meshes) and _can_be(kept) and _common_name(kept) in ("", header.name):

@@ -1,7 +1,7 @@
 """Alembic, writing: an archive copied with new points in some of its meshes.
 
-All other contents stay. Points are in mesh space, below the archive's transforms, marked so that frames are at their
-times only. Normals are recomputed where the archive has some.
+Points are in mesh space, below the archive's transforms, marked so that frames are at their times only. Existing
+normals are recomputed; all other contents stay.
 """
 
 from __future__ import annotations

@@ -112,10 +112,7 @@ def _arrays_on(surface: Surface, mesh: Mesh) -> dict[str, NDArray[Any]]:
 
 
 def unpack_surface(packed: bytes, folder: Path, mesh: Mesh) -> Surface:
-    """Return the surface that `pack_surface` was given; `folder` as in `surface_of_arrays`.
-
-    Raises `FormatError` or `InvalidSequenceError` if it is damaged.
-    """
+    """Return the surface packed by `pack_surface`; raise `FormatError` or `InvalidSequenceError` if it is damaged."""
     if not packed:
         return Surface()
     try:

@@ -40,10 +40,7 @@ _DECODED = 16
 
 
 def sequence_of(path: Path, container: Container) -> CompressedSequence:
-    """Return the compressed sequence of a file, all bytes checked.
-
-    Raises `FormatError` with the stream and its frames if it is damaged.
-    """
+    """Return the compressed sequence of a file, checked; raise `FormatError` with the damaged stream and its frames."""
     index = read_index(path, container)
 
     def sound(stream: Stream) -> bytes:
@@ -98,10 +95,7 @@ def read_order(path: Path, container: Container) -> OrderName:
 
 
 def read_between(path: Path, container: Container) -> BetweenFrames | None:
-    """Read how coefficients are predicted between frames, None if the file does not state it.
-
-    Raises `FormatError` for other keys, or values that are out of range.
-    """
+    """Read the prediction of coefficients between frames, None if absent; raise `FormatError` if it is invalid."""
     given = facts_of(path, container).get("between")
     if given is None:
         return None
@@ -119,10 +113,7 @@ def read_between(path: Path, container: Container) -> BetweenFrames | None:
 def read_header(
     path: Path, container: Container, index: StreamIndex, ground: Mapping[str, bytes]
 ) -> SequenceHeader:
-    """Read mesh and times from the streams of `StreamIndex.ground`.
-
-    Raises `FormatError` if they contradict each other, or take too much memory.
-    """
+    """Read mesh and times from `StreamIndex.ground`; raise `FormatError` for contradictions or too much memory."""
     facts = facts_of(path, container)
     told = [facts.get(f"{what}_count") for what in ("vertex", "corner", "frame")]
     elements = sum(each for each in told if isinstance(each, int))
@@ -159,10 +150,7 @@ def read_header(
 
 
 def decoded(path: Path, coded: CompressedSequence) -> Model:
-    """Return the model of a compressed sequence that was read from a file.
-
-    Raises `FormatError` if its streams contradict each other, or their contents take too much memory.
-    """
+    """Return the model of a sequence read from a file; raise `FormatError` for contradictions or too much memory."""
     width, frames = 3 if coded.parameters.factors == "shapes" else 1, coded.header.frame_count
     numbers = coded.parameters.rank * (width * coded.header.vertex_count + 3 * frames)
     check_memory(path, _DECODED * numbers, "its basis and coefficients")

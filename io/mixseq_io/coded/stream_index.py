@@ -83,10 +83,7 @@ class StreamIndex:
 
 
 def read_index(path: Path, container: Container) -> StreamIndex:
-    """Read the index.
-
-    Raises `FormatError` for another version, or a damaged index or attribute, without which no stream can be found.
-    """
+    """Read the index; raise `FormatError` for another version, or a damaged index or attribute."""
     if container.version != COMPRESSED_VERSION:
         raise FormatError(
             f"{path} is a compressed model of version {container.version}, this mixseq reads {COMPRESSED_VERSION}: "
@@ -154,13 +151,7 @@ def facts_of(path: Path, container: Container) -> dict[str, Any]:
 
 
 def pack_leb128(numbers: Iterable[int]) -> bytes:
-    """Write non-negative integers, 7 bits to the byte, the lowest first (LEB128).
-
-    Examples
-    --------
-    >>> pack_leb128([5, 300]).hex(), list(unpack_leb128(pack_leb128([5, 300])))
-    ('05ac02', [5, 300])
-    """
+    """Write non-negative integers, 7 bits to the byte, the lowest first (LEB128): [5, 300] is 05 ac 02."""
     packed = bytearray()
     for number in numbers:
         while number > 127:

@@ -76,10 +76,7 @@ def hermite(
     arriving: NDArray[np.float64],
     s: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the Hermite cubics from `a` to `b` ``(n, k)``, tangents per whole step, at fractions `s` ``(n, 1)``.
-
-    Rotations are not normalised.
-    """
+    """Return the Hermite cubics from `a` to `b` ``(n, k)``, tangents per step, at `s` ``(n, 1)``, not normalised."""
     return (
         (2 * s**3 - 3 * s**2 + 1) * a
         + (s**3 - 2 * s**2 + s) * leaving

@@ -1,11 +1,10 @@
 """A glTF document of a sequence laid over its original file, whose other contents are kept.
 
 Meshes of the sequence get new world-space positions, and new normals where they had some; they lose skins, morph
-targets and tangents. Primitives and vertex order stay; each vertex moves as the sequence's vertex it was welded to.
-Nodes of these meshes get the inverse transform of their parents. Where a parent moves or shears, the mesh becomes a
-root of the scene instead, or several below one root, which comes first; its former children keep their place.
-All animations are replaced by the sequence and by other motion of the file. Unreferenced data are removed, so that
-repeated writing does not grow the file.
+targets and tangents. Primitives and vertex order stay. Their nodes get the inverse transform of their parents; where a
+parent moves or shears, they become a root of the scene, or several below one root, which comes first. Former children
+keep their place. All animations are replaced by the sequence and by other motion of the file, and unreferenced data
+are removed, so that repeated writing does not grow the file.
 """
 
 from __future__ import annotations

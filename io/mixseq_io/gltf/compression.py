@@ -1,12 +1,8 @@
 """Compressed glTF files as uncompressed documents: views and primitives get buffers that are unpacked when read.
 
-``EXT_meshopt_compression`` and its successor ``KHR_meshopt_compression`` pack buffer views (`mixseq_io.gltf.meshopt`).
-``KHR_draco_mesh_compression`` packs triangles and attributes of a primitive (`mixseq_io.gltf.draco`). A primitive with
-both a packed and a plain form is read plain.
-
-Specification:
-https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Vendor/EXT_meshopt_compression/README.md,
-https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Khronos/KHR_draco_mesh_compression/README.md
+``EXT_meshopt_compression`` and ``KHR_meshopt_compression`` pack buffer views (`mixseq_io.gltf.meshopt`),
+``KHR_draco_mesh_compression`` packs triangles and attributes of a primitive (`mixseq_io.gltf.draco`), which is read
+plain if it has a plain form, too. Those modules have the specifications.
 """
 
 from __future__ import annotations

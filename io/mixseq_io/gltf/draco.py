@@ -1,6 +1,4 @@
-"""Primitives that Draco packed: by the library of Google, in a process of its own.
-
-Packages: DracoPy (extra `gltf`).
+"""Draco-compressed primitives, unpacked by Google's library (DracoPy, extra `gltf`) in a process of its own.
 
 Specification: https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Khronos/KHR_draco_mesh_compression/README.md
 """

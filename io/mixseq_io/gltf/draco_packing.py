@@ -1,7 +1,4 @@
-"""Draco compression of primitives (`mixseq_io.gltf.draco` unpacks); Draco reorders vertices and triangles.
-
-Packages: DracoPy (extra `gltf`).
-"""
+"""Draco compression of primitives, which reorders vertices and triangles, by DracoPy (extra `gltf`)."""
 
 from __future__ import annotations
 

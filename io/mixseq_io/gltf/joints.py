@@ -54,10 +54,9 @@ def nodes_on(document: Document, scene: Scene, name: str | None) -> list[int]:
 
 
 def bound(document: Document, shape: Shape, name: str | None) -> Shape:
-    """Return a shape bound to a single joint, the first without a parent, that shows its bind pose.
+    """Return a shape in its bind pose, bound to a single joint, the first without a parent.
 
-    The transform is :math:`I_r` from the space of its skin, and :math:`I_r I_j^{-1} W_j^{-1} W_n` for a node n below a
-    joint j.
+    The transform is :math:`I_r` from its skin's space, :math:`I_r I_j^{-1} W_j^{-1} W_n` for a node n below a joint j.
     """
     scene, skin, fields = shape.scene, shape.skin, _chosen(document, name)
     joints = joints_of(document, fields)

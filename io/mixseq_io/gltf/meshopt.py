@@ -1,6 +1,4 @@
-"""Unpack meshopt-compressed buffer views of vertices, triangles and other indices, in a process of its own.
-
-Packages: meshopt (extra `gltf`).
+"""Unpack meshopt-compressed buffer views in a process of its own; package: meshopt (extra `gltf`).
 
 Specification: https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Vendor/EXT_meshopt_compression/README.md
 """

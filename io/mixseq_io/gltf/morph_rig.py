@@ -4,8 +4,7 @@ A target is displacements ``d_m`` and weights ``w_tm``, scaled to sliders' range
 glTF blends normals as it does points, ``n_t ~ n_0 + sum_m w_tm e_m`` before normalisation. The ``e_m`` are fitted to
 the true normals ``N_t`` of all frames by least squares: with the matrix ``W`` of weights, ``E = W^+ (N - n_0)``.
 
-Specifications: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#morph-targets,
-https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#animations
+Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#morph-targets
 """
 
 from __future__ import annotations
@@ -44,10 +43,9 @@ class Track:
 
 
 def animate(layout: Layout, header: SequenceHeader, tracks: Sequence[Track]) -> None:
-    """Add the animation of a sequence, linear samplers with a key at every frame, to a document.
+    """Add the linear animation of a sequence, with keys at its frames and rotations on the short arc, to a document.
 
-    Constant tracks are left out, and so is an animation without tracks: nodes have the values of the first frame.
-    Rotations are interpolated spherically on the short arc.
+    Constant tracks, and an animation without tracks, are left out: nodes have the values of the first frame.
     """
     moving = [track for track in tracks if track.moves]
     if not moving:

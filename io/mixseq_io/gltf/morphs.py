@@ -106,10 +106,7 @@ class Morphs:
         return layout.document["bufferViews"][view]["byteOffset"], unbounded
 
     def write(self, frame: int, points: NDArray[np.float32], writer: BufferWriter) -> None:
-        """Write the points ``(V, 3)`` of a frame; the first one is kept.
-
-        Raises `InvalidSequenceError` if points are too far from those of the first frame for float32.
-        """
+        """Write a frame's points ``(V, 3)``; `InvalidSequenceError` if too far from the first frame for float32."""
         normals = [
             shared_normals(
                 points[None, mesh.scene_mesh.vertices], mesh.scene_mesh.polygons, mesh.scene_mesh.hard_edges
@@ -137,10 +134,7 @@ class Morphs:
 
 
 def key_times(header: SequenceHeader, keep_start: bool = False) -> tuple[NDArray[np.float32], Json]:
-    """Return the float32 times of the keys ``(T,)`` and the animation's extras.
-
-    Extras are ``fps``, and ``start``, the time in seconds at key time 0, if it is not 0.
-    """
+    """Return float32 key times ``(T,)``, and extras: ``fps``, and ``start``, the time in s at key 0, unless it is 0."""
     start = time_shift(header, keep_start)
     keys = (header.times - start).astype(np.float32)
     close = np.diff(keys) <= 0

@@ -143,10 +143,7 @@ def new_meshes(header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
 
 
 def group(document: Json, nodes: list[int], header: SequenceHeader, vacant: int | None = None) -> int:
-    """Return the root of a sequence's nodes, oriented upright: the only node, or a parent of all.
-
-    The parent takes the place of the node `vacant`, if given.
-    """
+    """Return the root of a sequence's nodes, upright: the only node, or a parent of all (`vacant` if given)."""
     entry = {**named(header.name), "children": nodes}
     if len(nodes) == 1:
         root = nodes[0]

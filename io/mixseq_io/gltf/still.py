@@ -1,7 +1,7 @@
 """The still of a mesh sequence: its first frame as ordinary glTF, by material, for other viewers.
 
-Decoders use its materials only, so it may be coarse: points at 11 bits and normals at 7, compressed by Draco; plain
-float32; or one degenerate triangle for each material.
+Decoders use its materials only, so it may be coarse: by Draco with points at 11 bits and normals at 7; plain float32;
+or one degenerate triangle for each material.
 """
 
 from __future__ import annotations

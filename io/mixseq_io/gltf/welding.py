@@ -112,10 +112,7 @@ def _columns(primitives: Sequence[Primitive]) -> Iterator[NDArray[Any]]:
 
 
 def influences(primitives: Sequence[Primitive]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return joints and weights ``(n, 4 * sets)`` of all vertices, sorted by joint.
-
-    Joints of weight 0 are 0; primitives with fewer sets are padded with weights 0.
-    """
+    """Return joints and weights ``(n, 4 * sets)`` of all vertices by joint; joints of weight 0, and padding, are 0."""
     sets = max(min(each.sets("JOINTS"), each.sets("WEIGHTS")) for each in primitives)
     none = np.zeros((sum(len(each.positions) for each in primitives), 0))
     joint = np.concatenate([none, *(_gathered(primitives, _joints(i), 4) for i in range(sets))], axis=1)

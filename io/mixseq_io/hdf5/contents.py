@@ -1,7 +1,7 @@
 """HDF5 files read in a process of their own; attributes and arrays arrive as plain values.
 
-One flipped bit can make HDF5 loop forever, deaf to Ctrl-C, and a crafted file can crash it. The user's process does not
-import HDF5: see `mixseq_io.isolation`, and `mixseq_io.hdf5.unpacking` for the worker's side.
+A flipped bit can make HDF5 loop forever, and a crafted file can crash it, so the user's process does not import it: see
+`mixseq_io.isolation`, and `mixseq_io.hdf5.unpacking` for the worker's side.
 """
 
 from __future__ import annotations
@@ -53,10 +53,7 @@ def read_attributes(path: Path) -> Contents:
 def read_contents(
     path: Path, kind: str | None = None, meanwhile: Callable[[], object] | None = None
 ) -> Contents:
-    """Read a file; only its attributes if its `format` differs from a given `kind`.
-
-    `meanwhile` is called while the worker reads.
-    """
+    """Read a file, or its attributes only if its `format` is not `kind`; call `meanwhile` while the worker reads."""
     check_regular(path, "HDF5")
     found: Contents = call_isolated(f"{_OTHER_SIDE}:contents", path, kind, meanwhile=meanwhile)
     return found

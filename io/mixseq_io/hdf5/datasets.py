@@ -1,7 +1,4 @@
-"""Arrays and settings of a model in HDF5: stored with checksums, checked for kind, shape and range when read.
-
-Errors are `FormatError` and name the dataset.
-"""
+"""Arrays and settings of a model in HDF5, with checksums; errors of kind, shape and range are `FormatError`."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Write HDF5 files with checksums, and the header of a sequence.
-
-Datasets have Fletcher-32 checksums, and the file's structure those of the HDF5 1.10 layout, to locate damage.
+"""HDF5 files written with Fletcher-32 checksums of datasets, and those of the HDF5 1.10 layout for the structure.
 
 Specification: https://support.hdfgroup.org/documentation/hdf5/latest/_f_m_t3.html
 """
@@ -39,8 +37,7 @@ def put_text(holder: h5py.Group, name: str, text: str) -> None:
 def put_array(file: h5py.File, name: str, array: NDArray[Any]) -> None:
     """Store an array in chunks of at most 1 MiB, and write it at once, so that equal contents give equal files.
 
-    HDF5 otherwise allocates the numbers when Python drops the last reference to the dataset. Debuggers, or the profiler
-    of dask's workers, may hold another reference to the frame.
+    HDF5 otherwise allocates the numbers when the last reference goes; debuggers and dask's profiler may hold one.
     """
     file.create_dataset(
         name, data=array, **(CHECKED | {"chunks": _chunks(array.shape)} if array.size else {})

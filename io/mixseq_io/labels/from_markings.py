@@ -99,7 +99,7 @@ def labels_of_skinning(skinning: Skinning, polygons: Polygons, smallest: float =
 
 
 def _merged_up(skinning: Skinning, joint: Index, fewest: float) -> Index:
-    """Return the joints ``(P,)`` after joints of fewer polygons than `fewest` have joined their parents, deepest first."""
+    """Return the joints ``(P,)`` after those of fewer than `fewest` polygons have joined their parents, deepest first."""
     number = {path: index for index, path in enumerate(skinning.joints)}
     parent = [number.get(above, -1) for above in skinning.parents]
     sizes = np.bincount(joint, minlength=len(parent)).tolist()
@@ -124,10 +124,9 @@ def _hexadecimal(colour: NDArray[np.int64]) -> str:
 
 
 def without_small_regions(of_polygon: Index, polygons: Polygons, vertex_count: int, fewest: float) -> Index:
-    """Relabel ``(P,)`` each region of fewer polygons than `fewest` by the label with most common edges.
+    """Relabel ``(P,)`` regions of fewer than `fewest` polygons, smallest first, by the label with most common edges.
 
-    Skinning weights leave ragged borders and stray faces. Regions are merged in ascending order of size and then belong
-    to their new neighbour. Regions that are whole connected components stay.
+    Skinning weights leave ragged borders and stray faces. Regions that are whole connected components stay.
     """
     pairs = _beside(polygons, vertex_count)
     count = len(of_polygon)

@@ -1,8 +1,4 @@
-"""Named sets of faces and joints of skeletons in files, from which labels are derived.
-
-Readers return them (`mixseq_io.reader.SequenceReader.markings`) by the vertices and polygons of their sequence, welded
-likewise.
-"""
+"""Named sets of faces and joints of skeletons, from which labels are derived, by a sequence's vertices and polygons."""
 
 from __future__ import annotations
 

@@ -213,10 +213,9 @@ def _colours(file: Path, colours: FloatArray, polygons: Polygons) -> Labels:
 
 
 def _same_faces(file: Path, header: SequenceHeader, found: SequenceHeader) -> Index | None:
-    """Return the file's triangle of each of the sequence's ``(F,)``, None if they are in the same order.
+    """Return the file's triangle of each of the sequence's ``(F,)``, None if in the same order; refuse another mesh.
 
-    Raises an error for another mesh. In the same order vertices may be split or welded differently; in another one they
-    must be equal.
+    In the same order vertices may be split or welded differently; in another one they must be equal.
     """
     ours, theirs = header.faces, found.faces
     if len(ours) != len(theirs):

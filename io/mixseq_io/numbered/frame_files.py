@@ -29,8 +29,8 @@ from mixseq_io.reader import SequenceReader, naming, read_whole, reading
 class MeshFile:
     """Contents of one file: points ``(V, 3)``, polygons, name ("" for none), surface (later frames: colours only).
 
-    `source` and `colour_text` are the faces and colours as stored, to detect equal ones in other files. `told`: changing
-    colours were reported, so that later frames' colours are skipped.
+    `source` and `colour_text` are the faces and colours as stored, to detect equal ones in other files. `told`: colour
+    changes were reported, so that later ones are skipped.
     """
 
     points: FloatArray

@@ -66,10 +66,7 @@ def _colours(file: Path, texts: list[bytes], like: MeshFile | None) -> FloatArra
 
 
 def _check_lines(file: Path, lines: list[bytes]) -> list[bytes]:
-    """Return the lines of vertices.
-
-    Raises an error for other numbers of lines, or of corners in a line, than announced, which trimesh ignores.
-    """
+    """Return the lines of vertices; refuse other numbers of lines or corners than announced, which trimesh ignores."""
     first = lines[0].removeprefix(b"C").removeprefix(b"OFF").split() if lines else []
     counts = [int(word) for word in (first or (lines[1].split() if len(lines) > 1 else []))[:2]]
     vertices, faces = counts if len(counts) == 2 and min(counts) >= 0 else (0, 0)

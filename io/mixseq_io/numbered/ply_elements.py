@@ -1,8 +1,4 @@
-"""Elements of PLY files: their rows, as text or binary.
-
-A row has a number per property, or a count and that many numbers for a list. All counts in the header are checked
-against the file's size first.
-"""
+"""Elements of PLY files: their rows, as text or binary; counts are checked against the file's size first."""
 
 from __future__ import annotations
 
@@ -19,10 +15,7 @@ from mixseq_io.numbered.ply_header import Element, Property, read_header
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """Values of a property in all rows; of lists their concatenation, with `counts`.
-
-    Text values are float64 where `type`, that of the header, is an integer.
-    """
+    """Values of a property in all rows; of lists their concatenation, with `counts`; text integers are float64."""
 
     values: NDArray[Any]
     type: np.dtype[Any]

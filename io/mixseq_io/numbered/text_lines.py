@@ -32,10 +32,7 @@ def number_lines(keyword: str, rows: FloatArray, ends: Sequence[str] = ()) -> by
 def colours_of_words(
     file: Path, vertices: Sequence[int], rows: Sequence[Sequence[bytes]], like: MeshFile | None
 ) -> FloatArray:
-    """Return the colours ``(n, 3)`` or ``(n, 4)`` of some vertices, all with three or all with four words.
-
-    Unreadable colours of later frames are NaN, and so differ from the first frame's.
-    """
+    """Return the colours ``(n, 3)`` or ``(n, 4)`` of some vertices; unreadable ones are NaN in later frames."""
     try:
         return from_text(np.array(rows, dtype=np.float64))
     except ValueError:

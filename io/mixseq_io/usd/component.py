@@ -3,9 +3,7 @@
 The default prim ``/<name>`` is an Xform with one Mesh per object and the materials in ``/<name>/Looks``. Meshes are
 right-handed and in world space. Normals are written only for hard edges on meshes without subdivision.
 
-Specifications: https://openusd.org/release/api/class_usd_geom_mesh.html,
-https://openusd.org/release/api/class_usd_geom_subset.html,
-https://openusd.org/release/glossary.html#usdglossary-component
+Specification: https://openusd.org/release/glossary.html#usdglossary-component
 """
 
 from __future__ import annotations

@@ -37,10 +37,7 @@ def quiet() -> Iterator[list[str]]:
 
 @contextmanager
 def reading_usd(path: Path) -> Iterator[None]:
-    """Translate USD's errors about a file that is read into `FormatError`.
-
-    `Tf.ErrorException` is a `RuntimeError`; other types come from damaged values that Python cannot represent.
-    """
+    """Translate USD's errors (`RuntimeError`), and those of damaged values, about a file read into `FormatError`."""
     try:
         yield
     except MemoryError:
@@ -53,10 +50,7 @@ def reading_usd(path: Path) -> Iterator[None]:
 
 @contextmanager
 def writing_usd(path: Path) -> Iterator[None]:
-    """Translate USD's errors about a file that is written into `OutputError`.
-
-    Errors of the system, such as a full disk, are left to `mixseq_io.atomic.replacing`.
-    """
+    """Translate USD's errors about a file that is written into `OutputError`, except for errors of the system."""
     try:
         yield
     except Tf.ErrorException as error:

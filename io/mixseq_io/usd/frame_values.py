@@ -3,8 +3,7 @@
 World-space points and velocities of the sequence are multiplied by the inverse of the prim's local-to-world transform.
 Extents are computed from the written values, normals from every frame's points.
 
-Specifications: https://openusd.org/release/api/class_usd_geom_point_based.html,
-https://openusd.org/release/api/class_usd_geom_boundable.html
+Specification: https://openusd.org/release/api/class_usd_geom_point_based.html
 """
 
 from __future__ import annotations

@@ -1,11 +1,9 @@
-"""USD, writing: hold meshes still below moving transforms.
+"""USD, writing: hold meshes still below moving transforms, since the layer's points are their whole motion.
 
-The layer's points are a mesh's whole motion; transforms moving at other times would add to it between and beyond
-frames, and falsify velocities. Operations that move this mesh only are held at their first frame. Others are inverted:
-the outermost prim with nothing but the mesh below it gets their inverses with the same samples (`transforms`).
-
-``!resetXformStack!`` is unsuitable: Blender 5 ignores it, Hydra 2 does where it stands alone
-(https://github.com/PixarAnimationStudios/OpenUSD/issues/3781), and it would detach the mesh from any referencing prim.
+Operations that move this mesh only are held at their first frame. Others are inverted: the outermost prim with nothing
+but the mesh below it gets their inverses with the same samples (`transforms`). ``!resetXformStack!`` is unsuitable:
+Blender 5 ignores it, Hydra 2 does where it stands alone (https://github.com/PixarAnimationStudios/OpenUSD/issues/3781),
+and it would detach the mesh from any referencing prim.
 """
 
 from __future__ import annotations

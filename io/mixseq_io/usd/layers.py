@@ -1,11 +1,9 @@
-"""USD, writing: layers with samples, and packages of them (.usdz).
+"""USD, writing: layers with samples, and packages of them (.usdz), uncompressed zip files of a layer and textures.
 
 Values go into Sdf layers directly, so that an overlay need not compose its file anew for every sample. Binary layers
 are saved repeatedly while written, which frees samples: 400 frames of 50 000 vertices (240 MB) took 34 MB when saved
-every 20 frames, 268 MB when saved once. Text layers are held in memory.
-
-A package is an uncompressed zip file of a layer and its textures. Since the original file may be untrusted, only
-textures in its folder, or in folders that the user names, are packed.
+every 20 frames, 268 MB when saved once. Text layers are held in memory. Since original files may be untrusted, only
+textures in their folder, or in folders that the user names, are packed.
 
 Specifications: https://openusd.org/release/api/class_sdf_layer.html, https://openusd.org/release/spec_usdz.html
 """

@@ -1,9 +1,6 @@
 """USD, surfaces: polygons, texture coordinates, colours, hard edges and face sets of a mesh.
 
-Specifications: https://openusd.org/release/api/class_usd_geom_mesh.html,
-https://openusd.org/release/api/class_usd_geom_primvar.html (interpolation),
-https://openusd.org/release/api/class_usd_geom_subset.html,
-https://openusd.org/release/api/class_usd_shade_material_binding_a_p_i.html
+Specification: https://openusd.org/release/api/class_usd_geom_primvar.html (interpolation)
 """
 
 from __future__ import annotations

@@ -2,11 +2,8 @@
 
 The file is a sublayer; the layer overrides points, extents, velocities, and authored normals that renderers use. USD
 scales time codes of sublayers with another ``timeCodesPerSecond``, so that its cameras keep their seconds. Meshes are
-unbound from skeletons and blend shapes, old velocities and accelerations are blocked, and instances are made unique.
-
-References: https://openusd.org/release/api/_usd_skel__schemas.html,
-https://openusd.org/release/api/class_sdf_value_block.html,
-https://openusd.org/release/api/_usd__page__scenegraph_instancing.html
+unbound from skeletons and blend shapes, old velocities and accelerations are blocked
+(https://openusd.org/release/api/class_sdf_value_block.html), and instances are made unique.
 """
 
 from __future__ import annotations

@@ -1,9 +1,6 @@
-"""USD: labels of parts, read and written.
+"""USD, labels of parts: reads families of subsets and joints, writes a family that partitions every mesh's faces.
 
-Read are families of subsets and joints of skeletons; written is a family of subsets that partitions every mesh's faces.
-
-Specifications: https://openusd.org/release/api/class_usd_geom_subset.html (families and their types),
-https://openusd.org/release/api/class_usd_skel_binding_a_p_i.html
+Specification: https://openusd.org/release/api/class_usd_geom_subset.html (families and their types)
 """
 
 from __future__ import annotations

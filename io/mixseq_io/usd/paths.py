@@ -26,13 +26,7 @@ def time_codes(times: NDArray[np.float64], fps: float) -> NDArray[np.float64]:
 
 
 def identifier(name: str) -> str:
-    """Return the closest valid prim name: letters of any script, digits, underscores.
-
-    Examples
-    --------
-    >>> identifier("Männchen"), identifier("Cylinder.002"), identifier("2nd try"), identifier("")
-    ('Männchen', 'Cylinder_002', '_2nd_try', 'mesh')
-    """
+    """Return the closest valid prim name, letters of any script, digits, underscores: "2nd try" becomes "_2nd_try"."""
     cleaned = (
         "".join(letter if Sdf.Path.IsValidIdentifier("_" + letter) else "_" for letter in name) or "mesh"
     )
@@ -64,10 +58,7 @@ def is_prim_path(text: str) -> bool:
 
 
 def reference_to(file: Path, target: Path) -> str:
-    """Return the path of `file` in `target`: relative if both share a folder, so that they can move together.
-
-    It is absolute where symbolic links make parent folders ambiguous.
-    """
+    """Return the path of `file` in `target`: relative in a shared folder, absolute where symbolic links interfere."""
     absolute, folder = file.absolute(), target.absolute().parent
     try:
         relative = os.path.relpath(absolute, folder)

@@ -38,10 +38,9 @@ def open_stage(path: Path) -> Usd.Stage:
 
 
 def absolute(path: Path) -> str:
-    """Return the absolute path by which USD opens a file, with links kept.
+    """Return the absolute path by which USD opens a file, without resolving links.
 
-    References are searched from the link's folder, and data stores (git-annex, DVC) keep files elsewhere, without
-    extension.
+    References start at the link's folder, and data stores (git-annex, DVC) keep files elsewhere, without extension.
     """
     return os.path.abspath(path)  # noqa: PTH100 - Path.resolve follows links
 
@@ -65,10 +64,7 @@ def lineage(prim: Usd.Prim) -> Iterator[Usd.Prim]:
 
 
 def define(layer: Sdf.Layer, path: Sdf.Path, type_name: str) -> None:
-    """Define a prim in a layer, also within an `Sdf.ChangeBlock`, unlike ``Usd.Stage.DefinePrim``.
-
-    A stage recomposes all siblings for every added prim, or once per block.
-    """
+    """Define a prim in a layer, also within an `Sdf.ChangeBlock`, where a stage recomposes siblings only once."""
     spec = Sdf.CreatePrimInLayer(layer, path)
     spec.specifier, spec.typeName = Sdf.SpecifierDef, type_name
 

@@ -1,11 +1,9 @@
 """USD, reading: meshes over time, in world space (.usd, .usda, .usdc, .usdz).
 
-Values come from the composed stage with references, layers, variants and value clips. Several meshes are joined; see
-`mixseq_io.usd.stage_meshes`, `mesh_motion`, `skeletons` and `mesh_surface` beside it. Points are float32, as in USD.
-
-Frames are at all samples of points, transforms, skeletons and blend shapes that move a mesh, interpolated by USD. Where
-more than points moves, points follow arcs, and gaps between samples are filled with the frames of the stage's rate,
-as in `UsdSkel.BakeSkinning`.
+Values come from the composed stage with references, layers, variants and value clips. Several meshes are joined. Points
+are float32, as in USD. Frames are at all samples of points, transforms, skeletons and blend shapes that move a mesh,
+interpolated by USD. Where more than points moves, points follow arcs, and gaps between samples are filled with the
+frames of the stage's rate, as in `UsdSkel.BakeSkinning`.
 
 Specification: https://openusd.org/release/api/class_usd_stage.html (time codes and frames per second)
 """

@@ -1,13 +1,12 @@
 r"""USD, writing: a mesh that follows joints and blend shapes (UsdSkel).
 
-A SkelRoot holds the meshes, a Skeleton and a SkelAnimation. The Skeleton has bind transforms in world space, with the
-axes ``A_b`` at the pivot ``p_b``, and rest transforms relative to the parent. The animation moves joints relative to
-their parents by `mixseq.rigging.rigs.Skin.local`, so that UsdSkel takes a point from the bind pose to
-``R_tb (r_v - p_b) + c_tb``, the formula of `mixseq.rigging.rigs.Skin`; blend shapes come before joints. A morph has a
-Skeleton without joints. Joints are named by paths (``hips/leg``) of valid names; ``jointNames`` keeps the others.
+A SkelRoot holds the meshes, a Skeleton and a SkelAnimation. Bind transforms are in world space, with the axes ``A_b``
+at the pivot ``p_b``. The animation moves joints relative to their parents by `mixseq.rigging.rigs.Skin.local`, so that
+UsdSkel takes a point from the bind pose to ``R_tb (r_v - p_b) + c_tb``, the formula of `mixseq.rigging.rigs.Skin`;
+blend shapes come before joints. A morph has a Skeleton without joints. Joints are named by paths (``hips/leg``) of
+valid names; ``jointNames`` keeps the others.
 
-Specifications: https://openusd.org/release/api/_usd_skel__schemas.html,
-https://openusd.org/release/api/_usd_skel__skinning.html
+Specification: https://openusd.org/release/api/_usd_skel__schemas.html
 """
 
 from __future__ import annotations

@@ -1,11 +1,9 @@
-"""USD, skinning: skeletons and blend shapes that move meshes (UsdSkel).
+"""USD, skinning: skeletons and blend shapes that move meshes (UsdSkel), computed by USD's own implementation.
 
 The points of a skinned mesh are blended from its shapes, taken by ``geomBindTransform`` into skeleton space, moved by
-the joints (linear or dual quaternion skinning), and placed by the skeleton's transform instead of the mesh's. USD's own
-implementation computes them.
+the joints (linear or dual quaternion skinning), and placed by the skeleton's transform instead of the mesh's.
 
-Specifications: https://openusd.org/release/api/_usd_skel__intro.html,
-https://openusd.org/release/api/class_usd_skel_skinning_query.html
+Specification: https://openusd.org/release/api/_usd_skel__intro.html
 """
 
 from __future__ import annotations

@@ -54,8 +54,8 @@ def encoded(
 def in_two(numbers: NDArray[np.floating], largest: float, kind: Kind) -> tuple[Encoded, NDArray[np.float64]]:
     """Encode numbers ``(T, n, 3)`` up to a largest magnitude in twice as many rows ``(2 T, n, 3)``.
 
-    Shaders decode :math:`o + s (p + p' / 65535)` with the pixel `p'` that is T rows below `p`. It has 6 bits, since more
-    are incompressible noise; in EXR it is 0.
+    Shaders decode :math:`o + s (p + p' / 65535)` with the pixel `p'`, T rows below `p`. It has 6 bits, since more are
+    incompressible noise; in EXR it is 0.
     """
     if kind is np.float32:
         made = encoded(np.concatenate([numbers, np.zeros_like(numbers)]), 0, 1, np.float32)
