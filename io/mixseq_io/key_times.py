@@ -37,6 +37,12 @@ def on_grid(times: Float, fps: float) -> Float:
     """Return times ``(T,)``, moved to ``k / fps`` if within two float32 steps of it (of 2 s, for earlier times).
 
     Other times stay as they are, and all do where two would become one.
+
+    Examples
+    --------
+    >>> rounded = np.array([0, 1 / 24, 49 / 48, 1.05], np.float32).astype(np.float64)
+    >>> on_grid(rounded, 48).tolist() == [0, 1 / 24, 49 / 48, rounded[3]]
+    True
     """
     with np.errstate(all="ignore"):  # what is not finite is told where the times are used
         nearest = np.rint(times * fps) / fps

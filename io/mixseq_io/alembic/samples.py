@@ -47,7 +47,14 @@ def sample_times(sampled: Any) -> Float:
 
 
 def samples_within(times: Float, window: tuple[float, float]) -> slice:
-    """Return the slice of samples that determine values within a window of time; all, if all are before or after."""
+    """Return the slice of samples that determine values within a window of time; all, if all are before or after.
+
+    Examples
+    --------
+    >>> times = np.array([1.0, 2.0, 3.0, 4.0])
+    >>> samples_within(times, (2.0, 3.0)), samples_within(times, (2.5, 2.6)), samples_within(times, (5.0, 6.0))
+    (slice(1, 3, None), slice(1, 3, None), slice(0, 4, None))
+    """
     start, end = window[0] + SAME_TIME, window[1] - SAME_TIME
     if not len(times) or window[1] < times[0] or window[0] > times[-1]:
         return slice(0, len(times))
@@ -95,7 +102,13 @@ def locate(own: Float, frames: Float) -> SampleWeights:
 
 
 def frame_rate(times: Float, declared: str) -> float:
-    """Return the frame rate of times ``(T,)`` in s: as declared, of even steps, or a usual rate whose grid they lie on."""
+    """Return the frame rate of times ``(T,)``: as declared, of even steps, or a usual rate whose grid they lie on.
+
+    Examples
+    --------
+    >>> frame_rate(np.array([0.0, 1 / 29.97, 2 / 29.97]), ""), frame_rate(np.array([0.0, 1 / 24, 4 / 24]), "")
+    (29.97, 24.0)
+    """
     step = (times[-1] - times[0]) / max(len(times) - 1, 1)
     even = len(times) > 1 and np.allclose(np.diff(times), step, rtol=0, atol=1e-6 * step + 1e-9)
     rounding = float(np.spacing(np.abs(times).max())) / max(step, 1e-9)  # late times are less precise

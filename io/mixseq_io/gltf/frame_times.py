@@ -69,6 +69,11 @@ def played_times(keys: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
 
     These are ``k / rate`` if the first key is on that grid, else ``rate`` per second from the first key on. Frames less
     than half a frame from a key are left out; nothing is added above 100 000 frames or where every frame has a key.
+
+    Examples
+    --------
+    >>> played_times(np.array([0.5, 0.75, 2.1]), 4).tolist()
+    [0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.1]
     """
     gaps = np.diff(keys) * rate
     wide = gaps > _GAP
@@ -92,7 +97,15 @@ def played_rate(keys: NDArray[np.float64]) -> float:
 
 
 def rate_of(times: NDArray[np.float64]) -> float:
-    """Return the frame rate of even keys ``(n,)``, else of the grid that they lie on, 24 if there is none."""
+    """Return the frame rate of even keys ``(n,)``, else of the grid that they lie on, 24 if there is none.
+
+    Examples
+    --------
+    >>> rate_of(np.arange(96) / np.float32(29.97)) == 30000 / 1001
+    True
+    >>> rate_of(np.array([0.0, 1, 2, 5]) / 12), rate_of(np.array([0.0, 0.5, 0.6]))
+    (12.0, 30.0)
+    """
     if times.size < 2:
         return DEFAULT_FPS
     even = _even_rate(times)

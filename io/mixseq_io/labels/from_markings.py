@@ -99,7 +99,7 @@ def labels_of_skinning(skinning: Skinning, polygons: Polygons, smallest: float =
 
 
 def _merged_up(skinning: Skinning, joint: Index, fewest: float) -> Index:
-    """Return the joints ``(P,)`` after those of fewer than `fewest` polygons have joined their parents, deepest first."""
+    """Return the joints ``(P,)`` after those of fewer than `fewest` polygons joined their parents, deepest first."""
     number = {path: index for index, path in enumerate(skinning.joints)}
     parent = [number.get(above, -1) for above in skinning.parents]
     sizes = np.bincount(joint, minlength=len(parent)).tolist()

@@ -17,7 +17,13 @@ TILES = "<UDIM>"
 
 
 def time_codes(times: NDArray[np.float64], fps: float) -> NDArray[np.float64]:
-    """Return ``times * fps`` ``(T,)``, rounded where only floating-point error keeps them from whole numbers."""
+    """Return ``times * fps`` ``(T,)``, rounded where only floating-point error keeps them from whole numbers.
+
+    Examples
+    --------
+    >>> time_codes(np.arange(4) / 29.97, 29.97).tolist()
+    [0.0, 1.0, 2.0, 3.0]
+    """
     codes = times * fps
     nearest = np.rint(codes)
     near = np.abs(codes - nearest) <= 1e-9 * np.maximum(1.0, np.abs(codes))

@@ -52,7 +52,13 @@ def _motion(original: Original, *otherwise: float) -> tuple[float, float]:
 
 
 def _scaled(code: float, scale: float, inwards: Callable[[float], float]) -> float:
-    """Return an end of a range at another rate, kept whole and within the range if it was whole."""
+    """Return an end of a range at another rate, kept whole and within the range if it was whole.
+
+    Examples
+    --------
+    >>> _scaled(1, 30 / 24, np.ceil), _scaled(0.5, 30 / 24, np.ceil), _scaled(1001, 29.97 / 999, np.floor)
+    (2.0, 0.625, 30.0)
+    """
     scaled, nearest = scale * code, np.rint(scale * code)
     if abs(scaled - nearest) <= 1e-9 * max(1.0, abs(scaled)):
         return float(nearest)
