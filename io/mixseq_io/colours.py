@@ -12,8 +12,7 @@ from mixseq.surface import WHITE
 LARGEST_BYTE = 255
 """Byte value of 1.0."""
 
-# Ours. Of numbers from 0 to 255 only a nearly black mesh has none above it, and lit colours, of which 1 is white, are
-# rarely so bright.
+# Colours from 0 to 255 have larger numbers unless the mesh is nearly black; lit colours, with 1 as white, rarely do.
 _BRIGHTEST = 16
 
 

@@ -44,7 +44,7 @@ def on_grid(times: Float, fps: float) -> Float:
     >>> on_grid(rounded, 48).tolist() == [0, 1 / 24, 49 / 48, rounded[3]]
     True
     """
-    with np.errstate(all="ignore"):  # what is not finite is told where the times are used
+    with np.errstate(all="ignore"):  # non-finite times are reported where they are used
         nearest = np.rint(times * fps) / fps
         rounding = 2 * np.spacing(np.maximum(np.abs(times), _EARLY).astype(np.float32)).astype(np.float64)
         snapped = np.where(np.abs(nearest - times) <= rounding, nearest, times)

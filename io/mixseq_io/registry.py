@@ -21,7 +21,7 @@ from mixseq_io.reader import SequenceReader, check_regular, naming
 if TYPE_CHECKING:
     from mixseq.signals import Model
 
-# What else users may have under a wrong name; only for messages.
+# Other formats that users may have under a wrong name; only for messages.
 _FOREIGN_SIGNATURES = {
     b"Kaydara FBX": "FBX",
     b"BLENDER": "Blender",
@@ -240,4 +240,4 @@ def _start(path: Path) -> bytes:
         with path.open("rb") as file:
             return file.read(16)
     except OSError:
-        return b""  # the reader will say what is wrong
+        return b""  # the reader reports the error

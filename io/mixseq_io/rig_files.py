@@ -128,7 +128,7 @@ def read_skeleton(path: PathLike, name: str | None = None) -> Skeleton:
 
 @public
 def read_bind_pose(path: PathLike, name: str | None = None) -> MeshSequence:
-    """Read the meshes of a skeleton in their bind pose, as a sequence of one frame.
+    """Read the meshes of a skeleton as they were when they were bound to it, as a sequence of one frame.
 
     Vertices are those of `mixseq_io.read`, placed around the joints of `read_skeleton`. Meshes below glTF joints are
     included. glTF morph targets have their static weights, USD blend shapes are off.

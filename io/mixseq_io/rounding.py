@@ -21,7 +21,7 @@ VISIBLE = 1e-4
 
 _FRAMES = 8  # measured at once
 
-_HALF_DIGIT = 2.0**-24, 2.0**-150  # what rounding changes at most: relative to a coordinate, and near zero
+_HALF_DIGIT = 2.0**-24, 2.0**-150  # largest rounding error: relative to a coordinate, and near zero
 
 
 class Rounding:

@@ -110,7 +110,7 @@ def _old(folder: Path, entries: list[str]) -> bool:
 def _entries(folder: Path) -> list[str]:
     try:
         return [path.name for path in folder.glob(".mixseq.*")]
-    except OSError:  # writing will tell
+    except OSError:  # reported when the file is written
         return []
 
 

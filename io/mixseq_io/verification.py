@@ -34,7 +34,7 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Verification:
-    """Result of `verify` for an undamaged file; formulas are at the head of this module.
+    """What `verify` finds in a file that is not damaged; formulas are at the head of this module.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class Verification:
 
 @public
 def verify(path: PathLike, original: Frames | None = None, progress: Progress = silent) -> Verification:
-    """Check a compressed model: its checksums, the decoding of every frame, and its bound.
+    """Check a compressed model: its checksums, that every frame decodes, and its bound.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ class _Checked:
         return self.model.header
 
     def blocks(self, size: int = FRAMES) -> Iterator[FloatArray]:
-        """Decode all frames."""
+        """Decode all frames in blocks ``(B, V, 3)``."""
         first = 0
         for block in self.model.blocks(self.model.times, size, progress=self.progress):
             bad = ~np.isfinite(block).all(axis=(1, 2))
@@ -157,7 +157,7 @@ def _errors(original: Frames, frames: _Checked, renumbering: Renumbering) -> dic
     for x, y in paired_blocks(original, frames, FRAMES):
         if first == 0:
             unit = Diagonal.of(x[0])
-        with np.errstate(over="ignore"):  # what overflows is infinitely far
+        with np.errstate(over="ignore"):  # overflow counts as an infinite distance
             distances = np.square(unit.shifted(x - y)).sum(axis=2)
             squares += float(distances.sum())
             variation += float(np.square(unit.shifted(x - x.mean(axis=1, keepdims=True))).sum())

@@ -96,7 +96,7 @@ class Worker:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             try:
-                with np.errstate(all="ignore"):  # what is not finite is told with its frame and vertex
+                with np.errstate(all="ignore"):  # non-finite points are reported with frame and vertex
                     answer = self.answer(*question)
             except MixseqError as raised:
                 error = raised

@@ -201,7 +201,7 @@ def moved(points: FloatArray, matrix: Float) -> NDArray[np.float32]:
     """Transform points ``(V, 3)`` by a matrix ``(4, 4)``, or vectors by its part ``(3, 3)``."""
     if np.array_equal(matrix, np.eye(len(matrix))):
         return np.asarray(points, dtype=np.float32)
-    with np.errstate(all="ignore"):  # what overflows is reported by the reader, with its vertex
+    with np.errstate(all="ignore"):  # overflow is reported by the reader, with its vertex
         world = points.astype(np.float64) @ matrix[:3, :3]
         if len(matrix) == 4:
             world += matrix[3, :3]

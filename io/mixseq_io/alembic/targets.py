@@ -34,7 +34,7 @@ class Target:
 
     @property
     def subdivided(self) -> bool:
-        """Whether it becomes a SubD, which has no normals."""
+        """Whether the mesh becomes a SubD, which has no normals."""
         return self.scene_mesh.subdivision != "none"
 
     def make(self, parent: Any, sampling: int) -> MadeMesh:

@@ -118,7 +118,7 @@ def unpack_surface(packed: bytes, folder: Path, mesh: Mesh) -> Surface:
     try:
         limit = max_memory()
         whole = _decompressed(packed, limit, "the surface is")
-        if len(whole) == limit:  # it goes on, how far nobody knows
+        if len(whole) == limit:  # it continues to an unknown length
             raise FormatError(
                 f"the surface takes more than {gigabytes(limit)} of memory, the limit (--max-memory)"
             )

@@ -54,7 +54,7 @@ class GivenMap:
     file: Path  # the file, for messages
     kind: str  # vertices, triangles, barycentric (rows), or the arrays of an npz file: corners, stored
     rows: NDArray[np.float64]  # (n, k) rows in the order of the head of this module; empty for arrays
-    arrays: dict[str, NDArray[Any]]  # what an npz file has
+    arrays: dict[str, NDArray[Any]]  # of an npz file
 
 
 FEW = 0.1

@@ -137,7 +137,7 @@ def lay_over(
         for each in shown_in:
             each["nodes"] = [root, *(node for node in each.get("nodes", ()) if node != root)]
     carried["asset"]["generator"] = GENERATOR
-    json.dumps(carried, allow_nan=False)  # NaN is read, but must not be written: better to know it now
+    json.dumps(carried, allow_nan=False)  # NaN is read, but must not be written; fail early
     prune(document.path, carried)
     layout = _with_data(carried, document)
     for place, mesh in zip(places, meshes, strict=True):

@@ -29,7 +29,7 @@ COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 """Numbers per element by accessor type; MAT2 and MAT3 do not occur in meshes and animations."""
 
-# What a file may name without having it: zeros, and the same mesh in many places.
+# Numbers allowed beyond the stored bytes: zeros, and the same mesh in many places.
 _FREE_NUMBERS, _NUMBERS_PER_BYTE = 10_000_000, 16
 
 _KINDS = (
@@ -198,7 +198,7 @@ def load_document(path: Path) -> Document:
         )
     check_extensions(top)
     document = Document(path, parsed, chunk, data.size)
-    document.items("nodes")  # raises what is wrong with any of the lists
+    document.items("nodes")  # raises errors of any of the lists
     return document
 
 

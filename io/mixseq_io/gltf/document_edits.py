@@ -15,7 +15,7 @@ from mixseq_io.gltf.document import Document
 from mixseq_io.gltf.json_fields import Fields
 from mixseq_io.gltf.node_tree import Scene
 
-_PRUNED = ("meshes", "accessors", "bufferViews")  # what refers before what is referred to
+_PRUNED = ("meshes", "accessors", "bufferViews")  # referrers before their targets
 
 # Extensions that refer to none of these, or as is known here.
 _HARMLESS = (

@@ -114,7 +114,7 @@ def rate_of(times: NDArray[np.float64]) -> float:
     steps = times - times[0]
     own = 1 / float(np.median(np.diff(times)))
     likely = [rate for rate in USUAL_RATES if abs(rate - own) < 1e-3 * own] or [own]
-    # Few keys with much between them tell nothing of a rate.
+    # A few distant keys determine no rate.
     for rate in (*(likely if own >= min(USUAL_RATES) else []), *USUAL_RATES):
         frames = steps * rate
         if np.abs(frames - np.rint(frames)).max() < _GRID:
@@ -139,7 +139,7 @@ def _even_rate(times: NDArray[np.float64]) -> float | None:
         whole > count
         and np.abs(times * (whole / times[-1]) - np.arange(whole - count, whole + 1)).max() < _GRID
     ):
-        rate, span = whole / float(times[-1]), float(times[-1])  # of frames from 0 on, which tell it best
+        rate, span = whole / float(times[-1]), float(times[-1])  # of frames from 0 on, the most precise
     error = rate * rounding / span
     usual = min((*USUAL_RATES, round(rate * 1.001) / 1.001), key=lambda usual: abs(usual - rate))
     # also what was rounded when somebody typed it, 29.97, as long as that makes no difference

@@ -45,7 +45,7 @@ def open_gltf(
     path: Path, prim: str | None = None, animation: str | int | None = None, fps: float | None = None
 ) -> SequenceReader:
     """Open a glTF file."""
-    # What is not finite is reported with its vertex, when points are read.
+    # Non-finite points are reported with their vertex when they are read.
     with naming(path), np.errstate(all="ignore"):
         document = plain(load_document(path))
         scene = read_scene(document)

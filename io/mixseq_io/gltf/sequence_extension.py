@@ -40,7 +40,7 @@ def has_sequence(path: Path) -> bool:
     with reading(path, "glTF"):
         data = data_of_file(path)
         if data.read(0, 4) != b"glTF":
-            return False  # whatever it is, the reader of its kind says it
+            return False  # the error is reported by its reader
         text, _ = chunks(path, data)
     if f'"{SEQUENCE_EXTENSION}"'.encode() not in text:  # most files are known by that, without being parsed
         return False

@@ -18,8 +18,8 @@ from mixseq.arrays import Float
 MARK = "mixseq:world"
 """Member of the ``extras`` of a node whose points are in world space."""
 
-_NEARLY = 1e-6  # what exporters round of turns and scales
-_HERE = 1e-9  # of translations nothing but our own rounding is left
+_NEARLY = 1e-6  # rounding of rotations and scales by exporters
+_HERE = 1e-9  # rounding of translations by mixseq
 
 
 def undoing(above: NDArray[np.float64]) -> dict[str, Any] | None:

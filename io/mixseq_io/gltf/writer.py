@@ -122,7 +122,7 @@ def warn_of_changes(
             "(--convert-axes Y, --convert-units m) turns and scales the points"
         )
     shift = time_shift(header, keep_start)
-    if shift and (keep_start or header.frame_count == 1):  # else the file tells when it begins
+    if shift and (keep_start or header.frame_count == 1):  # else the file stores its start
         warn(f"{path}: glTF's times begin at 0; all times are moved by {-shift:g} s")
 
 

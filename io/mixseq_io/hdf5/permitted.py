@@ -87,7 +87,7 @@ class _Inspection:
     def _dataset(self, found: h5d.DatasetID, name: str) -> None:
         storage = found.get_create_plist()
         layout = storage.get_layout()
-        # First of all: HDF5 opens other files as soon as it is asked for the shape of what is in them.
+        # First, since HDF5 opens external files when it is queried for the shape of their data.
         if layout not in (h5d.COMPACT, h5d.CONTIGUOUS, h5d.CHUNKED):
             raise self._refusal(name, "is a virtual dataset, of data elsewhere")
         if storage.get_external_count():

@@ -35,7 +35,7 @@ UNNAMED = "(none)"
 
 MOST_COLOURS = 256
 
-_BRIGHTEST = 1e6  # renderers know colours beyond 1
+_BRIGHTEST = 1e6  # renderers allow colours above 1
 
 
 def labels_of_sets(sets: Sequence[FaceSet], polygons: Polygons) -> Labels:

@@ -96,7 +96,7 @@ def _chosen(file: Path, sources: Sources, wanted: str | None) -> Callable[[], La
         return next(iter(sources.values()))
     telling = {}
     for name, make in sources.items():
-        # What cannot be labels (a painted mesh) or tells nothing apart is no rival of what can.
+        # Sources that cannot be labels (a painted mesh), or have a single one, do not make the choice ambiguous.
         try:
             labels = make()
         except FormatError:

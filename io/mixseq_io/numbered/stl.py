@@ -50,7 +50,7 @@ def parse_stl(file: Path, data: bytes, like: MeshFile | None) -> MeshFile:
     points = corners[like.source]
     together = (corners == points[indices]) | (
         np.isnan(corners) & np.isnan(points[indices])
-    )  # nan is told later
+    )  # nan is reported later
     apart = ~together.all(axis=1)
     if apart.any():
         corner = int(np.argmax(apart))

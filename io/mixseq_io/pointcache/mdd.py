@@ -63,7 +63,7 @@ def _rate(times: NDArray[np.float64]) -> float | None:
         return None
     span = float(times[-1] - times[0])
     if not (np.isfinite(span) and span > 0):
-        return None  # times that do not increase are told where they are used
+        return None  # non-increasing times are reported where they are used
     overall = (
         max(1, round(span / step)) / span
     )  # more exact than one step, which is rounded, if steps are even

@@ -59,7 +59,7 @@ class Samples:
 
 
 def save(layer: Sdf.Layer, frames: Iterable[Frame]) -> None:
-    """Save a layer with frames."""
+    """Save a layer with the samples of frames."""
     samples = Samples(layer)
     for frame in frames:
         samples.put(frame)
@@ -94,7 +94,7 @@ def pack(layer: Sdf.Layer, package: Path, name: str, folders: Sequence[Path]) ->
 
     def packed(asset: str, folder: Path) -> str:
         files = _files_of(layer, asset)
-        # Of scenes USD would pack what they name, wherever that is.
+        # USD would pack all files that scenes refer to, from anywhere.
         refused = files if _is_scene(asset) else [file for file in files if not _within(file, folders)]
         left_out.update(dict.fromkeys(refused))
         return "" if refused else _unpacked(layer, asset, folder)

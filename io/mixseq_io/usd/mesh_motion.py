@@ -1,4 +1,4 @@
-"""USD, motion: what moves a mesh, and where its points are in the world.
+"""USD, motion: sources of a mesh's motion, and its points in world space.
 
 Specification: https://openusd.org/release/api/class_usd_geom_point_based.html (velocities)
 """
@@ -147,5 +147,5 @@ def _placed(value: Vt.Vec3fArray, to_world: Gf.Matrix4d, weight: float) -> NDArr
     if to_world == Gf.Matrix4d(1.0):
         return rows
     matrix = np.array(to_world, dtype=np.float64)
-    with np.errstate(all="ignore"):  # what overflows is reported by the reader, with its vertex
+    with np.errstate(all="ignore"):  # overflow is reported by the reader, with its vertex
         return np.asarray(rows @ matrix[:3, :3] + weight * matrix[3, :3], dtype=np.float32)

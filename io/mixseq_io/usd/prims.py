@@ -27,8 +27,8 @@ def open_stage(path: Path) -> Usd.Stage:
     """Open a file as it is on disk, with all payloads."""
     if not path.is_file():
         raise FormatError(f"{path} does not exist")
-    # A process shares its layers by their identifier, with an application's unsaved edits in them, or with
-    # what the file held before it was replaced. An argument that no one else gives makes this one our own.
+    # A process shares layers by identifier, with unsaved edits of an application or contents that were replaced on
+    # disk. A unique argument makes this one private.
     layer = Sdf.Layer.FindOrOpen(absolute(path), {"mixseq": token_hex(8)})
     if not layer:
         raise FormatError(f"{path} cannot be read as USD; it is damaged, truncated or of another type")

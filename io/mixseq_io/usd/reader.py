@@ -46,7 +46,7 @@ def open_usd(path: Path, prim: str | None = None) -> SequenceReader:
         shot = _shot(path, open_stage(path), prim, notes)
         header = _header(path, shot, notes)
         speeds = [mesh.has_velocities(notes) for mesh in shot.meshes]
-    # What could not be found (a layer, a reference) may matter or not: reading goes on, but not in silence.
+    # Missing layers and references may be irrelevant, so reading continues with a warning.
     if reports:
         warn(f"{path}: USD reports: {'; '.join(reports[:3])}")
     notes.warn()

@@ -39,7 +39,7 @@ class Placement:
 
     @property
     def moves(self) -> bool:
-        """Whether it changes over time."""
+        """Whether the transform changes over time."""
         return any(varies(each.GetAttr()) for each in self.operations)
 
     def to_world(self, code: float) -> Gf.Matrix4d:

@@ -85,7 +85,7 @@ class Texels:
 
     @cached_property
     def rows(self) -> int:
-        """Rows of a layer."""
+        """Rows of a layer in the texture."""
         return -(-self.count // _USUAL_WIDTH)
 
     def stacked(self, layers: NDArray[np.floating], what: str) -> NDArray[np.floating]:

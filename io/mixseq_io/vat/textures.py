@@ -46,7 +46,7 @@ class Textures:
     """Textures and their decoded numbers."""
 
     images: dict[str, Encoded]  # by name
-    told: dict[str, Any]  # what vat.json tells besides
+    told: dict[str, Any]  # further contents of vat.json
     rank: int  # number of basis vectors, 0 of plain textures
     shown: Frames  # points and normals as a shader has them
 
