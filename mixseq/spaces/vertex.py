@@ -13,15 +13,7 @@ from mixseq.spaces.base import ShapeSpace
 
 @dataclass(frozen=True)
 class VertexSpace(ShapeSpace):
-    """Vectors are vertex positions in diagonals. Blends shrink what turns; what is not articulated, it suits.
-
-    Attributes
-    ----------
-    vertex_count : int
-        Number V of vertices.
-    scale : float
-        Length of the unit of the space, in the units of the sequence: the diagonal of the first frame.
-    """
+    """Vectors are vertex positions in diagonals, for meshes without articulation: blends shrink rotating parts."""
 
     vertex_count: int
     scale: float
@@ -34,7 +26,7 @@ class VertexSpace(ShapeSpace):
 
     @property
     def weights(self) -> Float:
-        """Ones: coordinates are in diagonals already."""
+        """Ones: coordinates are in diagonals."""
         return np.ones(self.dim)
 
     def encode_apart(self, points: FloatArray) -> Float:
