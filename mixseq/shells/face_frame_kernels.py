@@ -1,4 +1,4 @@
-"""Compiled inner loops of `mixseq.shells.face_frames`: chaining and averaging of frames, as quaternions (w, x, y, z)."""
+"""Compiled inner loops of `mixseq.shells.face_frames`: chain and average frames, quaternions (w, x, y, z)."""
 
 from __future__ import annotations
 
@@ -106,8 +106,8 @@ def chained(
 ) -> None:
     """Write frames ``(n, 4)`` in the order ``(k,)``, each the mean predicted by its links to earlier ones.
 
-    The links of ``order[k]`` are ``links[starts[k] : starts[k + 1]]``: numbers of pairs ``(h, 2)``, -1 - number where the
-    frame is the first of its pair. Frames outside the order are known.
+    The links of ``order[k]`` are ``links[starts[k] : starts[k + 1]]``: numbers of pairs ``(h, 2)``, -1 - number where
+    the frame is the first of its pair. Frames outside the order are known.
     """
     seen, total = np.empty(4), np.empty(4)
     for k in range(len(order)):

@@ -28,8 +28,8 @@ def shell_residuals(
 ) -> float:
     """Write the residuals ``(e' + h' + 3f,)`` of lengths, angles, soft constraints; return the sum of their squares.
 
-    Vertices ``(n, 3)`` and lengths ``(e',)`` are in diagonals, angles ``(h',)`` in radians, weights ``(e',)`` per diagonal,
-    `bending` per radian. Soft weights ``(f,)`` are empty without constraints.
+    Vertices ``(n, 3)`` and lengths ``(e',)`` are in diagonals, angles ``(h',)`` in radians, weights ``(e',)`` per
+    diagonal, `bending` per radian. Soft weights ``(f,)`` are empty without constraints.
     """
     energy = 0.0
     for k in range(len(edges)):

@@ -130,7 +130,7 @@ class Patch(PickledWithoutCaches):
 
     @cached_property
     def face_number(self) -> Index:
-        """Place ``(m,)`` of every face among those with unknown frames, -1 for fixed faces, or for the first without any."""
+        """Place ``(m,)`` of every face among those with unknown frames; -1 for fixed faces, or for the first one."""
         known = self.fixed_faces.copy()
         known[0] |= not known.any()
         return np.where(known, -1, np.cumsum(~known) - 1)

@@ -108,8 +108,8 @@ def rebuild(
 ) -> tuple[Float, ShellReport]:
     """Rebuild a patch ``(n, 3)`` from lengths ``(e',)`` and angles ``(h',)``, in radians, at its free vertices.
 
-    Weights ``(e',)`` are inverse typical lengths. Positions ``(n, 3)`` are used of fixed vertices only. A guess ``(f, 3)``
-    is an alternative start of the free vertices.
+    Weights ``(e',)`` are inverse typical lengths. Of positions ``(n, 3)`` those of fixed vertices are used. A guess
+    ``(f, 3)`` is an alternative start of the free vertices.
     """
     lengths = sound_lengths(lengths, weights)
     problem = ShellProblem(patch, lengths, angles, weights, settings.bending, soft)

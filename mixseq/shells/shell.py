@@ -45,7 +45,7 @@ SLENDER = 0.25
 """Ratio of height to sides below which hinges of a triangle count less: noise would rotate them."""
 
 SHRUNK = 0.7
-"""Least share of a triangle's area in its gradient: smaller ones have larger curvatures, and too long steps shake vertices."""
+"""Least share of a triangle's area in its gradient: smaller ones have larger curvatures, and steps shake vertices."""
 
 THIN = 1e-6
 """Ratio of height to sides below which a triangle has no area."""
@@ -57,7 +57,7 @@ STEP = 1e-4
 """Size of a difference quotient, relative to edges."""
 
 NEAR = 0.5
-"""Error of hinges, a right angle in this measure, below which zero energy means zero errors."""
+"""Least `nearness` of hinges, at an error of a right angle, at which zero energy means zero errors."""
 
 EXACT = 1e-8
 """Mean weighted residual below which lengths and angles are those of the mesh, and no steps are taken."""

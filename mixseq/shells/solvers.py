@@ -160,8 +160,8 @@ class _RslabFactor:
 class _SuperLUAnalysis:
     """The place of the values of both triangles; SuperLU keeps no analysis.
 
-    In symmetric mode, and with ``relax=1``: else columns are joined into supernodes against the minimum degree ordering,
-    which takes ten times as long.
+    In symmetric mode, and with ``relax=1``: else columns are joined into supernodes against the minimum degree
+    ordering, which takes ten times as long.
     """
 
     def __init__(self, starts: Index, rows: Index) -> None:

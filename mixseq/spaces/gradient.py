@@ -55,14 +55,11 @@ class Gradients(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class GradientSpace(ShapeSpace):
-    """Deformation gradients of all faces from a reference ``(V, 3)``, the first frame in diagonals.
-
-    Faces without area in the reference are replaced by triangles with area.
-    """
+    """Deformation gradients of all faces from a reference."""
 
     topology: Topology
-    scale: float
-    reference: Float
+    scale: float  # unit of length, in the units of the sequence: the diagonal of the first frame
+    reference: Float  # (V, 3) the first frame in diagonals; faces without area are replaced by others
     name = "gradient"
 
     @cached_property

@@ -16,7 +16,7 @@ class VertexSpace(ShapeSpace):
     """Vectors are vertex positions in diagonals, for meshes without articulation: blends shrink rotating parts."""
 
     vertex_count: int
-    scale: float
+    scale: float  # unit of length, in the units of the sequence: the diagonal of the first frame
     name = "vertex"
 
     @property

@@ -69,9 +69,9 @@ class EdgeSettings:
 
 @dataclass(frozen=True, eq=False)
 class EdgeSpace(PosedSpace):
-    """Shapes by edge lengths and dihedral angles; fits weigh lengths by inverse mean lengths ``(E,)``."""
+    """Shapes by edge lengths and dihedral angles."""
 
-    reference_lengths: Float
+    reference_lengths: Float  # (E,) mean lengths of all edges; their inverses weigh lengths in the fits
     settings: EdgeSettings
     name = "edge"
 

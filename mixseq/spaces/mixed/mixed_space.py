@@ -82,17 +82,13 @@ MAX_ANGLE_STEP_RATIO = 64
 
 @dataclass(frozen=True)
 class Projection:
-    """Settings of the projection P_m, or `SettingsError` if a number is out of range.
+    """Settings of the projection P_m; raises `SettingsError` if a number is out of range."""
 
-    `share`, from 0 to 1, is that of joint lengths and angles between posed and target ones; `hold` the weight of posed
-    vertices at joints; `steps` the number of relaxation steps; `relations` their weight against equal changes of poses.
-    """
-
-    placement: PlacementName = "anchored"
-    share: float = 0.0
-    hold: float = 0.1
-    steps: int = 0
-    relations: float = 0.1
+    placement: PlacementName = "anchored"  # parts at their poses, or where lengths and angles put them
+    share: float = 0.0  # share of lengths and angles of joints, from 0 (posed vertices) to 1 (the vector)
+    hold: float = 0.1  # weight of posed vertices at joints
+    steps: int = 0  # relaxation steps over the lengths and angles of the whole mesh
+    relations: float = 0.1  # weight of relations between neighbours against poses of parts that move equally
 
     def __post_init__(self) -> None:
         weight = ("positive weight", *PROJECTION_WEIGHT_RANGE)
@@ -132,21 +128,17 @@ QUATERNION_BLOCKS = ("turns", "relation_turns", "body_turns")
 
 @dataclass(frozen=True, eq=False)
 class MixedSpace(ShapeSpace):
-    """The mixed shape space of one mesh sequence; made by `mixed_space`.
-
-    Shapes ``(N, 3)`` are mean shapes of all parts, each centred; the reference ``(V, 3)`` is the first frame; both in
-    diagonals of that frame. Rows of the skinning weights ``(V, p)`` add up to one. Joint faces are a mask ``(F,)``.
-    """
+    """The mixed shape space of one mesh sequence; made by `mixed_space`."""
 
     topology: Topology
-    decomposition: Decomposition
-    scale: float
-    shapes: Float
-    reference: Float
-    skinning_weights: sparse.csr_array
-    steadiness: Steadiness | None
-    joint_faces: Mask
-    projection: Projection
+    decomposition: Decomposition  # parts, and the strips between them
+    scale: float  # unit of length, in the units of the sequence: the diagonal of the first frame
+    shapes: Float  # (N, 3) mean shapes of all parts, each centred, part by part, in diagonals
+    reference: Float  # (V, 3) the first frame, in diagonals
+    skinning_weights: sparse.csr_array  # (V, p) of vertices and parts; rows add up to one
+    steadiness: Steadiness | None  # inverse variances of part poses and relations, their weights in P_m
+    joint_faces: Mask  # (F,) faces with lengths and angles in the vector
+    projection: Projection  # settings of P_m
     name = "mixed"
 
     @property

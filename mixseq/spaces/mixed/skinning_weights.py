@@ -41,7 +41,7 @@ def compare(
 ) -> None:
     """Add the errors of part motions at vertices ``(n,)`` in a frame to sums, in place.
 
-    Products ``(n, k, k)``: sums of products of errors. Apart ``(n,)``: of squared distances from their mean, in diagonals.
+    Products ``(n, k, k)``: sums of products of errors. Apart ``(n,)``: sums of squared distances from their mean.
     """
     most = parts.shape[1]
     away = np.empty((most, 3))
