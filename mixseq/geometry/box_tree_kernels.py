@@ -104,8 +104,8 @@ def closest(
 ) -> None:
     """Write the triangle, weights and squared distance of the closest point to every query.
 
-    Corners and normals are in the order of the tree; boxes, and bounds of the normals, are of its nodes. Triangles count if
-    their normal has at least the given cosine with the query's; all where `facing` is empty.
+    Corners and normals are in the order of the tree; boxes, and bounds of the normals, are of its nodes. Triangles
+    count if their normal has at least the given cosine with the query's; all where `facing` is empty.
     """
     leaves = len(firsts) - 1
     nodes = np.empty(64, dtype=np.int64)
@@ -217,8 +217,8 @@ def crossing_pairs(
 ) -> int:
     """Count pairs of crossing triangles without a common place; write pairs ``(n, 2)`` while they fit, smaller first.
 
-    Corners ``(F, 3, 3)``, unit normals, places ``(F, 3)`` are in the order of the tree (`BoxTree`). Depths and lengths up
-    to `least`, in the unit of the corners, are contact. Triangles without area, with a NaN normal, cross nothing.
+    Corners ``(F, 3, 3)``, unit normals, places ``(F, 3)`` are in the order of the tree (`BoxTree`). Depths and lengths
+    up to `least`, in the unit of the corners, are contact. Triangles without area, with a NaN normal, cross nothing.
     """
     leaves = len(firsts) - 1
     nodes = np.empty(64, dtype=np.int64)

@@ -118,7 +118,7 @@ def vectors(rotations: FloatArray) -> Float:
 
 
 def continuous_vectors(rotations: FloatArray, reference: FloatArray | None = None) -> Float:
-    """Return continuous rotation vectors ``(T, ..., 3)`` of matrices ``(T, ..., 3, 3)`` after a reference ``(..., 3)``."""
+    """Return continuous rotation vectors ``(T, ..., 3)`` of matrices, the first near a reference ``(..., 3)``."""
     return unwrap(vectors(rotations), reference)
 
 

@@ -190,7 +190,7 @@ def _decoded(
     progress: Progress,
     workers: Executor | None,
 ) -> Iterator[Decoded]:
-    """Yield results of `decode` (`_points` or `_moving_points`) at times ``(N,)``, in order, in blocks of `size` frames."""
+    """Yield results of `decode` (`_points` or `_moving_points`) at times ``(N,)`` in blocks of `size` frames."""
     some = (times[start : start + size] for start in range(0, len(times), size))
     work = workers or (on_threads() if len(times) > size else serially)
     model.space.prepared()
