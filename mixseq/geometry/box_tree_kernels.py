@@ -150,7 +150,7 @@ def closest(
 
 @compiled
 def _lonely(distances: Float, corners: Float, normal: Float, origin: Float, least: float) -> int:
-    """Write the distances of corners to a plane; return the corner alone on its side, -1 if all are on one side."""
+    """Write the distances of corners to a plane; return the corner alone on its side, -1 if a side is empty."""
     above = below = 0
     for k in range(3):
         distance = 0.0

@@ -9,10 +9,10 @@ by :math:`d = \bar x - x`, with the mean :math:`\bar x` over the stance. The com
     + \alpha \sum_t |r_{t+1} - 2 r_t + r_{t-1}|^2 + \beta \sum_t |r_{t+1} - r_t|^2 .
 
 Along the ground the anchor is :math:`\bar x + b`, with free b, so that strides that do not fit the legs lengthen or
-shorten the path, and the body moves evenly; upwards b is zero and :math:`\gamma \sum_t |r_t|^2` is added against climbing
-and sinking. :math:`\alpha` leaves what is quicker than `PERIOD` to the limbs, and :math:`\beta` lets the shift come to
-rest within about `MEMORY` where no foot is on the ground. The limbs move by :math:`e = d + b - r`. Before and after a
-stance e fades by cubic Hermite splines with its value and slope, so that feet land and lift smoothly.
+shorten the path, and the body moves evenly; upwards b is zero and :math:`\gamma \sum_t |r_t|^2` is added against
+climbing and sinking. :math:`\alpha` leaves what is quicker than `PERIOD` to the limbs, and :math:`\beta` lets the shift
+come to rest within about `MEMORY` where no foot is on the ground. The limbs move by :math:`e = d + b - r`. Before and
+after a stance e fades by cubic Hermite splines with its value and slope, so that feet land and lift smoothly.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ FADE = 0.25
 
 
 def misses(paths: Float, found: Sequence[Sequence[Stance]], negligible: float) -> Float:
-    """Return the distances ``(g, T, 3)`` of contacts from their mean in the stance; zero in the air, or if negligible."""
+    """Return the shifts ``(g, T, 3)`` of contacts to their mean in each stance; zero in the air or if negligible."""
     result = np.zeros_like(paths)
     for miss, path, some in zip(result, paths, found, strict=True):
         for stance in some:
@@ -54,7 +54,7 @@ def misses(paths: Float, found: Sequence[Sequence[Stance]], negligible: float) -
 def body_shift(
     missed: Float, found: Sequence[Sequence[Stance]], axis: int, fps: float
 ) -> tuple[Float, Float]:
-    """Find the shift ``(T, 3)`` of the body, and anchored misses ``(g, T, 3)``, from misses ``(g, T, 3)``."""
+    """Return the body's shift ``(T, 3)``, and the contacts' remaining moves ``(g, T, 3)``, from misses ``(g, T, 3)``."""
     from scipy import sparse
     from scipy.sparse.linalg import splu
 

@@ -67,7 +67,7 @@ def remove_footskate(
     diagonal: float,
     settings: StanceSettings | None = None,
 ) -> PlantedMotion:
-    """Move parts so that contacts do not slide while those of the source rest; return the motions unchanged if none does.
+    """Move parts so that contacts do not slide while those of the source rest; motions without sliding are unchanged.
 
     Rotations and centres are ``(T, p, 3, 3), (T, p, 3)``; trajectories ``(T, k, 3)`` are those of the source's contact
     points, in the target's units, as is the diagonal.

@@ -37,7 +37,7 @@ from mixseq.shells.fitting import ShellSettings
 from mixseq.spaces.gradient import GradientSpace
 
 OFFSET_WEIGHT = 0.3
-"""Weight of offsets of free vertices against edge lengths, both relative: chooses solutions without stretching joints."""
+"""Weight of offsets of free vertices against edge lengths, both relative; small enough not to stretch joints."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -104,7 +104,7 @@ def carry_labels(labels: Index, correspondence: Correspondence, faces: IntArray)
 
 
 def without_small_regions(topology: Topology, labels: Index, areas: Float) -> Index:
-    """Merge regions of labels ``(F,)`` with a small share of their part's area into the neighbour with most common edges.
+    """Merge regions of labels ``(F,)`` that are small in their part into the neighbour with most shared edges.
 
     The smallest comes first. Regions without a neighbour stay.
     """

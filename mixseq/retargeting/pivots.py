@@ -42,7 +42,7 @@ SHORTEST = 1e-3
 """Least length of boundaries in weights, relative to the longest."""
 
 REACH = 1.2
-r"""Largest distance :math:`\rho` of a gap from that of gradients, in radii of its boundary; chosen on three pairs of animals."""
+r"""Largest distance :math:`\rho` of gaps from those of gradients, in boundary radii; chosen on three animal pairs."""
 
 
 @dataclass(frozen=True, eq=False)

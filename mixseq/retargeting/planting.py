@@ -82,7 +82,7 @@ def plant_contacts(
 
 
 def _measure(shared: tuple[MixedTransfer, Index, Index], block: FloatArray) -> tuple[PartPoses, Float, Float]:
-    """Return part poses in frames ``(B, V, 3)``, and contact vertices on the source, also in the axes of their parts."""
+    """Return part poses in frames ``(B, V, 3)``, contact vertices on the source, and on the target's rest parts."""
     method, vertices, parts = shared
     poses, soles = [], []
     for x in block:

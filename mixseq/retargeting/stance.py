@@ -69,8 +69,8 @@ def stances(
 ) -> tuple[Stance, ...]:
     """Find disjoint stances of a contact with points ``(T, k, 3)``, in order.
 
-    `up` is the upward axis, `size` the diagonal of the body in the units of the points. A single frame, or a contact that
-    never moves, is one stance.
+    `up` is the upward axis, `size` the diagonal of the body in the units of the points. A single frame, or a contact
+    that never moves, is one stance.
     """
     settings = settings or StanceSettings()
     path = np.asarray(trajectory, dtype=np.float64)

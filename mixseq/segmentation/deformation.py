@@ -31,7 +31,7 @@ def some_frames(points: FloatArray, frames: int) -> Float:
 
 
 def angle_variation(points: FloatArray, topology: Topology) -> Float:
-    """Return the largest wrapped change ``(H,)`` of dihedral angles between any two frames ``(T, V, 3)``, in radians."""
+    """Return the largest change ``(H,)`` of dihedral angles between frames ``(T, V, 3)``, wrapped, in radians."""
     angles = np.stack([dihedral_angles(frame, topology.hinges) for frame in points])
     largest = np.zeros(angles.shape[1])
     for frame in range(1, len(angles)):
