@@ -1,7 +1,6 @@
 """File formats of mesh sequences: read into and written from `mixseq.sequence.MeshSequence`, frame by frame.
 
-The format follows from the file's extension; `FORMATS` is the table. Importing this package loads no format:
-pxr and h5py are imported when a file of theirs is opened.
+The file's extension selects the format from the table `FORMATS`. pxr and h5py are imported when a file needs them.
 
 Examples
 --------

@@ -1,12 +1,10 @@
-"""Arrays in npz files: how large they are is known, and compared with the limit, before anything is unpacked.
+"""Arrays in npz files, whose size is compared with the limit of memory before anything is unpacked.
 
-A small zip file can unpack to any size, and its headers can lie. So of every array the size that the archive tells must
-be that of the shape that the array tells, and all that is read of a file at once must fit the limit of memory. zipfile
-never unpacks more than the archive tells. Methods of compression that NumPy does not write are refused: they unpack
-in steps that nobody bounds.
+A small zip file can unpack to any size, and its headers can lie. The archive's size of an array must match its shape,
+and all arrays read at once must fit the limit. Compression methods that NumPy does not write are refused, since their
+unpacking is unbounded.
 
-Specifications: https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html and
-https://pkware.cachefly.net/webdocs/casestudies/APPNOTE.TXT
+Specification: https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html
 """
 
 from __future__ import annotations
@@ -42,13 +40,13 @@ _DAMAGE = (
     OverflowError,
     struct.error,
 )
-"""What zipfile, zlib and numpy raise at damaged input."""
+"""Exceptions of zipfile, zlib and numpy for damaged input."""
 
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
 class ArrayHeader(NamedTuple):
-    """What stands before the numbers of an array: its shape, whether columns come first, and its type."""
+    """Header of an array: its shape, whether it is in Fortran order, and its dtype."""
 
     shape: tuple[int, ...]
     fortran: bool
@@ -65,7 +63,7 @@ class Archive:
         self.names = dict.fromkeys(name.removesuffix(".npy") for name in file.namelist()).keys()
 
     def read(self, name: str) -> NDArray[Any]:
-        """Return an array; together with those before it must fit the limit of memory."""
+        """Return an array; with those read before, it must fit the limit of memory."""
         with self.open(name) as (stream, _):
             self._sizes[name] = self._file.getinfo(f"{name}.npy").file_size
             check_memory(self._path, sum(self._sizes.values()), f"its arrays, with {name!r},")
@@ -76,7 +74,7 @@ class Archive:
 
     @contextmanager
     def open(self, name: str) -> Iterator[tuple[IO[bytes], ArrayHeader]]:
-        """Yield a stream of an array's numbers, and the header that stands before them."""
+        """Yield a stream of an array's numbers, and its header."""
         member = self._file.getinfo(f"{name}.npy")
         if member.compress_type not in _METHODS:
             raise FormatError(
@@ -106,7 +104,7 @@ class Archive:
 
 
 def finish(stream: IO[bytes]) -> None:
-    """Go to the end of an array that has been read: there zipfile compares the checksum."""
+    """Read an array's stream to the end, where zipfile compares the checksum."""
     stream.read(1)
 
 
@@ -118,5 +116,5 @@ def opened_archive(path: Path) -> Iterator[Archive]:
 
 
 def reading_archive(path: Path) -> AbstractContextManager[None]:
-    """Turn what zipfile and NumPy raise on damaged files into `FormatError`."""
+    """Translate errors of zipfile and NumPy on damaged files into `FormatError`."""
     return reading(path, "an npz file", *_DAMAGE)

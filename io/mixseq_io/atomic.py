@@ -1,12 +1,8 @@
-"""Files appear whole or not at all: written beside the target, then moved over it.
+"""Atomic output: files are written beside the target, then moved over it.
 
-A rename within a folder is atomic [1]_: whoever reads the target sees the old file or the new one, and an
-error, a full disk or Ctrl-C leaves the old one as it was. The new file is flushed to the disk before the
-rename, else a power cut could leave an empty file under the target's name. Signals wait while files are moved.
-
-References
-----------
-.. [1] https://pubs.opengroup.org/onlinepubs/9799919799/functions/rename.html
+A rename within a folder is atomic (https://pubs.opengroup.org/onlinepubs/9799919799/functions/rename.html): readers see
+the old file or the new one, and after an error, a full disk or Ctrl-C the old one is unchanged. The new file is flushed
+to disk first, since a power cut could otherwise leave it empty. Signals wait while files are moved.
 """
 
 from __future__ import annotations
@@ -43,10 +39,9 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 @contextmanager
 def replacing_many(pattern: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield a temporary folder to write files to; they move beside `pattern` if all goes well.
+    """Yield a temporary folder to write files to; they move beside `pattern`, each atomically, if the block succeeds.
 
-    Each file moves atomically, one after the other; nothing moves before all are written and flushed, and only what
-    ends the process at once, as SIGKILL does, can leave some of them behind.
+    They move once all are written and flushed; only a sudden end of the process (SIGKILL) can leave some behind.
     """
     target = Path(os.path.realpath(pattern))
     folder = target.parent
@@ -70,8 +65,7 @@ def replacing_many(pattern: str | os.PathLike[str]) -> Iterator[Path]:
 def replacing_folder(path: str | os.PathLike[str], own: Container[str]) -> Iterator[Path]:
     """Yield a temporary folder to write files to; they move into `path` if the block ends without an exception.
 
-    A folder that exists stays the same one, for whoever is in it, with all that others put there. Its files change
-    places one after the other, as in `replacing_many`; if one cannot, all go back.
+    An existing folder stays, with the files of others. Files are exchanged one by one; if one fails, all go back.
     """
     target = Path(os.path.realpath(path))
     with _explaining(target):
@@ -94,7 +88,7 @@ def replacing_folder(path: str | os.PathLike[str], own: Container[str]) -> Itera
 
 
 def _exchange(source: Path, target: Path, own: Container[str], old: Path) -> None:
-    """Move all files of a folder into another, and what they replace, or is the writer's own, away; or nothing."""
+    """Move all files of a folder into another; replaced files and the writer's `own` go to `old`. All or none."""
     old.mkdir()
     written = sorted(file.name for file in source.iterdir())
     stale = [file.name for file in target.iterdir() if file.name in own and file.name not in written]
@@ -113,7 +107,7 @@ def _exchange(source: Path, target: Path, own: Container[str], old: Path) -> Non
 
 
 def _check_target(target: Path) -> None:
-    """Refuse before the work starts what could not succeed at its end."""
+    """Raise an error for a target that could not be written at the end."""
     if target.is_dir():
         raise OutputError(f"{target} is a folder; give the name of a file")
     _check_parent(target)
@@ -144,7 +138,7 @@ def _flush_folder(folder: Path) -> None:
 
 
 _ALMOST_FULL = 1 << 20
-"""Bytes: a library that fails with less free space than this has failed for want of space."""
+"""Free space in bytes below which a library's failure is taken for a full disk."""
 
 _CURES = {
     errno.ENOSPC: "free some space or choose another disk",
@@ -158,10 +152,7 @@ _CURES = {
 
 
 def raise_system_error(message: str, folder: Path) -> None:
-    """Raise the error of the system behind a library's failure to write, if there seems to be one.
-
-    In the block of `replacing` it is explained like all errors of the system.
-    """
+    """Raise the system's error behind a library's failure to write, if there seems to be one, within `replacing`."""
     codes = [code for code in _CURES if os.strerror(code) in message]
     if not codes and shutil.disk_usage(folder).free < _ALMOST_FULL:
         codes = [errno.ENOSPC]

@@ -1,4 +1,4 @@
-"""What every format's writer has in common: blocks of points and velocities, checked before they reach the file."""
+"""Blocks of points and velocities, checked on their way to every format's writer."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from mixseq.errors import InvalidSequenceError, MixseqWarning
 from mixseq.sequence import SequenceHeader, check_block
 
 Numbered = tuple[int, FloatArray, FloatArray | None]
-"""Index of a block's first frame, its points ``(B, V, 3)``, and its velocities, if there are any."""
+"""Index of a block's first frame, its points ``(B, V, 3)``, and its velocities or None."""
 
 
 def checked(
     header: SequenceHeader, blocks: Iterable[FloatArray], velocities: Iterable[FloatArray] | None = None
 ) -> tuple[np.dtype[np.floating], Iterator[Numbered]]:
-    """Look at the first block, and check every block as it passes."""
+    """Return the points' dtype, from the first block, and the numbered blocks, checked as they pass."""
     rest = iter(blocks)
     first = next(rest, None)
     if first is None:
@@ -97,10 +97,7 @@ def _as_floats(block: FloatArray) -> FloatArray:
 def in_step(
     pairs: Iterable[tuple[FloatArray, FloatArray]],
 ) -> tuple[Iterator[FloatArray], Iterator[FloatArray]]:
-    """Split pairs of a block of points and one of velocities, as `Model.moving_blocks` makes them, for writers.
-
-    Writers advance both iterators in turns, so that no more than one pair is in memory.
-    """
+    """Split pairs of blocks of points and velocities (`Model.moving_blocks`) into two iterators, advanced in turns."""
     one, other = tee(pairs)
     return (points for points, _ in one), (velocities for _, velocities in other)
 
@@ -112,7 +109,7 @@ def as_float32(
     of: str = "vertex",
     header: SequenceHeader | None = None,
 ) -> FloatArray:
-    """Round points, or velocities, to float32, the precision of the format called `what`."""
+    """Round points or velocities to float32; errors name the format `what`."""
     with np.errstate(over="ignore", under="ignore"):
         rounded = values.astype(np.float32)
     finite = np.isfinite(rounded)
@@ -128,7 +125,7 @@ def as_float32(
 
 
 def warn(message: str) -> None:
-    """Warn on behalf of the first caller outside mixseq, whose line is the one to look at."""
+    """Warn at the line of the first caller outside mixseq."""
     level, frame = 1, sys._getframe()
     while frame.f_back is not None and _is_ours(frame.f_globals.get("__name__", "")):
         level, frame = level + 1, frame.f_back

@@ -1,7 +1,6 @@
-"""Which of a scene's meshes are meant: those that `prim` names, or those that move.
+"""Choice of a scene's meshes: those that `prim` names, or those that move.
 
-Scenes of all formats are trees of named objects with meshes in them. A reader makes a `SceneObject` of every mesh and
-of what is above it; what is chosen comes back as numbers of meshes, in their order.
+Readers make a `SceneObject` of every mesh and its ancestors; the chosen meshes are indices in their order.
 """
 
 from __future__ import annotations
@@ -26,12 +25,12 @@ class SceneObject:
 
     @property
     def name(self) -> str:
-        """The name to show, "" if it has none."""
+        """Name to show, "" if it has none."""
         return next(filter(None, self.names), "")
 
     @property
     def lineage(self) -> list[SceneObject]:
-        """The object and all that are above it, the root last."""
+        """The object and its ancestors, the root last."""
         found, here = [], self
         while True:
             found.append(here)
@@ -43,15 +42,7 @@ class SceneObject:
 def chosen(
     file: Path, meshes: Sequence[SceneObject], prim: str, among: Sequence[SceneObject] | None = None
 ) -> list[int]:
-    """Return the numbers of the meshes at or below an object.
-
-    Examples
-    --------
-    >>> man = SceneObject("/man", ("man",))
-    >>> body, house = SceneObject("/man/body", ("body",), man), SceneObject("/house", ("house",))
-    >>> [chosen(Path("a.abc"), [body, house], prim) for prim in ("man", "/man/body", "/")]
-    [[0], [0], [0, 1]]
-    """
+    """Return the indices of the meshes at or below an object, given by path or name."""
     among = meshes if among is None else among
     if not prim.strip("/"):
         return list(range(len(among)))
@@ -60,7 +51,7 @@ def chosen(
 
 
 def _path_of(file: Path, meshes: Sequence[SceneObject], prim: str) -> str:
-    """Return the path of what `prim` names: as it is listed, or a name, or a path but for slashes at its ends."""
+    """Return the path of the object named by `prim`: a listed path, a name, or a path without its end slashes."""
     paths = {each.path.strip("/"): each.path for mesh in meshes for each in mesh.lineage}
     path = paths.get(prim.strip("/"))
     if path == prim:
@@ -82,7 +73,7 @@ def _called(mesh: SceneObject, name: str) -> list[SceneObject]:
 
 
 def moving(file: Path, meshes: Sequence[SceneObject], moves: Sequence[bool]) -> list[int]:
-    """Return the numbers of the meshes that move; all if none does."""
+    """Return the indices of the meshes that move; all if none moves."""
     still = [mesh.path for mesh, it_moves in zip(meshes, moves, strict=True) if not it_moves]
     if not any(moves):
         return list(range(len(meshes)))
@@ -95,25 +86,12 @@ def moving(file: Path, meshes: Sequence[SceneObject], moves: Sequence[bool]) -> 
 
 
 def common_name(meshes: Sequence[SceneObject]) -> str:
-    """Return the name of the only mesh, or of the deepest object with a name that is above all; "" if there is none.
-
-    Examples
-    --------
-    >>> man = SceneObject("/man", ("man",))
-    >>> common_name([SceneObject("/man/body", ("body",), man), SceneObject("/man/hat", ("hat",), man)])
-    'man'
-    """
+    """Return the name of the only mesh, or of the deepest named common ancestor; "" if there is none."""
     shared = set.intersection(*({each.path for each in mesh.lineage} for mesh in meshes))
     return next((each.name for each in meshes[0].lineage if each.path in shared and each.name), "")
 
 
 def listed(names: Sequence[str]) -> str:
-    """Return names for a message, at most 20.
-
-    Examples
-    --------
-    >>> listed(["a", "b c"])
-    "'a', 'b c'"
-    """
+    """Return at most 20 names, quoted, for a message."""
     more = len(names) - _LONGEST_LIST
     return ", ".join(map(repr, names[:_LONGEST_LIST])) + (f" and {more} more" if more > 0 else "")

@@ -1,4 +1,4 @@
-"""Files with compressed models, of every kind: HDF5, and GLB with a mesh sequence."""
+"""Files with compressed models: HDF5, and GLB with a mesh sequence."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ def read_container(path: Path) -> Container:
 
 
 def read_compressed(path: Path) -> CompressedSequence:
-    """Read a compressed sequence, and check every byte of it."""
+    """Read a compressed sequence and check all its bytes."""
     return sequence_of(path, read_container(path))
 
 
 def compressed_sizes(path: Path) -> dict[str, int]:
-    """Count the bytes of a compressed model."""
+    """Return the sizes in bytes of a compressed model's parts."""
     container = read_container(path)
     index = read_index(path, container)
     still = sequence_extension.other_data(path) if sequence_extension.is_glb(path) else 0

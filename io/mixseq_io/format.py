@@ -1,4 +1,4 @@
-"""What a file format is: what it can hold, and the functions that read and write it."""
+"""Description of a file format: its capabilities, and the functions that read and write it."""
 
 from __future__ import annotations
 
@@ -21,25 +21,9 @@ OF_VERTICES, OPAQUE = "of vertices", "of vertices, opaque"
 
 @dataclass(frozen=True, kw_only=True)
 class Holds:
-    """What a format has a place for; what it has none for is warned about when it is written.
+    """Capabilities of a format, as text for the table of formats; anything else is reported when it is written.
 
-    Parameters
-    ----------
-    animation : str
-        The kinds of motion that are read.
-    polygons : str
-        Which polygons.
-    points : str
-        How exactly.
-    times : str
-        Which times of the frames.
-    uvs, hard_edges, face_sets, objects, units, velocities : bool
-        Texture coordinates; hard edges; named sets of polygons; several meshes; up axis and length of a unit;
-        velocities of the vertices.
-    colours : bool or str
-        Colours, and of what, if not of corners.
-    materials : str
-        What becomes of materials.
+    `colours` is text where colours are of something other than corners; `materials` is what becomes of them.
     """
 
     animation: str
@@ -58,27 +42,11 @@ class Holds:
 
 @dataclass(frozen=True)
 class Format:
-    """A file format.
+    """File format: its name in messages, lower-case extensions, capabilities, options, reader and writer.
 
-    Parameters
-    ----------
-    name : str
-        Its name in messages.
-    extensions : tuple of str
-        Its extensions, all read and written, in lower case with the dot.
-    holds : Holds
-        What it has a place for.
-    reader, writer : str
-        ``"module:function"``, imported at first use. A reader is ``(path, **options) -> SequenceReader``, a
-        writer ``(path, header, blocks, velocities, **options) -> None``.
-    read_options, write_options : mapping of str to str
-        The keyword options and what they mean.
-    signatures : tuple of bytes
-        What the files begin with, as far as there is something.
-    numbered : bool
-        Whether a file holds one frame, so that a sequence is a folder or a pattern of files.
-    isolated : bool
-        Whether files are parsed by a C++ library, which is kept in a process of its own, see `mixseq_io.isolation`.
+    `reader` and `writer` are ``"module:function"``, imported at first use: ``(path, **options) -> SequenceReader`` and
+    ``(path, header, blocks, velocities, **options) -> None``. `signatures` are first bytes of files, `numbered` files
+    hold one frame, `isolated` files are parsed by a C++ library in a process of its own, see `mixseq_io.isolation`.
     """
 
     name: str
@@ -93,7 +61,7 @@ class Format:
     isolated: bool = False
 
     def open(self, path: Path, **options: Any) -> SequenceReader:
-        """Open a file for reading, see `mixseq_io.open_sequence`."""
+        """Open a file for reading; see `mixseq_io.open_sequence`."""
         self._check_options("read", self.read_options, options)
         if options.get("fps") is not None:
             options["fps"] = exact_rate(options["fps"])
@@ -110,7 +78,7 @@ class Format:
         velocities: Iterable[FloatArray] | None = None,
         **options: Any,
     ) -> None:
-        """Write a file, see `mixseq_io.write_blocks`."""
+        """Write a file; see `mixseq_io.write_blocks`."""
         self._check_options("written", self.write_options, options)
         rounding = Rounding()
         if self.holds.points == SINGLE:

@@ -1,4 +1,4 @@
-"""The table of formats."""
+"""Table of formats."""
 
 from __future__ import annotations
 
@@ -188,7 +188,7 @@ FORMATS: tuple[Format, ...] = (
 
 
 def capabilities() -> list[tuple[str, ...]]:
-    """Return what the formats have a place for as a table: a row of titles, then a row per format."""
+    """Return the formats' capabilities as a table: a row of titles, then a row per format."""
     columns = [column.name for column in fields(Holds) if column.name != "animation"]
     titles = ("format", "reads", "writes", *(column.replace("_", " ") for column in columns))
     rows = [
@@ -204,7 +204,7 @@ def capabilities() -> list[tuple[str, ...]]:
 
 
 def motions() -> list[tuple[str, ...]]:
-    """Return which kinds of motion are read, and the options, as a table like `capabilities`."""
+    """Return the kinds of motion that are read, and the options, as a table like `capabilities`."""
     titles = ("format", "motion that is read", "options for reading", "options for writing")
     rows = [
         (form.name, form.holds.animation, ", ".join(form.read_options), ", ".join(form.write_options))

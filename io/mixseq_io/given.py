@@ -1,4 +1,4 @@
-"""Files in the place of arguments of public functions: what each is read as, by the argument's name and type."""
+"""Files given for arguments of public functions: each is read according to the argument's name and type."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from mixseq.frame_rates import exact_rate
 from mixseq_io.registry import read
 
 Given = Mapping[str, Any]
-"""All arguments of the function by name; the first one is the sequence or model."""
+"""All arguments of a function by name; the first one is the sequence or model."""
 
 Read = Callable[[str, Given], Any]
-"""From the path and the other arguments to the value."""
+"""Reader of a value, given the path and the other arguments."""
 
 
 def reader_of(name: str, types: Collection[str]) -> Read | None:
-    """Return what reads the file of an argument with a name and types of these names; nothing, if none is known."""
+    """Return the reader of an argument with this name and these type names; None if there is none."""
     if name in _BY_NAME and set(types) - {"int", "NoneType"}:  # a number of parts is in no file
         return _BY_NAME[name]
     if "Model" in types:
@@ -58,7 +58,7 @@ def _markers(path: str, _: Given) -> Any:
 
 
 def _map(path: str, _: Given) -> Any:
-    """Read a map, which becomes a correspondence when both meshes are known."""
+    """Read a map; it becomes a correspondence when both meshes are known."""
     from mixseq_io.correspondence.maps import read_map, to_correspondence
 
     return partial(to_correspondence, read_map(path))

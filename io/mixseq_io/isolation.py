@@ -1,13 +1,9 @@
 """Readers in a process of their own, for formats that are parsed by C++ libraries.
 
-A damaged file can make such a library crash, hang, or ask for all memory; none of that can be caught where it
-happens. So these readers run in a worker (`mixseq_io.worker`), a second Python with limits on its memory
-(`mixseq_io.memory`) and on the time of each answer. When it dies, the file is to blame and the user gets an error as
-from any other format. Workers are reused, because starting one takes half a second, and they are few
-(`mixseq_io.worker_pool`).
-
-The limit of time can be raised by the environment variable ``MIXSEQ_READER_SECONDS`` (120 of processor time; four
-times as long by the clock, for files that never answer).
+Damaged files can make these libraries crash, hang, or take all memory, which cannot be caught in the same process.
+Readers run in a reused worker (`mixseq_io.worker`), a second Python with limits on memory (`mixseq_io.memory`) and on
+time per answer; its death is reported as an error of the file. ``MIXSEQ_READER_SECONDS`` sets the limit of time: by
+default 120 s of processor time, and four times that by the clock.
 """
 
 from __future__ import annotations
@@ -30,7 +26,7 @@ from mixseq_io.worker_pool import OpenFile, dismiss, hire
 
 
 def open_isolated(reader: str, path: Path, options: dict[str, Any]) -> SequenceReader:
-    """Open a file in a worker, or here where none can be started."""
+    """Open a file in a worker, or in this process where none can be started."""
     if not can_isolate():
         reader_here: SequenceReader = loaded(reader)(path, **options)
         return reader_here
@@ -44,7 +40,7 @@ def open_isolated(reader: str, path: Path, options: dict[str, Any]) -> SequenceR
 def call_isolated(
     function: str, path: Path, *arguments: Any, meanwhile: Callable[[], object] | None = None
 ) -> Any:
-    """Call a function of a file in a worker and return its value; arguments and errors as of `open_isolated`."""
+    """Call a function of a file in a worker and return its value; arguments and errors as in `open_isolated`."""
     if not can_isolate():
         return loaded(function)(path, *arguments)
     worker = hire()
@@ -56,24 +52,24 @@ def call_isolated(
 
 
 clocks: list[Callable[[float], None]] = []
-"""What limits time in this process, if it is a worker."""
+"""Functions that limit time in this process, if it is a worker."""
 
 
 def limit_time(share: float) -> None:
-    """Start the clock of an answer anew, with a share of the limit of time; does nothing outside of a worker."""
+    """Restart the clock of an answer with a share of the time limit; does nothing outside of a worker."""
     for start in clocks:
         start(share)
 
 
 def loaded(reference: str) -> Callable[..., Any]:
-    """Return the function that ``"module:function"`` names, or ``"module:object.method"``."""
+    """Return the function named ``"module:function"`` or ``"module:object.method"``."""
     module, function = reference.split(":")
     found: Callable[..., Any] = attrgetter(function)(import_module(module))
     return found
 
 
 def can_isolate() -> bool:
-    """Whether a second Python can be started: applications that embed Python have no executable for it."""
+    """Whether a second Python can be started; applications that embed Python have no executable for it."""
     return "python" in Path(sys.executable or "").name.lower()
 
 
@@ -85,7 +81,7 @@ class _IsolatedReader(SequenceReader):
         self._file = file
 
     def markings(self) -> Markings:
-        """Return what tells parts of the mesh apart."""
+        """Return the sets of polygons and the joints of the mesh."""
         self._check_open()
         found: Markings = self._file.ask("markings")
         return found
@@ -101,7 +97,7 @@ class _IsolatedReader(SequenceReader):
 
 
 def _frozen(header: SequenceHeader) -> SequenceHeader:
-    """Make the arrays of a header that came through a pipe read-only again."""
+    """Return a header received from a worker with read-only arrays."""
     surface = header.surface
     return replace(
         header,

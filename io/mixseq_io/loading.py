@@ -1,8 +1,4 @@
-"""Load models, whatever they were stored as, at once: only what a file needs is imported, and while it is read.
-
-`mixseq_io.coded.reading` makes compressed models of HDF5 and GLB files; `mixseq_io.hdf5.model_files` those with
-signals, which may be in any shape space.
-"""
+"""Load models of any kind, importing only what a file needs, while it is read."""
 
 from __future__ import annotations
 
@@ -21,14 +17,14 @@ if TYPE_CHECKING:
     from mixseq.signals.model import Model
 
 GLB, HDF5 = ".glb", (".h5", ".hdf5")
-"""How names of models end."""
+"""File extensions of models."""
 
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
-"""What HDF5 files begin with."""
+"""First bytes of HDF5 files."""
 
 
 def is_model(path: Path) -> bool:
-    """Whether a file is a model, and not a sequence."""
+    """Whether a file holds a model, as opposed to a sequence."""
     suffix = path.suffix.lower()
     if suffix not in (GLB, *HDF5) or not path.is_file():
         return False
@@ -101,5 +97,5 @@ def _is_hdf5(path: Path) -> bool:
 
 
 def _import_decoder() -> None:
-    """Import what decodes compressed models: that takes as long as the other process takes to read one."""
+    """Import the decoder of compressed models while the worker reads the file; both take about as long."""
     import_module("mixseq_io.coded.reading")

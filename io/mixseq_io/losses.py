@@ -1,4 +1,4 @@
-"""What a format has no place for, in words, for the one warning that its writer gives."""
+"""Contents that a format cannot hold, in words, for its writer's single warning."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SCALE = (" up", " metres per unit")
 
 
 def lost_scale(header: SequenceHeader, moving: bool) -> list[str]:
-    """Return what is lost where up axis, units and velocities are."""
+    """Return the losses of formats without up axis, units and velocities."""
     lost = []
     if header.up_axis != "Y":
         lost.append(f"{header.up_axis} up")
@@ -29,7 +29,7 @@ def lost_scale(header: SequenceHeader, moving: bool) -> list[str]:
 
 
 def lost_times(header: SequenceHeader, first_number: float) -> list[str]:
-    """Return what is lost where frames only have numbers, from the first on, and are read at 24 frames per second."""
+    """Return the losses of formats that number frames from `first_number` on and are read at 24 frames per second."""
     if header.frame_count == 1:  # a single frame has no rate
         return []
     lost = []
@@ -41,7 +41,7 @@ def lost_times(header: SequenceHeader, first_number: float) -> list[str]:
 
 
 def lost_surface(header: SequenceHeader, held: Collection[str] = ()) -> list[str]:
-    """Return which fields of `mixseq.surface.Surface` are lost where only those in `held` are kept."""
+    """Return the fields of `mixseq.surface.Surface` that are lost, all but those in `held`."""
     surface = header.surface
     present = {
         "uvs": surface.uvs is not None and "texture coordinates",
@@ -55,12 +55,12 @@ def lost_surface(header: SequenceHeader, held: Collection[str] = ()) -> list[str
 
 
 def lost_polygons(header: SequenceHeader) -> list[str]:
-    """Return what is lost where all polygons are triangles."""
+    """Return the losses of formats with triangles only."""
     return [] if header.polygons.only_triangles else ["polygons (they are cut into triangles)"]
 
 
 def lost_colours(header: SequenceHeader, *, corners: bool = True, alpha: bool = True) -> list[str]:
-    """Return what is lost of colours where they are from 0 to 1, and maybe those of vertices only, or opaque."""
+    """Return the losses of formats with colours from 0 to 1; optionally of vertices only, or opaque."""
     colours = header.surface.colours
     if colours is None:
         return []
@@ -82,13 +82,13 @@ def lost_colours(header: SequenceHeader, *, corners: bool = True, alpha: bool = 
 
 
 def lost_subdivision(surface: Surface) -> str:
-    """Return the words for subdivision that is lost, none if there is no scheme."""
+    """Return the words for lost subdivision, "" without a scheme."""
     schemes = [each for each in dict.fromkeys(surface.subdivisions) if each != "none"]
     return f"{' and '.join(schemes)} subdivision" if schemes else ""
 
 
 def warn_of_losses(path: Path, files: str, lost: Sequence[str]) -> None:
-    """Warn once of all that files of a kind ("OBJ files") cannot hold, if there is anything."""
+    """Warn once of all losses of files of a kind ("OBJ files"), if there are any."""
     if lost:
         convert = "; convert_units (--convert-axes Y, --convert-units m) turns and scales the sequence"
         hint = convert if any(each.endswith(_SCALE) for each in lost) else ""

@@ -1,9 +1,8 @@
-"""How much memory reading a file may take: one limit for all readers.
+"""One memory limit for all readers of files.
 
-A file of a few bytes can announce, or unpack to, any number of bytes. So what a file announces is compared with the
-limit before memory is taken; parsers in C++ are also stopped by the system, see `mixseq_io.isolation`. The limit is
-the `max_memory` of the call that opens a file (``--max-memory``); else ``MIXSEQ_READER_MEMORY``, in GiB; else 8 GB, or
-half of the machine's memory if that is less.
+A file of a few bytes can announce, or unpack to, any size, so sizes are compared with the limit before allocation; C++
+parsers are also stopped by the system, see `mixseq_io.isolation`. The limit is `max_memory` of the call that opens a
+file (``--max-memory``), else ``MIXSEQ_READER_MEMORY`` in GiB, else 8 GB or half of the machine's memory if less.
 """
 
 from __future__ import annotations
@@ -16,14 +15,14 @@ from contextvars import ContextVar
 from mixseq.errors import FormatError, SettingsError
 
 VARIABLE = "MIXSEQ_READER_MEMORY"
-"""Environment variable with the limit, in GiB."""
+"""Environment variable of the limit, in GiB."""
 
 _MOST = 8_000_000_000
 _given: ContextVar[int | None] = ContextVar("max_memory", default=None)
 
 
 def max_memory() -> int:
-    """Return the limit, in bytes."""
+    """Return the limit in bytes."""
     given = _given.get()
     if given is not None:
         return given
@@ -38,7 +37,7 @@ def max_memory() -> int:
 
 @contextmanager
 def memory_limit(size: float | None) -> Iterator[None]:
-    """Read files within another limit, in bytes, in this thread; None leaves it as it is."""
+    """Set the limit in bytes for files read in this thread; None leaves it unchanged."""
     if size is None:
         yield
         return
@@ -50,7 +49,7 @@ def memory_limit(size: float | None) -> Iterator[None]:
 
 
 def check_memory(file: object, needed: float, what: str = "what is in it") -> None:
-    """Refuse to read what would take more memory than the limit."""
+    """Raise an error if reading needs more memory, in bytes, than the limit."""
     limit = max_memory()
     if needed > limit:
         raise FormatError(
@@ -60,7 +59,7 @@ def check_memory(file: object, needed: float, what: str = "what is in it") -> No
 
 
 def out_of_memory(file: object) -> FormatError:
-    """Return the error of a file for which the memory, or the limit of a worker, was not enough."""
+    """Return the error of a file that exceeded the memory or a worker's limit."""
     return FormatError(
         f"{file}: reading needs more than {gigabytes(max_memory())} of memory, the limit, or than there is; it is "
         "damaged, or more must be allowed: --max-memory (max_memory=... in Python)"
@@ -68,13 +67,7 @@ def out_of_memory(file: object) -> FormatError:
 
 
 def gigabytes(size: float, unit: str = " GB") -> str:
-    """Return a number of bytes for a message.
-
-    Examples
-    --------
-    >>> gigabytes(8e9), gigabytes(123456789, "GB")
-    ('8 GB', '0.123GB')
-    """
+    """Return a number of bytes in gigabytes for a message, such as "0.123 GB"."""
     return f"{size / 1e9:.3g}{unit}"
 
 

@@ -1,4 +1,4 @@
-"""Files that hold a mesh sequence or a model: HDF5 and glTF. A model is read as its frames."""
+"""HDF5 and glTF files that hold a mesh sequence or a model; a model is read as its frames."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mixseq_io.reader import SequenceReader
 
 
 class ModelReader(SequenceReader):
-    """Decodes the frames of a model as they are asked for."""
+    """Reader that decodes the frames of a model on demand."""
 
     def __init__(self, path: Path) -> None:
         from mixseq.signals.decoding import FRAMES

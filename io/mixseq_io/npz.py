@@ -1,9 +1,9 @@
-"""NumPy archives: a zip file of arrays, read and written without ever holding all frames.
+"""NumPy archives: a zip file of arrays, read and written in blocks of frames; pickles are not read.
 
 ==================  ====================  =====================================================
 array               shape                 meaning
 ==================  ====================  =====================================================
-``points``          (T, V, 3) float       vertex positions
+``points``          (T, V, 3) float       vertex positions, kept as float32 or float64
 ``velocities``      (T, V, 3) float       optional, units per second
 ``faces``           (F, K) int            triangles (K = 3) or other equal polygons; or instead
 ``face_counts``     (P,) int              number of corners of each polygon
@@ -16,7 +16,6 @@ array               shape                 meaning
 ==================  ====================  =====================================================
 
 and those of `mixseq_io.surface_arrays`: texture coordinates, hard edges, face sets, objects.
-Points keep their precision, float32 or float64. Objects (pickles) are not read.
 """
 
 from __future__ import annotations
@@ -137,7 +136,7 @@ def _large_array(path: Path, name: str, header: ArrayHeader) -> tuple[int, ...]:
 
 
 def _fit(path: Path, archive: Archive, shape: tuple[int, ...]) -> bool:
-    """Whether there is a velocity for every point; in archives that others made there may not be."""
+    """Whether there is a velocity for every point; archives of other programs may lack some."""
     with archive.open("velocities") as (_, start):
         found = _large_array(path, "velocities", start)
     if found != shape:
@@ -156,7 +155,7 @@ def _read_into(stream: IO[bytes], block: NDArray[Any]) -> None:
 
 
 def _as_floats(points: NDArray[Any]) -> FloatArray:
-    """Return native float32 as it is, everything else as float64."""
+    """Return native float32 unchanged, other types as float64."""
     kept = points.dtype.kind == "f" and points.dtype.itemsize <= 4
     return points.astype(np.float32 if kept else np.float64, copy=False)
 
@@ -208,7 +207,7 @@ def write_npz(
 
 @contextmanager
 def _array(archive: zipfile.ZipFile, name: str, start: dict[str, Any]) -> Iterator[IO[bytes]]:
-    """Yield what takes the numbers of a large array that begins with the header `start`."""
+    """Yield the stream for the numbers of a large array with the header `start`."""
     # Without force_zip64 a member of unknown size may not grow beyond 2 GiB.
     with archive.open(f"{name}.npy", "w", force_zip64=True) as stream:
         npy.write_array_header_1_0(stream, start)

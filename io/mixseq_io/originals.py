@@ -1,7 +1,6 @@
-"""Writing over an original: results are a copy of the file that a sequence came from, with new points.
+"""Results written over their original: a copy of the file that a sequence came from, with new points.
 
-Which mesh of the file a mesh of the sequence goes to is told by its path; where there is none, by its faces, if a
-single mesh has them.
+Meshes of the sequence and the file are matched by path, else by faces if a single mesh has the same.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ def opened_original(
     kind: str,
     opened: Callable[[Path], Opened],
 ) -> Opened | None:
-    """Open the file that is copied, if there is one."""
+    """Open the original that is copied; None if there is none."""
     origin = header.surface.origin
     if onto is not None:
         file = Path(onto)
@@ -61,7 +60,7 @@ def fit_meshes(
     fit: Callable[[SceneMesh, Mesh], Fit | None],
     difference: Callable[[SceneMesh, Mesh], str],
 ) -> list[Fit]:
-    """Return for every mesh of a sequence the mesh of a file that it is laid over."""
+    """Return, for every mesh of a sequence, its matching mesh of the file."""
     left, fits = dict(meshes), []
     for scene_mesh in split(header):
         wanted = scene_mesh.path or scene_mesh.name
@@ -87,7 +86,7 @@ def fit_meshes(
 
 
 def is_retimed(header: SequenceHeader, sources: ArrayLike | None) -> bool:
-    """Whether frames show other times of an original, in seconds, than their own; without `sources` they do not."""
+    """Whether `sources`, times of the original in seconds, differ from the frames' own; False without them."""
     return sources is not None and not np.allclose(sources, header.times, rtol=0, atol=NEAR / header.fps)
 
 
@@ -97,10 +96,7 @@ def warn_of_other_times(
     moving: Mapping[str, tuple[float, float]],
     sources: ArrayLike | None,
 ) -> None:
-    """Tell what else moves if the sequence shows other times than its own, or goes on for more than a frame.
-
-    Shapes: sources ``(T,)``.
-    """
+    """Warn of other motion if the sequence shows other times ``(T,)``, or is outlasted by more than a frame."""
     first, last = (float(time) for time in header.times[[0, -1]])
     frame, retimed = 1 / header.fps, is_retimed(header, sources)
     told = [

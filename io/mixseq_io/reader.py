@@ -1,4 +1,4 @@
-"""What every format's reader has in common: the header at once, the points in blocks, checked on the way."""
+"""Base of all readers: the header at once, the points in blocks, checked as they are read."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from mixseq_io.memory import check_memory, max_memory, memory_limit, out_of_memo
 
 
 class SequenceReader(ABC):
-    """An open file of a mesh sequence; use it in a ``with`` statement.
+    """Open file of a mesh sequence, used in a ``with`` statement.
 
-    A format's reader opens its file, finds the header, and implements `_read_blocks`, and `_read_velocities` if the
-    format can hold them.
+    Subclasses open their file, find the header, and implement `_read_blocks`, and `_read_velocities` if the format can
+    hold them.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class SequenceReader(ABC):
         self._process = os.getpid()
 
     def blocks(self, size: int = 16) -> Iterator[FloatArray]:
-        """Iterate over the points, from the first frame each time it is called."""
+        """Iterate over blocks ``(B, V, 3)`` of the points, from the first frame at each call."""
 
         def check(block: FloatArray, frame: int) -> None:
             check_block(self.header, block, frame)
@@ -50,7 +50,7 @@ class SequenceReader(ABC):
         return self._checked(self._read_blocks(self._fitting(size)), check, "points")
 
     def velocity_blocks(self, size: int = 16) -> Iterator[FloatArray] | None:
-        """Iterate over the velocities, in the file's units per second, in step with `blocks` of the same size."""
+        """Iterate over blocks ``(B, V, 3)`` of velocities, in units per second, in step with `blocks` of that size."""
         fitting = self._fitting(size)
         if not self.has_velocities:
             return None
@@ -61,17 +61,17 @@ class SequenceReader(ABC):
         return self._checked(self._read_velocities(fitting), check, "velocities")
 
     def check_whole(self) -> None:
-        """Refuse a sequence of which all frames together take more than `max_memory`."""
+        """Raise an error if all frames together take more than `max_memory`."""
         numbers = 3 * self.header.vertex_count * self.header.frame_count * (1 + self.has_velocities)
         with memory_limit(self._limit):
             check_memory(self.path, 4 * numbers, f"all its {self.header.frame_count} frames")
 
     def markings(self) -> Markings:
-        """Return what tells parts of the mesh apart: sets of polygons, and joints where they are read."""
+        """Return the sets of polygons, and joints where they are read."""
         return Markings(sets=sets_of(self.header))
 
     def close(self) -> None:
-        """Close the file. Blocks that were read stay valid."""
+        """Close the file; blocks that were read stay valid."""
         self._closed = True
         self._resources.close()
 
@@ -84,7 +84,7 @@ class SequenceReader(ABC):
         self.close()
 
     def _fitting(self, size: int) -> int:
-        """Return how many frames a block may have."""
+        """Return the number of frames of a block that fits the memory limit."""
         if size < 1:
             raise SettingsError(f"block size is {size}; a positive number of frames is expected")
         frame = 3 * 8 * self.header.vertex_count
@@ -130,7 +130,7 @@ class SequenceReader(ABC):
 
 @contextmanager
 def naming(path: Path | str) -> Iterator[None]:
-    """Put the file's name before the messages of errors about the sequence in it."""
+    """Put the file's name before error messages about its sequence."""
     try:
         yield
     except InvalidSequenceError as error:
@@ -139,7 +139,7 @@ def naming(path: Path | str) -> Iterator[None]:
 
 @contextmanager
 def reading(path: Path | str, what: str, *errors: type[Exception]) -> Iterator[None]:
-    """Translate what a library raises about a bad file into a `FormatError`."""
+    """Translate a library's errors about a bad file into `FormatError`."""
     check_regular(path, what)
     damage: tuple[type[Exception], ...] = (OSError, *errors)
     try:
@@ -161,11 +161,11 @@ def reading(path: Path | str, what: str, *errors: type[Exception]) -> Iterator[N
 
 
 _OF_TEXT = 6
-"""Bytes that a byte of text takes in memory as words and numbers of Python."""
+"""Memory in bytes per byte of text that is parsed into words and numbers in Python."""
 
 
 def read_whole(path: Path, text: bool = False) -> bytes:
-    """Return all bytes of a file, if they fit the limit of memory; of `text`, also what is made of it."""
+    """Return all bytes of a file, if they fit the memory limit; for `text` including its parsed words."""
     size = path.stat().st_size
     check_memory(
         path, size * _OF_TEXT if text else size, "the file and what is made of it" if text else "the file"
@@ -174,7 +174,7 @@ def read_whole(path: Path, text: bool = False) -> bytes:
 
 
 def refuse_newer(path: Path, version: int, known: int) -> None:
-    """Refuse a version of a file that is above the one that is known."""
+    """Raise an error for a file version above the known one."""
     if version > known:
         raise FormatError(
             f"{path} has version {version}, this mixseq reads up to {known}; a newer mixseq wrote it: "
@@ -183,7 +183,7 @@ def refuse_newer(path: Path, version: int, known: int) -> None:
 
 
 def check_regular(path: Path | str, what: str) -> None:
-    """Refuse a pipe, a socket or a device: reading it may never end."""
+    """Raise an error for a pipe, a socket or a device, since reading it may never end."""
     try:
         mode = Path(path).stat().st_mode
     except (OSError, ValueError):  # not there, or no name that a file can have: its reader will tell
@@ -193,6 +193,6 @@ def check_regular(path: Path | str, what: str) -> None:
 
 
 def brief(error: BaseException) -> str:
-    """Return an error's first line, or its type if it says nothing."""
+    """Return an error's first line, or its type if it has no text."""
     lines = str(error).strip().splitlines()
     return lines[0].strip() if lines else type(error).__name__

@@ -21,7 +21,7 @@ from mixseq_io.reader import SequenceReader, check_regular, naming
 if TYPE_CHECKING:
     from mixseq.signals import Model
 
-# What else users may have under a wrong name; only for messages.
+# Other formats that users may have under a wrong name; only for messages.
 _FOREIGN_SIGNATURES = {
     b"Kaydara FBX": "FBX",
     b"BLENDER": "Blender",
@@ -46,14 +46,13 @@ def open_sequence(
         The file; numbered files (OBJ, PLY, STL, OFF) by folder or by pattern: ``walk_####.obj``,
         ``walk_%04d.obj``, ``walk_*.obj``.
     up_axis : {"X", "Y", "Z"}, optional
-        Which axis points up, where the file does not tell or tells wrong. Points stay as they are.
+        Which axis points up, where the file lacks it or is wrong. Points stay as they are.
     metres_per_unit : float, optional
         Length of a unit, likewise.
     start_frame : float, optional
-        Number of the first frame, where the file does not tell or tells wrong: times are moved to where it has this
-        number, see `mixseq.frame_numbers`.
+        Number of the first frame, likewise; times are shifted to match, see `mixseq.frame_numbers`.
     max_memory : float, optional
-        Bytes that what is read at once may take; by default 8 GB, or half of the machine's memory if that is less,
+        Bytes that one read may take; by default 8 GB, or half of the machine's memory if that is less,
         see `mixseq_io.memory`.
     **options
         The format's ``read_options``, see `FORMATS`.
@@ -68,9 +67,9 @@ def open_sequence(
     FormatError
         If the file is missing, damaged, of another type, or too new, or takes more than `max_memory`.
     AmbiguousError
-        If there are several sequences; the message tells how to choose.
+        If there are several sequences; the message explains how to choose.
     InvalidSequenceError
-        If what it holds is not a mesh sequence.
+        If its contents are not a mesh sequence.
     SettingsError
         If the format has no such option, or `start_frame` is not finite.
     """
@@ -116,7 +115,7 @@ def write(path: PathLike, sequence: MeshSequence | Model, **options: Any) -> Non
     path : path-like
         The file; for several frames of OBJ, PLY, STL or OFF a pattern, ``walk_####.obj``.
     sequence : MeshSequence or Model
-        What to write, with its velocities if it has any; of a model its frames.
+        The sequence with its velocities, if any, or the model whose frames are written.
     **options
         The format's ``write_options``, see `FORMATS`.
     """
@@ -136,8 +135,7 @@ def write_blocks(
 ) -> None:
     """Write a sequence as its frames arrive.
 
-    The file appears under its name when it is complete; until then, and after any error, an existing file
-    stays as it was.
+    The file appears under its name when complete. Until then, and after any error, an existing file is unchanged.
 
     Parameters
     ----------
@@ -148,8 +146,8 @@ def write_blocks(
     blocks : iterable of (B, V, 3) float
         The points, any number of frames at a time, all of one dtype.
     velocities : iterable of (B, V, 3) float, optional
-        Velocities of the vertices in units per second, in blocks of the same sizes. A block of them is fetched
-        after its block of points (`mixseq_io.in_step` splits pairs of both), and stored as precisely as points.
+        Velocities of the vertices in units per second, in blocks of the same sizes, stored in the points' precision.
+        Each block is fetched after its block of points (`mixseq_io.in_step` splits pairs of both).
     **options
         The format's ``write_options``, see `FORMATS`.
 
@@ -216,7 +214,7 @@ def _extensions() -> str:
 
 
 def _check_signature(path: Path, chosen: Format) -> None:
-    """Say so if a file's contents are clearly of another format than its extension."""
+    """Raise an error if a file's first bytes belong to another format than its extension."""
     start = _start(path)
     if start.startswith(chosen.signatures):
         return
@@ -226,7 +224,7 @@ def _check_signature(path: Path, chosen: Format) -> None:
 
 
 def _recognised(path: Path) -> str | None:
-    """Name the format that a file's first bytes belong to."""
+    """Return the name of the format that a file's first bytes belong to."""
     start = _start(path)
     for candidate in FORMATS:
         if start.startswith(candidate.signatures):
@@ -242,4 +240,4 @@ def _start(path: Path) -> bytes:
         with path.open("rb") as file:
             return file.read(16)
     except OSError:
-        return b""  # the reader will say what is wrong
+        return b""  # the reader reports the error

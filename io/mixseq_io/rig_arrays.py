@@ -1,4 +1,4 @@
-"""What files of skins and morphs have in common: weights of bones, scaled targets, names, and what stands still."""
+"""Arrays of skins and morphs for files: four bone weights, scaled targets, names, and steadied values."""
 
 from __future__ import annotations
 
@@ -11,14 +11,13 @@ from mixseq.arrays import Float, Index
 from mixseq.rigging.rigs import Morph, Skin
 
 _ROUNDING = 4 * float(np.finfo(np.float32).eps)
-"""Of the largest number: what moves less is rounding; ours."""
+"""Motion below this fraction of the largest number counts as rounding."""
 
 
 def four_influences(skin: Skin) -> tuple[Index, NDArray[np.float32]]:
-    """Return bones and weights ``(V, 4)`` as engines want them.
+    """Return four bones and float32 weights ``(V, 4)`` per vertex, for engines.
 
-    Every bone of a vertex occurs once, the largest weight comes first, bones without weight are number 0, and the
-    weights add to one in float32.
+    Bones of a vertex are distinct, the largest weight first, bones without weight are 0, and weights sum to 1.
     """
     bones = skin.influences.copy()
     weights = skin.weights.copy()
@@ -35,15 +34,14 @@ def four_influences(skin: Skin) -> tuple[Index, NDArray[np.float32]]:
 
 
 def shape_of(rig: Skin | Morph) -> Morph:
-    r"""Return what a rig has before bones move it, with weights from 0 to 1.
+    r"""Return a rig's shape before bones, with weights scaled to 0 to 1, the range of sliders.
 
-    That is where programs have sliders; Blender and Unity take what is less for 0. With the least and the largest
-    weight of every target, over the frames, it is the same shape:
+    Blender and Unity clip smaller weights to 0. With the least and the largest weight of every target over the frames,
 
     .. math:: x + \sum_m w_{tm} d_m = \Bigl( x + \sum_m w^-_m d_m \Bigr)
               + \sum_m \frac{w_{tm} - w^-_m}{w^+_m - w^-_m} (w^+_m - w^-_m) d_m .
 
-    Targets whose weight never changes are in the base then.
+    Targets of constant weight move into the base.
     """
     shape = rig if isinstance(rig, Morph) else Morph(rig.header, rig.rest, rig.targets, rig.target_weights)
     if not len(shape.targets):
@@ -60,26 +58,13 @@ def shape_of(rig: Skin | Morph) -> Morph:
 
 
 def numbered_names(word: str, count: int) -> list[str]:
-    """Return names that sort as their numbers do.
-
-    Examples
-    --------
-    >>> numbered_names("bone", 2), numbered_names("mode", 101)[-1]
-    (['bone_00', 'bone_01'], 'mode_100')
-    """
+    """Return numbered names that sort by number: "bone_00", "bone_01"."""
     width = max(2, len(str(count - 1)))
     return [f"{word}_{number:0{width}d}" for number in range(count)]
 
 
 def steadied(values: Float, unit: float) -> Float:
-    """Return values ``(T, n, k)`` of which those of a bone that only move by rounding are those of the first frame.
-
-    Examples
-    --------
-    >>> moved = np.array([[[1.0], [2.0]], [[1.0 + 1e-12], [3.0]]])
-    >>> steadied(moved, 1.0)[1].tolist()
-    [[1.0], [3.0]]
-    """
+    """Return values ``(T, n, k)`` with those of bones that only move by rounding set to the first frame's."""
     largest = max(unit, float(np.abs(values).max(initial=0.0)))
     moved = np.abs(values - values[:1]).max(axis=(0, 2), keepdims=True)
     return np.where(moved <= _ROUNDING * largest, values[:1], values)

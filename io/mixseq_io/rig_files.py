@@ -1,4 +1,4 @@
-"""Skins, morphs and skeletons in the files that engines and animators exchange."""
+"""Skins, morphs and skeletons in files for engines and animators."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 GLTF = (".glb", ".gltf")
 USD = (".usd", ".usda", ".usdc", ".usdz")
 RIG_EXTENSIONS = (*GLTF, *USD)
-"""Of the files that hold skins and morphs."""
+"""File extensions for skins and morphs."""
 
 
 @public
@@ -28,23 +28,21 @@ def write_rig(path: PathLike, rig: Skin | Morph) -> None:
     glTF: ``.glb`` is binary, ``.gltf`` text with everything in it. USD: ``.usd`` and ``.usdc`` are binary, ``.usda``
     is text, ``.usdz`` a package; a skin has a skeleton and blend shapes there (UsdSkel).
 
-    Texture coordinates, hard edges and names of materials go along, and into USD the materials of a USD file that the
-    sequence came from. Numbers are float32. The file appears when it is complete, as those of
-    `mixseq_io.write_blocks` do, and `mixseq_io.read` reads it.
+    Texture coordinates, hard edges and names of materials are written, and into USD the materials of the sequence's
+    original USD file. Numbers are float32. The file appears when it is complete; `mixseq_io.read` reads it.
 
     Parameters
     ----------
     path : path-like
         The file.
     rig : Skin or Morph
-        What to write, made by `mixseq.fit_skin` or `mixseq.fit_morph`. Keys are at its frames; ``rig.resampled``
-        moves them.
+        Result of `mixseq.fit_skin` or `mixseq.fit_morph`. Keys are at its frames; ``rig.resampled`` moves them.
 
     Raises
     ------
     OutputError
-        If the name does not end in one of these, the file cannot be written or would be too large, a skin for glTF
-        has more than 65535 bones, or USD does not know the up axis.
+        If the name has another extension, the file cannot be written or would be too large, a skin for glTF has more
+        than 65535 bones, or USD does not know the up axis.
     TypeError
         If `rig` is something else.
     InvalidSequenceError
@@ -81,7 +79,7 @@ def _write_gltf_rig(file: Path, rig: Skin | Morph) -> None:
 
 
 def check_rig_target(path: Path) -> None:
-    """Refuse what is no place for a skin or a morph."""
+    """Raise an error for a path that cannot hold a skin or a morph."""
     if path.suffix.lower() not in RIG_EXTENSIONS:
         raise OutputError(
             f"{path}: skins and morphs are written as glTF or USD; end the name in {', '.join(RIG_EXTENSIONS[:-1])} "
@@ -93,22 +91,21 @@ def check_rig_target(path: Path) -> None:
 def read_skeleton(path: PathLike, name: str | None = None) -> Skeleton:
     """Read a skeleton: the joints of a glTF skin, or of a UsdSkel skeleton.
 
-    Joints stand where the mesh was bound to them, in the space of the world, as points of `mixseq_io.read` do. Joints
-    that have no name are called ``joint_000`` and so on, and those whose name occurs twice get a number, too.
+    Joints are in their bind pose in world space, as are points of `mixseq_io.read`. Joints without a name are called
+    ``joint_000`` and so on; repeated names get a number.
 
     Parameters
     ----------
     path : path-like
-        A ``.glb``, ``.gltf``, ``.usd``, ``.usda``, ``.usdc`` or ``.usdz`` file. Nothing of its meshes is read.
+        A ``.glb``, ``.gltf``, ``.usd``, ``.usda``, ``.usdc`` or ``.usdz`` file. Its meshes are not read.
     name : str, optional
-        Which one, where there are several: name of the skin, ``skin 0`` and so on if it has none; path or name of the
+        Which one, if there are several: name of the skin, or ``skin 0`` and so on without one; path or name of the
         skeleton's prim. Skins of the same joints are one skeleton.
 
     Returns
     -------
     Skeleton
-        Pivots and axes of the bind pose; scales of joints are left out. Bones that files list after their children
-        stand before them.
+        Pivots and axes of the bind pose, parents before children; scales of joints are left out.
 
     Raises
     ------
@@ -133,8 +130,8 @@ def read_skeleton(path: PathLike, name: str | None = None) -> Skeleton:
 def read_bind_pose(path: PathLike, name: str | None = None) -> MeshSequence:
     """Read the meshes of a skeleton as they were when they were bound to it, as a sequence of one frame.
 
-    They have the vertices of `mixseq_io.read`, and stand around the joints of `read_skeleton`. What hangs on joints of
-    glTF is among them. Morph targets of glTF are mixed as the file has them without animations, those of USD are not.
+    Vertices are those of `mixseq_io.read`, placed around the joints of `read_skeleton`. Meshes below glTF joints are
+    included. glTF morph targets have their static weights, USD blend shapes are off.
 
     Parameters
     ----------
@@ -163,7 +160,7 @@ def read_bind_pose(path: PathLike, name: str | None = None) -> MeshSequence:
 
 
 def _check_skeleton_file(file: Path) -> None:
-    """Refuse what is no file with skeletons."""
+    """Raise an error for a file that cannot hold skeletons."""
     check_regular(file, "a file")
     if file.suffix.lower() not in RIG_EXTENSIONS:
         raise FormatError(

@@ -1,4 +1,4 @@
-r"""How far a file with a skin or a morph is from the sequence that it was made from, as readers see it.
+r"""Errors of a file with a skin or a morph, compared with its original sequence.
 
 With the points :math:`x_t(v)` of the sequence, those of the file :math:`y_t(v)`, the centroid :math:`\bar x_t` of a
 frame and the diagonal :math:`D` of the first one:
@@ -30,7 +30,7 @@ from mixseq_io.scene_meshes import split
 
 @dataclass(frozen=True)
 class Measured:
-    """Errors of a file: the largest and the root mean square distance in diagonals, and KG in percent."""
+    """Errors of a file: largest and root mean square distance in diagonals, and KG in percent."""
 
     max_error: float
     rms_error: float
@@ -38,7 +38,7 @@ class Measured:
 
 
 def measure(path: Path, sequence: MeshSequence) -> Measured:
-    """Compare a file that was written of a sequence with it, at the times of its frames."""
+    """Compare a written file with its sequence, at the times of its frames."""
     gltf = path.suffix.lower() in GLTF
     kept = _with_polygons(sequence.header) if gltf else np.arange(sequence.vertex_count)
     turn = np.reshape(upright(sequence.header).get("matrix", np.eye(4)) if gltf else np.eye(4), (4, 4))[
@@ -60,23 +60,20 @@ def measure(path: Path, sequence: MeshSequence) -> Measured:
 
 
 def size_as_frames(header: SequenceHeader) -> int:
-    """Return the bytes of a .glb with a morph target for every frame, as `mixseq_io.write` writes it; to some digits.
-
-    Bounds of points are not known here, and take some bytes more or less.
-    """
+    """Return the size in bytes of a .glb with a morph target per frame, up to the text of bounds."""
     layout, meshes = new_scene(header)
     Morphs(layout, meshes, header)
     return glb_size(layout)
 
 
 def _with_polygons(header: SequenceHeader) -> IntArray:
-    """Return the vertices of objects that have polygons: glTF has no place for others."""
+    """Return the vertices ``(n,)`` of objects with polygons, since glTF has no others."""
     vertices = np.arange(header.vertex_count)
     return np.concatenate([vertices[mesh.vertices] for mesh in split(header) if mesh.polygons.counts.size])
 
 
 def _pairs(path: Path, sequence: MeshSequence) -> Iterator[tuple[NDArray[np.floating], NDArray[np.float64]]]:
-    """Yield the points of every frame of a sequence, and those that the file shows then."""
+    """Yield the points ``(V, 3)`` of every frame, and those of the file at its time."""
     with open_sequence(path, prim="/") as reader:
         there = reader.header.times
         # The nearest: times are float32 in glTF, and a file that stands still has a single frame.

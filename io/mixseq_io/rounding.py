@@ -1,7 +1,7 @@
-"""How far vertices move when points are rounded to single precision, as most formats do; told in a warning.
+"""Displacement of vertices by rounding points to float32, as in most formats.
 
-A float32 has 24 binary digits. So a vertex at a distance of c diagonals from the origin moves by up to about 1e-7 c
-diagonals, which is nothing to worry about unless the mesh is far away, or hardly larger than zero.
+A float32 has 24 binary digits: a vertex c diagonals from the origin moves by up to about 1e-7 c diagonals. That is
+relevant for meshes that are far away or hardly larger than zero.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from mixseq.sequence_header import SequenceHeader
 from mixseq_io.blocks import warn
 
 VISIBLE = 1e-4
-"""In diagonals, from where on it is told: a fifth of what is lossless to the eye; the value is ours."""
+"""Displacement in diagonals that is reported: a fifth of the visually lossless one."""
 
 _FRAMES = 8  # measured at once
 
-_HALF_DIGIT = 2.0**-24, 2.0**-150  # what rounding changes at most: relative to a coordinate, and near zero
+_HALF_DIGIT = 2.0**-24, 2.0**-150  # largest rounding error: relative to a coordinate, and near zero
 
 
 class Rounding:
-    """Watches points on their way to a file of single precision."""
+    """Measures the rounding of points on their way to a float32 file."""
 
     def __init__(self) -> None:
         self.error, self.frame = 0.0, 0
 
     def watched(self, blocks: Iterable[FloatArray]) -> Iterator[FloatArray]:
-        """Yield blocks ``(B, V, 3)``, and measure each when the writer, who checks them, comes back for more."""
+        """Yield blocks ``(B, V, 3)``, measuring each after the writer has checked it."""
         unit, first = None, 0
         for block in blocks:
             yield block
@@ -55,7 +55,7 @@ class Rounding:
             self.error, self.frame = float(errors.max()), first + int(errors.argmax())
 
     def warn(self, path: Path, files: str, header: SequenceHeader) -> None:
-        """Warn of files of a kind ("USD") in which vertices are visibly off."""
+        """Warn if vertices are visibly off in files of a kind ("USD")."""
         if self.error > VISIBLE:
             warn(
                 f"{path}: {files} holds points in single precision, and vertices are off by up to {self.error:.2g} of "

@@ -28,11 +28,10 @@ def save(path: PathLike, model: Model | CompressedSequence, *, still: StillName 
     path : path-like
         The file; an existing one is replaced when the new one is complete.
     model : Model or CompressedSequence
-        What to store; nothing is lost but the residual layer of a compressed model that was loaded, which is
-        reported by a `MixseqWarning`.
+        What to store. Of a loaded compressed model only the residual layer is lost, with a `MixseqWarning`.
     still : {"draco", "plain", "none"}
-        How a .glb has the first frame, for viewers that do not know mesh sequences: compressed by Draco (extra
-        ``draco``), as float32 (5 to 10 times the bytes), or not at all.
+        First frame of a .glb, for viewers that do not support mesh sequences: compressed by Draco (extra ``draco``),
+        as float32 (5 to 10 times the bytes), or left out.
 
     Raises
     ------
@@ -40,7 +39,7 @@ def save(path: PathLike, model: Model | CompressedSequence, *, still: StillName 
         If the file cannot be written, its name does not end in .h5, .hdf5 or .glb, the shape space is not one of
         mixseq's, or a model is not compressed and the name ends in .glb.
     MissingExtraError
-        If Draco is asked for and not installed.
+        If `still` needs Draco and it is not installed.
     SettingsError
         If there is no such `still`.
     """

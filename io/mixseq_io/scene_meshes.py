@@ -1,7 +1,7 @@
-"""Several meshes of a file as one sequence, and that sequence as several meshes again.
+"""Several meshes of a file joined into one sequence, and split into meshes again.
 
-Readers of scenes make a `SceneMesh` of every mesh and `join` them; writers `split` a header into the meshes that it
-joins. Points go along: mesh ``i`` owns the vertices ``meshes[i].vertices`` of every frame.
+Readers make a `SceneMesh` of every mesh and `join` them; writers `split` a header into its meshes. Mesh ``i`` owns the
+vertices ``meshes[i].vertices`` of every frame.
 """
 
 from __future__ import annotations
@@ -22,18 +22,10 @@ from mixseq.surface import NO_UV, WHITE, CornerValues, FaceSet, MeshObject, Orig
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SceneMesh:
-    """A mesh of a scene: its polygons by its own vertices, and what is on them.
+    """Mesh of a scene: `polygons` by its own vertices, and its surface, see `Surface` and `MeshObject`.
 
-    Parameters
-    ----------
-    name, path : str
-        See `MeshObject`.
-    vertices : slice or (V,) int64
-        Its vertices among those of the sequence.
-    polygons : Polygons
-        Its faces; indices count from its own first vertex.
-    uvs, colours, hard_edges, face_sets, subdivision
-        See `Surface`, with indices of its own polygons. A face set of all polygons is a material on the whole mesh.
+    `vertices` are a slice or ``(V,)`` int64 of the sequence's vertices. A face set of all polygons is the whole mesh's
+    material.
     """
 
     name: str
@@ -48,16 +40,13 @@ class SceneMesh:
 
     @property
     def vertex_count(self) -> int:
-        """Number of its vertices."""
+        """Number of vertices V."""
         if isinstance(self.vertices, slice):
             return int(self.vertices.stop - self.vertices.start)
         return len(self.vertices)
 
     def as_numbered(self, original: Polygons) -> SceneMesh | None:
-        """Return the mesh with vertices in the order of a file, None if the file has another mesh.
-
-        Only compressed models give vertices other numbers.
-        """
+        """Return the mesh with the vertex order of a file (only compressed models renumber), None for another mesh."""
         found = numbering_of(self.polygons, original, [self.vertex_count])
         if found is None or found.order != "free":
             return None if found is None else self
@@ -74,14 +63,14 @@ class SceneMesh:
         )
 
     def matched_to(self, original: Polygons) -> tuple[SceneMesh, PolygonMatch] | None:
-        """Return the mesh as `as_numbered`, and which of its polygons those of a file are; None for another mesh."""
+        """Return the mesh as `as_numbered`, and the match of its polygons with the file's; None for another mesh."""
         ours = self.as_numbered(original)
         match = None if ours is None else matched(original, ours.polygons)
         return None if ours is None or match is None else (ours, match)
 
 
 def join(meshes: Sequence[SceneMesh], origin: Origin | None) -> tuple[Polygons, Surface]:
-    """Join meshes, whose vertices follow each other, into one."""
+    """Join meshes into one, their vertices concatenated."""
     first_vertex = np.cumsum([0, *(mesh.vertex_count for mesh in meshes)])
     polygons = Polygons(
         np.concatenate([mesh.polygons.counts for mesh in meshes]),
@@ -119,7 +108,7 @@ def join(meshes: Sequence[SceneMesh], origin: Origin | None) -> tuple[Polygons, 
 def _joined_values(
     meshes: Sequence[SceneMesh], on: Sequence[CornerValues | None], default: Sequence[float]
 ) -> CornerValues | None:
-    """Weld what is on every mesh, and put it one after the other; meshes with nothing get the default."""
+    """Concatenate welded values of all meshes; meshes without values get the default. None if none has any."""
     if all(own is None for own in on):
         return None
     values, indices, count = [], [], 0
@@ -133,7 +122,7 @@ def _joined_values(
 
 
 def _joined_hard_edges(meshes: Sequence[SceneMesh]) -> IntArray | None:
-    """Number the normals on from mesh to mesh; meshes without hard edges have one normal per vertex."""
+    """Concatenate indices of normals ``(corners,)``; meshes without hard edges have one normal per vertex."""
     if all(mesh.hard_edges is None for mesh in meshes):
         return None
     joined, count = [], 0
@@ -145,24 +134,14 @@ def _joined_hard_edges(meshes: Sequence[SceneMesh]) -> IntArray | None:
 
 
 def material_of_the_rest(path: str, polygon_count: int, bound: Iterable[FaceSet]) -> tuple[FaceSet, ...]:
-    """Return the material of a whole mesh as a face set: of the polygons that no other one is bound to, if any.
-
-    Examples
-    --------
-    >>> material_of_the_rest("/looks/skin", 3, [FaceSet("shirt", [1], "/looks/red")])[0].polygons.tolist()
-    [0, 2]
-    """
+    """Return a mesh's material as a face set of the polygons ``(P,)`` that no bound face set contains, if any."""
     taken = [each.polygons for each in bound]
     rest = np.setdiff1d(np.arange(polygon_count), np.concatenate(taken) if taken else ())
     return (FaceSet(path.rpartition("/")[2], rest, path),) if rest.size else ()
 
 
 def split(header: SequenceHeader) -> list[SceneMesh]:
-    """Return the meshes that a sequence joins, in order; their vertices follow each other.
-
-    What `join` gave to meshes that had no texture coordinates, colours or hard edges, beside others that had some, is
-    taken off.
-    """
+    """Return the meshes that a sequence joins, in order, without defaults added by `join`."""
     surface, polygons = header.surface, header.polygons
     corners = np.concatenate([[0], np.cumsum(polygons.counts)])
     several = len(header.objects) > 1
@@ -192,7 +171,7 @@ def split(header: SequenceHeader) -> list[SceneMesh]:
 
 
 def _own_values(joined: CornerValues | None, corners: slice, default: Sequence[float]) -> CornerValues | None:
-    """Return what is at corners, in rows of their own; None if it is nothing but the default."""
+    """Return the values of some corners with unused ones removed; None if all are the default."""
     if joined is None:
         return None
     rows, used = np.unique(joined.indices[corners], return_inverse=True)
@@ -205,13 +184,13 @@ def _renumbered(hard_edges: IntArray) -> IntArray:
 
 
 def _is_smooth(polygons: Polygons, hard_edges: IntArray) -> bool:
-    """Whether all corners of every vertex, and no others, share a normal."""
+    """Whether corners share a normal if and only if they share a vertex."""
     pairs = np.unique(np.column_stack([polygons.indices, hard_edges]), axis=0)
     return all(len(np.unique(column)) == len(pairs) for column in pairs.T)
 
 
 def _inside(face_sets: Sequence[FaceSet], first: int, end: int) -> list[FaceSet]:
-    """Return what face sets have of the polygons from `first` to before `end`."""
+    """Return face sets restricted to the polygons from `first` to before `end`, numbered from 0."""
     cut = [
         FaceSet(
             each.name, each.polygons[(each.polygons >= first) & (each.polygons < end)] - first, each.material

@@ -1,4 +1,4 @@
-"""Skeletons made of the joints that a file lists."""
+"""Skeletons built from a file's list of joints."""
 
 from __future__ import annotations
 
@@ -17,13 +17,7 @@ if TYPE_CHECKING:
 
 
 def choose_skeleton(file: Path, names: Sequence[tuple[str, ...]], name: str | None) -> int:
-    """Return the number of the skeleton that is meant.
-
-    Examples
-    --------
-    >>> choose_skeleton(Path("a.glb"), [("fox",), ("skin 1", "cat")], "cat")
-    1
-    """
+    """Return the index of the skeleton with a name; raise an error if several fit."""
     if not names:
         raise FormatError(
             f"{file} has no skeleton; a file with a character that is bound to joints is expected"
@@ -41,7 +35,7 @@ def choose_skeleton(file: Path, names: Sequence[tuple[str, ...]], name: str | No
 
 
 def skeleton_of(names: Sequence[str], parents: Sequence[int], bind: Float) -> Skeleton:
-    """Return a skeleton of joints in any order: bind ``(B, 4, 4)``."""
+    """Return a skeleton from joints in any order, with bind matrices ``(B, 4, 4)``."""
     from scipy.spatial.transform import Rotation
 
     from mixseq.errors import InvalidSequenceError
@@ -65,7 +59,7 @@ def skeleton_of(names: Sequence[str], parents: Sequence[int], bind: Float) -> Sk
 
 
 def parents_first(parents: Sequence[int]) -> list[int]:
-    """Return the joints in their order, but for parents that stand after a child: these come before it."""
+    """Return joint indices with parents before their children, otherwise in order."""
     order: dict[int, None] = {}
     for joint in range(len(parents)):
         above = []
@@ -77,7 +71,7 @@ def parents_first(parents: Sequence[int]) -> list[int]:
 
 
 def _different(names: Sequence[str]) -> list[str]:
-    """Return names of which no two are alike, and none is empty."""
+    """Return names made unique and non-empty."""
     taken = set(names)
     found: list[str] = []
     for bone, name in enumerate(names):

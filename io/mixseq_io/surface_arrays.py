@@ -52,7 +52,7 @@ SURFACE_ARRAYS = tuple(name for group in _GROUPS for name in group)
 
 
 def surface_arrays(surface: Surface) -> Arrays:
-    """Return what a surface has as arrays; strings as NumPy's Unicode."""
+    """Return a surface as arrays; strings as NumPy's Unicode."""
     arrays: Arrays = {}
     if surface.uvs is not None:
         arrays |= {"uv_values": surface.uvs.values, "uv_indices": surface.uvs.indices}
@@ -92,7 +92,7 @@ def surface_arrays(surface: Surface) -> Arrays:
 
 
 def surface_of_arrays(arrays: Mapping[str, NDArray[Any]], folder: Path | None = None) -> Surface:
-    """Make a surface of what `surface_arrays` returned."""
+    """Make a surface from the arrays of `surface_arrays`."""
     for group in _GROUPS:
         missing = [name for name in group if name not in arrays]
         if missing and len(missing) < len(group):
@@ -121,7 +121,7 @@ def surface_of_arrays(arrays: Mapping[str, NDArray[Any]], folder: Path | None = 
 
 
 def _beside(origin: Origin, folder: Path | None) -> Origin:
-    """Return the origin where it is now, if it moved together with the file that names it."""
+    """Return the origin's current path, if it moved together with the file that names it."""
     if folder is None or Path(origin.path).exists():
         return origin
     moved = folder.absolute() / Path(origin.path).name

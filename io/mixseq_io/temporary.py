@@ -1,9 +1,9 @@
-"""Temporary names beside a target, and an end to those that killed writers left there.
+"""Temporary names beside a target, and removal of those left by killed writers.
 
-All names of a writer begin with ``.mixseq.HOST.RANDOM``. It holds a lock on the file of that name with ``.lock``, which
-the system lifts when the process dies, however it does. The next writer in the folder deletes what is not locked. Of
-another host's writers, whose locks may not be seen on a shared disk, and where there are no locks, it deletes what has
-not been touched for a day. What was put away to be replaced, and was not, comes back.
+Names of a writer begin with ``.mixseq.HOST.RANDOM``, with a lock on the file of that name with ``.lock``, which the
+system releases when the process ends. The next writer in the folder deletes unlocked files. Without locks, and for
+other hosts, whose locks may be invisible on a shared disk, it deletes files older than a day. Files that were put away
+and not replaced are restored.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _NAME = re.compile(r"\.mixseq\.([\w-]+)\.[^.]{8}(?=\.|$)")
 
 @contextmanager
 def temporary_name(folder: Path) -> Iterator[Path]:
-    """Yield the beginning of names that nobody else has in a folder; what has such a name goes at the end."""
+    """Yield a unique name prefix in a folder; files with it are deleted at the end."""
     claimed: list[tuple[Path, int]] = []
     try:
         with held():  # a signal between a name and its end would leave it to the next writer
@@ -44,7 +44,7 @@ def temporary_name(folder: Path) -> Iterator[Path]:
 
 
 def _claim(folder: Path) -> tuple[Path, int]:
-    """Return a new name, and its lock."""
+    """Return a new name prefix and its lock."""
     while True:
         name = folder / f".mixseq.{_HOST}.{secrets.token_hex(4)}"
         descriptor = os.open(f"{name}.lock", os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
@@ -54,12 +54,12 @@ def _claim(folder: Path) -> tuple[Path, int]:
 
 
 def put_away(name: Path, target: Path) -> Path:
-    """Return where to keep what has a target's name while it is replaced."""
+    """Return where to keep the old target while it is replaced."""
     return Path(f"{name}{_AWAY}{target.name}")
 
 
 def clear(folder: Path) -> None:
-    """Delete what writers have left in a folder that do not live any more."""
+    """Delete files left in a folder by writers that have ended."""
     found = defaultdict(list)
     for entry in _entries(folder):
         if match := _NAME.match(entry):
@@ -72,7 +72,7 @@ def clear(folder: Path) -> None:
 
 @contextmanager
 def _lock_of(file: Path) -> Iterator[bool | None]:
-    """Yield whether the lock of a writer could be had; None if there is no way to know."""
+    """Yield whether a writer's lock could be acquired; None if that is unknown."""
     try:
         descriptor = os.open(file, os.O_RDWR)
     except OSError:
@@ -99,7 +99,7 @@ def _locked(descriptor: int) -> bool | None:
 
 
 def _old(folder: Path, entries: list[str]) -> bool:
-    """Whether none of some files, nor any in these folders, has been touched for a day."""
+    """Whether some files, and all files in these folders, were last modified more than a day ago."""
     paths = [folder / entry for entry in entries]
     paths += [inner for path in paths if path.is_dir() for inner in path.rglob("*")]
     with suppress(OSError):
@@ -110,12 +110,12 @@ def _old(folder: Path, entries: list[str]) -> bool:
 def _entries(folder: Path) -> list[str]:
     try:
         return [path.name for path in folder.glob(".mixseq.*")]
-    except OSError:  # writing will tell
+    except OSError:  # reported when the file is written
         return []
 
 
 def _delete(folder: Path, entries: list[str]) -> None:
-    """Delete files and folders, the lock last: whoever is killed here has left it for the next one."""
+    """Delete files and folders, the lock last, so that an interrupted deletion is completed by the next writer."""
     for entry in sorted(entries, key=lambda entry: entry.endswith(".lock")):
         with suppress(OSError):
             path = folder / entry

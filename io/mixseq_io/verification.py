@@ -1,12 +1,8 @@
-r"""Check a compressed model against its original, and whether it keeps the error that it promises.
+r"""Check a compressed model against its original, and against its stated error bound.
 
 With :math:`A, B` the points of the original and of the decoded frames, and d the diagonal of the bounding box of the
-original's first frame, or 1 if that is a single point, the promise is
-
-.. math:: \max_{tv} |A_{tv} - B_{tv}| \le \epsilon\, d
-
-and the KG error is that of `mixseq.metrics`. Frames are decoded and compared a few at a time, at any scale: see
-`mixseq.diagonal`.
+original's first frame, or 1 if that is a single point, the bound is :math:`|A_{tv} - B_{tv}| \le \epsilon\, d`. The
+KG error is that of `mixseq.metrics`. Frames are decoded a few at a time, at any scale: see `mixseq.diagonal`.
 """
 
 from __future__ import annotations
@@ -33,7 +29,7 @@ from mixseq_io.coded.reading import decoded
 from mixseq_io.compressed_files import read_compressed
 
 _ROUNDING = 1e-9
-"""A largest error that was only measured, and not asked for, may differ by so much of itself."""
+"""Relative tolerance of a bound that was measured instead of requested."""
 
 
 @dataclass(frozen=True)
@@ -43,11 +39,11 @@ class Verification:
     Attributes
     ----------
     frames, vertices : int
-        What was decoded.
+        Number of decoded frames and vertices.
     bound : float
-        Largest distance of a vertex from the original that the file states, in diagonals.
+        Largest distance of a vertex from the original stated by the file, in diagonals.
     promised : bool
-        Whether that bound was asked for when the sequence was compressed; else it was measured then.
+        Whether that bound was requested for compression; else it was measured then.
     max_error : float or None
         Largest distance of a vertex, in diagonals; None without an original, as all that follow.
     kg_percent : float or None
@@ -55,11 +51,10 @@ class Verification:
     worst_frame, worst_vertex : int or None
         Where the largest distance is, in the original's numbers.
     uv_bound : float or None
-        Largest difference of a texture coordinate from the original that was asked for; None if there are none, or
-        they are as they were.
+        Requested largest difference of a texture coordinate from the original; None without coordinates, or if they are
+        stored exactly.
     uv_error : float or None
-        Largest difference of a texture coordinate, of u and of v, at any corner; None without coordinates of the
-        original.
+        Largest difference of a texture coordinate, of u and of v, at any corner; None if the original has none.
     """
 
     frames: int
@@ -75,14 +70,14 @@ class Verification:
 
     @property
     def holds(self) -> bool:
-        """Whether no vertex, and no coordinate, is beyond its bound; without an original nothing speaks against it."""
+        """Whether all vertices and coordinates are within their bounds; true without an original."""
         slack = 1.0 if self.promised else 1.0 + _ROUNDING
         if self.uv_bound is not None and self.uv_error is not None and self.uv_error > self.uv_bound:
             return False
         return self.max_error is None or self.max_error <= self.bound * slack
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON, with None for what is infinite."""
+        """Return plain values for JSON, with None for infinity."""
         plain = {**asdict(self), "holds": self.holds}
         return {name: None if value == float("inf") else value for name, value in plain.items()}
 
@@ -94,11 +89,11 @@ def verify(path: PathLike, original: Frames | None = None, progress: Progress = 
     Parameters
     ----------
     path : path-like
-        A file that `mixseq.save` wrote of what `mixseq.compress` returned, HDF5 or GLB.
+        An HDF5 or GLB file written by `mixseq.save` from a result of `mixseq.compress`.
     original : MeshSequence or SequenceReader, optional
-        What was compressed; every vertex of every frame is compared with it, also if it has another number there.
+        The compressed sequence; every vertex of every frame is compared with it, also if renumbered.
     progress : callable, optional
-        Told about every frame.
+        Called after every frame.
 
     Raises
     ------
@@ -131,7 +126,7 @@ def verify(path: PathLike, original: Frames | None = None, progress: Progress = 
 
 @dataclass(frozen=True)
 class _Checked:
-    """The frames of a model, all of which have to be finite."""
+    """Frames of a model, checked to be finite."""
 
     path: Path
     model: Model
@@ -143,7 +138,7 @@ class _Checked:
         return self.model.header
 
     def blocks(self, size: int = FRAMES) -> Iterator[FloatArray]:
-        """Decode all frames."""
+        """Decode all frames in blocks ``(B, V, 3)``."""
         first = 0
         for block in self.model.blocks(self.model.times, size, progress=self.progress):
             bad = ~np.isfinite(block).all(axis=(1, 2))
@@ -155,14 +150,14 @@ class _Checked:
 
 
 def _errors(original: Frames, frames: _Checked, renumbering: Renumbering) -> dict[str, Any]:
-    """Compare every vertex of every frame; tell the worst one by the number that it had."""
+    """Compare every vertex of every frame; return the errors, and the worst vertex by its original number."""
     squares = variation = worst = 0.0
     first, where = 0, (0, 0)
     unit = Diagonal(0.0, 0)
     for x, y in paired_blocks(original, frames, FRAMES):
         if first == 0:
             unit = Diagonal.of(x[0])
-        with np.errstate(over="ignore"):  # what overflows is infinitely far
+        with np.errstate(over="ignore"):  # overflow counts as an infinite distance
             distances = np.square(unit.shifted(x - y)).sum(axis=2)
             squares += float(distances.sum())
             variation += float(np.square(unit.shifted(x - x.mean(axis=1, keepdims=True))).sum())
@@ -180,7 +175,7 @@ def _errors(original: Frames, frames: _Checked, renumbering: Renumbering) -> dic
 
 
 def _uv_error(original: SequenceHeader, header: SequenceHeader) -> float | None:
-    """Compare the texture coordinates at every corner, None if they cannot be compared."""
+    """Return the largest difference of texture coordinates at corners, None if they cannot be compared."""
     uvs, ours = original.surface.uvs, header.surface.uvs
     match = matched(original.polygons, header.polygons)
     if uvs is None or ours is None or match is None:

@@ -1,12 +1,16 @@
-"""The other side of `mixseq_io.isolation`: a process that opens one file at a time and answers questions about it.
+"""Worker process of `mixseq_io.isolation`: opens one file at a time and answers requests about it.
 
-Questions and answers are pickles on stdin and stdout: ``("open", reader, path, options, folder, limit)`` gives the
-header and whether there are velocities, ``("markings",)`` what tells parts of the mesh apart, ``("iterate", number,
-what, size, start)`` starts an iteration over points or velocities, at the block `start`, ``("next", number)`` gives its
-next block or None,
-``("close",)`` ends with the file. ``("call", function, path, arguments, folder, limit)`` gives what a function of a
-file returns. The limit is that of memory, in bytes. An answer is a triple of the value, the exception that was raised
-or None, and the warnings. The process ends when stdin does.
+Requests and answers are pickles on stdin and stdout:
+
+- ``("open", reader, path, options, folder, limit)``: the header, and whether there are velocities
+- ``("markings",)``: sets of polygons and joints
+- ``("iterate", number, what, size, start)``: starts an iteration over points or velocities at the block `start`
+- ``("next", number)``: its next block or None
+- ``("close",)``: closes the file
+- ``("call", function, path, arguments, folder, limit)``: the result of a function of a file
+
+The limit is that of memory in bytes. An answer is the value, the exception raised or None, and the warnings. The
+process ends when stdin does.
 """
 
 from __future__ import annotations
@@ -30,11 +34,11 @@ from mixseq_io.reader import SequenceReader
 
 _SECONDS = float(os.environ.get("MIXSEQ_READER_SECONDS", "120"))
 _PATIENCE = 4
-"""Time by the clock, on a machine that has other things to do, over that of the processor."""
+"""Ratio of the clock's time limit to the processor's, for a busy machine."""
 
 
 class Worker:
-    """The open file and the iterations over it."""
+    """Open file and its iterations."""
 
     def __init__(self) -> None:
         self._reader: SequenceReader | None = None
@@ -42,7 +46,7 @@ class Worker:
         self._path = ""
 
     def answer(self, kind: str, *arguments: Any) -> Any:
-        """Answer a question; see the head of the module."""
+        """Answer a request; see the head of the module."""
         return getattr(self, f"_{kind}")(*arguments)
 
     def _call(self, function: str, path: str, arguments: tuple[Any, ...], folder: str, limit: int) -> Any:
@@ -86,13 +90,13 @@ class Worker:
         self._reader = None
 
     def guarded(self, question: tuple[Any, ...]) -> tuple[Any, Exception | None, list[str]]:
-        """Answer a question, and return what it raised and warned."""
+        """Answer a request; return the value, the exception raised or None, and the warnings."""
         answer: Any = None
         error: Exception | None = None
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             try:
-                with np.errstate(all="ignore"):  # what is not finite is told with its frame and vertex
+                with np.errstate(all="ignore"):  # non-finite points are reported with frame and vertex
                     answer = self.answer(*question)
             except MixseqError as raised:
                 error = raised
@@ -104,10 +108,7 @@ class Worker:
 
 
 def limit_memory(most: int) -> None:
-    """Let allocations fail that add more than so many bytes to what the process has, its libraries for the most part.
-
-    Files that are mapped into memory do not count.
-    """
+    """Limit the memory that allocations may add to the process, in bytes; memory-mapped files do not count."""
     os.environ[VARIABLE] = str(most / (1 << 30))  # what `max_memory` returns from here on
     try:
         import resource
@@ -119,7 +120,7 @@ def limit_memory(most: int) -> None:
 
 
 def _memory_used() -> int:
-    """Return the bytes that count for the limit, 0 where the system does not tell."""
+    """Return the bytes that count for the limit, 0 where the system does not report them."""
     try:
         pages = Path("/proc/self/statm").read_text(encoding="ascii").split()[5]
     except OSError:  # not Linux
@@ -128,7 +129,7 @@ def _memory_used() -> int:
 
 
 def limit_time(share: float) -> None:
-    """End the process when it has computed for a share of the limit, or waited for long; 0 takes the limit away."""
+    """End the process after a share of the time limit, by processor or clock; 0 removes the limit."""
     if hasattr(signal, "setitimer"):
         # Without handlers: Python's would wait for the library to return.
         signal.setitimer(signal.ITIMER_PROF, share * _SECONDS)
@@ -136,7 +137,7 @@ def limit_time(share: float) -> None:
 
 
 def main() -> None:
-    """Answer questions until there are no more."""
+    """Answer requests until stdin ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the other side, which closes stdin
     questions = sys.stdin.buffer
     # C++ libraries print to stdout, too; it is kept for answers under another number.

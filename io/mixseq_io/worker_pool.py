@@ -1,7 +1,7 @@
-"""Processes that answer questions about files: started when they are needed, used again, and never many.
+"""Pool of a few worker processes that read files, started on demand and reused.
 
-A file that is open has a worker of its own. Where more than `MOST` are, the one that was not asked for longest gives
-its worker to others: it is opened again when it is asked next, and what was being read goes on where it was.
+Each open file has its own worker. Above `MOST` files, the least recently used one gives up its worker; at its next
+request it is opened again, and iterations continue where they were.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from mixseq_io.blocks import warn
 from mixseq_io.memory import gigabytes, max_memory
 
 MOST = 8
-"""So many files have workers at the same time, unless more are read by as many threads. Ours."""
+"""Largest number of files with workers at a time, unless more threads read files."""
 
 _MOST_IDLE = 2
 
 
 class OpenFile:
-    """A file that is open in a worker."""
+    """File that is open in a worker."""
 
     def __init__(self, path: Path, reader: str, options: dict[str, Any]) -> None:
         self.path = path
@@ -47,12 +47,12 @@ class OpenFile:
         _files.add(self)
 
     def ask(self, *question: Any) -> Any:
-        """Return the answer to a question; see `mixseq_io.worker`."""
+        """Return the answer to a request; see `mixseq_io.worker`."""
         with self.lock:
             return self._ready().ask(self.path, *question)
 
     def iterate(self, what: str, size: int) -> Iterator[Any]:
-        """Yield what a worker iterates over."""
+        """Yield the blocks of a worker's iteration."""
         number, done, times = next(self._numbers), 0, 0
         while True:
             with self.lock:
@@ -67,14 +67,14 @@ class OpenFile:
             done += 1
 
     def close(self) -> None:
-        """Close the file, and keep its worker for others."""
+        """Close the file and release its worker."""
         with self.lock:
             worker, self.worker = self.worker, None
         if worker is not None:
             dismiss(worker)
 
     def give_up(self) -> bool:
-        """Leave the worker to others, if there is one and nobody waits for its answer; return whether that was so."""
+        """Release the worker if it is idle; return whether it was released."""
         if not self.lock.acquire(blocking=False):
             return False
         try:
@@ -107,7 +107,7 @@ class OpenFile:
 
 
 class Worker:
-    """A child process that answers one question at a time."""
+    """Child process that answers one request at a time."""
 
     def __init__(self) -> None:
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
@@ -129,9 +129,9 @@ class Worker:
         again: bool = False,
         meanwhile: Callable[[], object] | None = None,
     ) -> Any:
-        """Return the answer to a question about a file; raise the error, and repeat the warnings, that it made.
+        """Return the answer to a request about a file; raise its error, and repeat its warnings unless asked `again`.
 
-        Those of a question that is asked `again` are known. `meanwhile` is called before the answer is waited for.
+        `meanwhile` is called before waiting for the answer.
         """
         try:
             with self._lock:
@@ -153,7 +153,7 @@ class Worker:
         return answer
 
     def close(self) -> None:
-        """Let the process end."""
+        """End the process."""
         with suppress(OSError):
             self._stdin.close()
         self._stdout.close()
@@ -164,7 +164,7 @@ class Worker:
             self._process.wait()
 
     def leave(self) -> None:
-        """Let go of its pipes in a forked process: it ends when nobody else has them."""
+        """Close the pipes in a forked process, so that the worker ends with its last owner."""
         nowhere = os.open(os.devnull, os.O_RDWR)
         for pipe in (self._stdin, self._stdout):
             if not pipe.closed:
@@ -173,7 +173,7 @@ class Worker:
 
     @property
     def alive(self) -> bool:
-        """Whether it can be asked again."""
+        """Whether it can answer requests."""
         return self._process.poll() is None
 
     @property
@@ -202,7 +202,7 @@ class Worker:
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """End a process that nobody will ask any more."""
+    """Kill a process and close its pipes."""
     process.kill()
     process.wait()
     for pipe in (process.stdin, process.stdout):
@@ -219,7 +219,7 @@ _lock = threading.Lock()
 
 
 def hire() -> Worker:
-    """Return a worker without a file."""
+    """Return a worker without a file, a new one if none is idle."""
     with _lock:
         while idle:
             worker = idle.pop()
@@ -230,7 +230,7 @@ def hire() -> Worker:
 
 
 def dismiss(worker: Worker) -> None:
-    """Keep a worker for the next file, if it is well and there are not enough already."""
+    """Keep a worker for the next file if it is alive and few are idle; else end it."""
     with suppress(FormatError):
         if worker.alive:
             worker.ask(Path(), "close")
@@ -242,7 +242,7 @@ def dismiss(worker: Worker) -> None:
 
 
 def _make_room() -> None:
-    """Let a file give up its worker, if one more would be too many."""
+    """Release the least recently used file's worker if there are too many."""
     held = sorted((file for file in list(_files) if file.worker is not None), key=lambda file: file.asked)
     many = len(held) - MOST + 1
     for file in held:
@@ -251,7 +251,7 @@ def _make_room() -> None:
 
 
 def _signature(path: Path) -> tuple[int, int, int] | None:
-    """Return by what a file is known again; None if there is none."""
+    """Return a file's identity: inode, size and modification time in ns; None if it does not exist."""
     try:
         state = path.stat()
     except OSError:
@@ -260,7 +260,7 @@ def _signature(path: Path) -> tuple[int, int, int] | None:
 
 
 def _leave_to_parent() -> None:
-    """Let a forked process start workers of its own: two askers at one pipe would get each other's answers."""
+    """Drop inherited workers in a forked process, since answers at a shared pipe would be mixed up."""
     global _lock
     _lock = threading.Lock()  # a thread that is not there may hold the other one
     _of_parent.extend(idle)
@@ -279,6 +279,6 @@ if hasattr(os, "register_at_fork"):
 
 @atexit.register
 def dismiss_all() -> None:
-    """End the workers that wait for files."""
+    """End all idle workers."""
     while idle:
         idle.pop().close()

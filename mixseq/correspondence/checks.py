@@ -1,21 +1,19 @@
-r"""Check markers: refuse those that cannot be meant as they are, and warn of those that seem wrong.
+r"""Check markers: refuse invalid ones, and warn of those that seem wrong.
 
-Of a set of markers, three questions are asked.
+*Mirrored?* With centred sources X and targets Y and singular values :math:`\sigma` of :math:`X^T Y`, the share of Y
+that the best similarity leaves is :math:`1 - (\sigma_1 + \sigma_2 \pm \sigma_3)^2 / (\|X\|^2 \|Y\|^2)`, with one sign
+for rotations, the other for reflections (Umeyama 1991).
 
-*Mirrored?* With centred sources X and targets Y and singular values :math:`\sigma` of :math:`X^T Y`, the part of Y
-that the best similarity leaves is :math:`1 - (\sigma_1 + \sigma_2 \pm \sigma_3)^2 / (\|X\|^2 \|Y\|^2)`, where the
-sign tells rotations from reflections (Umeyama 1991).
-
-*Exchanged?* Two markers are left out, and a thin-plate spline through the others (`mixseq.correspondence.outliers`)
-says where they should be. They are exchanged if that fits far better the other way round. The best pair is exchanged,
-and the question asked again. Then it is asked for groups of markers.
+*Exchanged?* Two markers are left out, and predicted by a thin-plate spline through the others
+(`mixseq.correspondence.outliers`). They are exchanged if that fits far better the other way round. The best pair is
+exchanged, and the search repeated. Then groups of markers are compared alike.
 
 *Wrong?* The same with one marker at a time.
 
-The numbers that decide are ours. On the markers of horse and camel (107, 124 and 17 pairs) and of cat and lion (55),
-which are right, no exchange of two markers brings them closer than 0.57 times where they are, none of two groups closer
-than 1.08, and no marker is further than 0.35 from where the others say that it should be. Of two markers of a left and
-a right leg, exchanged, 99 % are named, and nothing else; of three such pairs at a time, 95 % (fewer among 17 markers).
+On the markers of horse and camel (107, 124 and 17 pairs) and of cat and lion (55), which are right, no exchange of two
+markers brings them closer than 0.57 times their distance, none of two groups closer than 1.08, and no marker is further
+than 0.35 from its prediction. Of two markers of a left and a right leg, exchanged, 99 % are named, and nothing else; of
+three such pairs at a time, 95 % (fewer among 17 markers).
 """
 
 from __future__ import annotations
@@ -41,26 +39,25 @@ from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.topology import Topology
 
 FEWEST = 4
-"""Markers that fix an affine map."""
+"""Number of markers that determine an affine map."""
 
 THIN = 0.01
-"""Extent of markers across a line or a plane, relative to along it, that is none."""
+"""Ratio of extents below which markers lie on a line or a plane."""
 
 MIRRORED = 0.5
-"""The best reflection leaves less than this share of what the best rotation leaves."""
+"""Ratio of residuals of the best reflection to the best rotation below which markers are mirrored."""
 
 SIMILAR = 0.01
-"""What a rotation leaves, below which markers are too flat to tell it from a reflection."""
+"""Residual of a rotation below which markers are too flat to detect a reflection."""
 
 MOST_COMPARED = 1000
-"""Markers that are compared with each other; more are not set by people, and take long."""
+"""Largest number of markers that are compared with each other."""
 
 GROUPS_EXCHANGED, MOST_GROUPED = 0.7, 200
-"""Exchanged, the centres of two groups are closer than this to where they should be, relative to as they are; and the
-most markers whose groups are compared, which takes time by their square."""
+"""Ratio of distances, exchanged to unchanged, of two exchanged groups; largest number of markers that are grouped."""
 
 NAMED = 6
-"""Most markers that a message names."""
+"""Largest number of markers named in a message."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,10 +75,7 @@ def check_markers(
     source_topology: Topology | None = None,
     target_topology: Topology | None = None,
 ) -> None:
-    """Refuse markers that cannot be meant as they are, and warn of those that seem wrong.
-
-    Shapes: source_points ``(V, 3)``; target_points ``(V', 3)``.
-    """
+    """Raise `SettingsError` for invalid markers, and warn of suspicious ones: points ``(V, 3)`` and ``(V', 3)``."""
     once = np.sort(np.unique(np.stack([markers.source, markers.target]), axis=1, return_index=True)[1])
     if len(once) < FEWEST:
         repeated = f" that differ, of {len(markers)}" if len(once) < len(markers) else ""
@@ -107,17 +101,14 @@ def check_markers(
 
 
 def check_numbers(markers: Markers, source: Topology, target: Topology) -> None:
-    """Refuse markers on vertices that two meshes do not have, or that no triangle of theirs uses."""
+    """Raise `SettingsError` for markers on missing vertices, or on vertices without triangles."""
     for side, vertices, topology in (("source", markers.source, source), ("target", markers.target, target)):
         _check_vertices(markers, side, vertices, topology.vertex_count)
         _check_used(markers, side, vertices, topology)
 
 
 def suspicions(markers: Markers, source: Float, target: Float, diagonal: float) -> list[Suspicion]:
-    """Find markers that seem wrong among the others: two exchanged, two groups exchanged, single ones.
-
-    Shapes: source, target ``(n, 3)``.
-    """
+    """Find pairs, groups and single markers that seem exchanged or wrong: source, target ``(n, 3)``."""
     once = np.sort(np.unique(np.stack([markers.source, markers.target]), axis=1, return_index=True)[1])
     if not FEWEST_COMPARED <= len(once) <= MOST_COMPARED:
         return []
@@ -147,7 +138,7 @@ def _check_used(markers: Markers, side: str, vertices: Index, topology: Topology
 
 
 def _check_pairs(markers: Markers) -> None:
-    """No vertex has two partners; saying the same twice is no harm."""
+    """Raise if a vertex has two partners; repeated pairs are allowed."""
     for side, other, one, two in (
         ("source", "targets", markers.source, markers.target),
         ("target", "sources", markers.target, markers.source),
@@ -162,7 +153,7 @@ def _check_pairs(markers: Markers) -> None:
 
 
 def _check_spread(side: str, chosen: Float, points: Float) -> None:
-    """Markers must reach in three directions, as far as the mesh does."""
+    """Raise if markers do not extend in three directions, as the mesh does."""
     centre = chosen.mean(axis=0)
     _, extents, axes = np.linalg.svd(chosen - centre, full_matrices=False)
     if extents[1] <= THIN * extents[0]:
@@ -191,7 +182,7 @@ def _check_hand(source: Float, target: Float) -> None:
 def _compared(
     markers: Markers, rows: Index, source: Float, target: Float, unit: float
 ) -> Iterator[Suspicion]:
-    """Yield what does not fit; `unit` is the size of normalised targets in diagonals."""
+    """Yield suspicions; `unit` is the size of normalised targets in diagonals."""
     bending = Bending.of(source)
     for i, j, straight, exchanged in exchanged_pairs(bending, target):
         target[[i, j]] = target[[j, i]]
@@ -222,7 +213,7 @@ def _compared(
 
 
 def _used(points: FloatArray, topology: Topology | None) -> Float:
-    """Points in triangles, or all if nothing is known of these."""
+    """Return the points of triangles, or all if these are unknown."""
     used = points if topology is None else np.delete(points, topology.unused_vertices, axis=0)
     return np.asarray(used, np.float64)
 
@@ -232,7 +223,7 @@ def _normalised(points: Float) -> Float:
 
 
 def _size(points: Float) -> float:
-    """Root mean square distance from the centre."""
+    """Return the root mean square distance from the centre."""
     centred = points - points.mean(axis=0)
     return max(float(np.sqrt((centred**2).sum(axis=1).mean())), np.finfo(float).tiny)
 

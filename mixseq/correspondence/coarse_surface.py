@@ -1,10 +1,10 @@
-r"""A coarse copy of a mesh on which distances along the surface are quick to find.
+"""A coarse copy of a mesh for quick distances along the surface.
 
-Its vertices are vertices of the mesh, those of the largest component, which is thinned out. It is centred and has the
-area one, so that lengths on two meshes can be compared, whatever their units.
+Its vertices are vertices of the mesh, those of the decimated largest component. It is centred and has unit area, so
+that lengths on two meshes are comparable in any units.
 
-Distances along the surface are those along edges, and across hinges: from the vertex opposite to one of its faces
-straight to that of the other, both unfolded into a plane. Edges alone overestimate by up to an eighth more.
+Distances are along edges, and across hinges: from the vertex opposite in one face straight to that of the other, both
+unfolded into a plane. Edges alone overestimate by up to an eighth more.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from mixseq.errors import SettingsError
 from mixseq.topology import Topology
 
 COUNT = 2500
-"""Vertices of coarse surfaces; ours. Of ears of a horse some 20 are left."""
+"""Number of vertices of coarse surfaces; of a horse's ears some 20 remain."""
 
 
 @dataclass(frozen=True, eq=False)
 class CoarseSurface:
-    """The largest component of a mesh, thinned out, of area one."""
+    """The decimated largest component of a mesh, with unit area."""
 
     vertices: Index  # (n,) its vertices, as numbered in the mesh
     mesh: TriangleMesh  # the surface
@@ -37,7 +37,7 @@ class CoarseSurface:
 
     @classmethod
     def of(cls, points: FloatArray, topology: Topology, count: int = COUNT) -> CoarseSurface:
-        """Thin out the component with the largest area: points ``(V, 3)``."""
+        """Decimate the component of points ``(V, 3)`` with the largest area."""
         x = np.asarray(points, np.float64)
         areas = TriangleMesh(x, topology).face_areas
         if not areas.sum() > 0:
@@ -56,11 +56,11 @@ class CoarseSurface:
 
     @property
     def points(self) -> Float:
-        """Points ``(n, 3)`` of the surface, in its own unit."""
+        """Points ``(n, 3)`` of the surface, centred, with unit area."""
         return self.mesh.points
 
     def distances(self, vertices: Index) -> Float:
-        """Return distances ``(k, n)`` along the surface from some vertices ``(k,)`` to all."""
+        """Return distances ``(k, n)`` along the surface from vertices ``(k,)`` to all."""
         return np.asarray(csgraph.dijkstra(self._graph, directed=False, indices=vertices))
 
     @cached_property

@@ -1,4 +1,4 @@
-"""Find a dense correspondence from markers: register, match, and measure how good it is."""
+"""Find a dense correspondence from markers: register, match, and measure its quality."""
 
 from __future__ import annotations
 
@@ -22,17 +22,16 @@ from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
 
 LITTLE = 0.5
-"""Share of a mesh's area that should be of components with markers; ours."""
+"""Share of a mesh's area in components with markers below which a warning is given."""
 
 
 FILLED, FLIPPED = 0.05, 0.01
-"""Shares of the target's triangles without a match of their own, or with a flipped one, that are worth a warning; the
-pairs of animals and of people that this was made with have less than 0.01 and none. Ours."""
+"""Shares of target triangles without a match, or with a flipped one, that are worth a warning; usual are 0.01 and 0."""
 
 
 @dataclass(frozen=True)
 class CorrespondenceSettings:
-    """How a correspondence is found: how the source is registered, and what matches."""
+    """Settings of registration and matching."""
 
     registration: RegistrationSettings = field(default_factory=RegistrationSettings)
     matching: MatchingSettings = field(default_factory=MatchingSettings)
@@ -40,7 +39,7 @@ class CorrespondenceSettings:
 
 @dataclass(frozen=True, eq=False)
 class Assessed:
-    """A correspondence and how good it is."""
+    """A correspondence and its quality."""
 
     correspondence: Correspondence
     quality: Quality
@@ -68,20 +67,20 @@ def correspond(
     rest : int
         The frame of the source whose pose is most like the target's.
     settings : CorrespondenceSettings, optional
-        How it is done.
+        Settings of registration and matching.
     progress : callable
-        Told how far it is.
+        Called with the progress.
 
     Returns
     -------
     Correspondence
-        Components of the target that have no marker follow the rest.
+        Components of the target without a marker follow the rest.
 
     Raises
     ------
     SettingsError
-        If there are fewer than four markers, markers cannot be meant as they are (see `check_markers`), the frame does
-        not exist, a mesh has no faces or no area where it is marked, or one is inside out.
+        If there are fewer than four markers, markers are invalid (see `check_markers`), the frame does not exist, a
+        mesh has no faces or no area where it is marked, or one is inside out.
 
     Warns
     -----
@@ -99,7 +98,7 @@ def correspond_and_assess(
     settings: CorrespondenceSettings | None = None,
     progress: Progress = silent,
 ) -> Assessed:
-    """Find a correspondence like `correspond`, and how good it is."""
+    """Find a correspondence like `correspond`, and its quality."""
     with one_blas_thread():
         return _assessed(source, target, markers, rest, settings, progress)
 
@@ -132,7 +131,7 @@ def _assessed(
 
 
 def _warn_of(quality: Quality, correspondence: Correspondence) -> None:
-    """Tell if much of the target found no counterpart, or the wrong side of one."""
+    """Warn if much of the target has no counterpart, or a flipped one."""
     mapped = max(int(np.count_nonzero(correspondence.faces >= 0)), 1)
     for count, most, what in (
         (
@@ -152,7 +151,7 @@ def _warn_of(quality: Quality, correspondence: Correspondence) -> None:
 
 
 def _check_areas(source: TriangleMesh, target: TriangleMesh, pairings: tuple[Pairing, ...]) -> None:
-    """There must be a surface to be fitted, and one to be fitted to; it should be most of the mesh."""
+    """Raise if marked components have no area; warn if they are a small part of the mesh."""
     for what, mesh, chosen in (
         ("source", source, [pairing.source_faces for pairing in pairings]),
         ("target", target, [pairing.target_faces for pairing in pairings]),

@@ -1,14 +1,12 @@
-"""Thin out a mesh by half-edge collapses of least quadric error (Garland and Heckbert 1997).
+"""Decimate a mesh by half-edge collapses of least quadric error (Garland and Heckbert 1997).
 
-A collapse moves a vertex v onto a neighbour u, so that the vertices that stay are vertices of the mesh. Its cost is
-the area-weighted squared distance of u from the planes of all faces that v and u stand for by then, plus, ours,
-`SPACING` times the area that v stands for times its squared way, which keeps vertices evenly spread where the
-surface is flat: flat now, it may bend in another frame. Refused is what would change the topology (the link
-condition), turn a face over or make a sliver. Vertices of edges with three or more faces stay; the border shrinks
-along itself only.
+A collapse moves a vertex v onto a neighbour u, so that remaining vertices are vertices of the mesh. Its cost is the
+area-weighted squared distance of u from the planes of all faces that v and u stand for, plus `SPACING` times the area
+that v stands for times its squared distance to u, which keeps vertices evenly spread where the surface is flat in this
+frame. Collapses are refused that change the topology (the link condition), flip a face or make a sliver. Vertices of
+edges with three or more faces stay; the border shrinks along itself only.
 
-Our own because libraries (fast-simplification, Open3D) make new vertices where the error is least: of those only one
-frame is known, but an animation needs vertices that all frames have.
+Libraries (fast-simplification, Open3D) make new vertices of least error, which are known in one frame only.
 """
 
 from __future__ import annotations
@@ -22,14 +20,14 @@ SPACING = 0.02
 """Weight of even spacing against distance from the surface."""
 
 TURN = 0.2
-"""Least cosine of the angle by which a face may turn."""
+"""Least cosine of the angle by which a face may rotate."""
 
 ROUND = 0.15
 """Least roundness of a face (1: equilateral), unless it was less round before."""
 
 
 def decimate(points: Float, faces: Index, count: int, keep: Index | None = None) -> tuple[Index, Index]:
-    """Thin out a mesh: points ``(n, 3)``; faces ``(m, 3)``; keep ``(k,)``; result ``(c,)``, ``(k, 3)``."""
+    """Decimate a mesh ``(n, 3), (m, 3)`` to `count` vertices, keeping some: vertices ``(c,)``, faces ``(k, 3)``."""
     from mixseq.correspondence.decimation_kernels import collapse
 
     topology = Topology(faces, len(points))
@@ -48,10 +46,7 @@ def decimate(points: Float, faces: Index, count: int, keep: Index | None = None)
 
 
 def _quadrics(x: Float, topology: Topology) -> tuple[Float, Float]:
-    """Area ``(n,)`` that every vertex stands for, and the quadrics ``(n, 4, 4)`` of its planes.
-
-    Along the border, planes upright on it keep its line.
-    """
+    """Return vertex areas ``(n,)``, and quadrics ``(n, 4, 4)`` of planes; upright planes keep the border."""
     faces = topology.faces.astype(np.int64)
     a, b, c = (x[corner] for corner in faces.T)
     normals = np.cross(b - a, c - a)
@@ -79,5 +74,5 @@ def _quadrics(x: Float, topology: Topology) -> tuple[Float, Float]:
 
 
 def _planes(normals: Float, points: Float) -> Float:
-    """Planes ``(m, 4)`` through points: normal, and minus their distance from the origin."""
+    """Return planes ``(m, 4)`` through points: the normal, and minus the distance from the origin."""
     return np.concatenate([normals, -np.einsum("fi,fi->f", normals, points)[:, None]], axis=1)

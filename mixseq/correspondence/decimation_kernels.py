@@ -1,8 +1,8 @@
-"""The inner loop of `mixseq.correspondence.decimation`, compiled: half-edge collapses in the order of their costs.
+"""Compiled inner loop of `mixseq.correspondence.decimation`: half-edge collapses in the order of their costs.
 
 The faces of a vertex are a chain of corners ``3 f + k``; collapsing joins two chains. A heap holds half-edges
-``v -> u`` with the times at which the surroundings of both ends were last changed: older entries are skipped. What
-is refused may be allowed later on, so passes over all half-edges are repeated until one changes nothing.
+``v -> u`` with the times of the last changes around both ends: older entries are skipped. Refused collapses may be
+allowed later, so passes over all half-edges are repeated until one changes nothing.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from mixseq.compiled import compiled
 
 @compiled
 def _normal(x: Float, a: int, b: int, c: int) -> tuple[float, float, float]:
-    """Twice the area of a triangle along its normal."""
+    """Return twice the area of a triangle along its normal."""
     p0, p1, p2 = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
     q0, q1, q2 = x[c, 0] - x[a, 0], x[c, 1] - x[a, 1], x[c, 2] - x[a, 2]
     return p1 * q2 - p2 * q1, p2 * q0 - p0 * q2, p0 * q1 - p1 * q0
@@ -26,13 +26,13 @@ def _normal(x: Float, a: int, b: int, c: int) -> tuple[float, float, float]:
 
 @compiled
 def _square(x: Float, a: int, b: int) -> float:
-    """The squared distance of two vertices."""
+    """Return the squared distance of two vertices."""
     return float((x[a, 0] - x[b, 0]) ** 2 + (x[a, 1] - x[b, 1]) ** 2 + (x[a, 2] - x[b, 2]) ** 2)
 
 
 @compiled
 def _shape(x: Float, a: int, b: int, c: int) -> float:
-    """How round a triangle is: 1 for an equilateral one, 0 for a line."""
+    """Return the roundness of a triangle: 1 for an equilateral one, 0 for a line."""
     n0, n1, n2 = _normal(x, a, b, c)
     sides = _square(x, a, b) + _square(x, b, c) + _square(x, c, a)
     return 2.0 * math.sqrt(3.0 * (n0 * n0 + n1 * n1 + n2 * n2)) / max(sides, 1e-300)
@@ -40,7 +40,7 @@ def _shape(x: Float, a: int, b: int, c: int) -> float:
 
 @compiled
 def _cost(x: Float, quadrics: Float, areas: Float, spacing: float, v: int, u: int) -> float:
-    """Squared distances of u from the planes that v stands for, times area, and that of v times `spacing`."""
+    """Return the area-weighted squared distances of u from the planes of v, plus `spacing` times that of v."""
     p = np.array([x[u, 0], x[u, 1], x[u, 2], 1.0])
     total = 0.0
     for i in range(4):
@@ -54,7 +54,7 @@ def _allowed(
     x: Float, faces: Index, gone: Mask, first: Index, after: Index, border: Mask, v: int, u: int,
     turn: float, round_: float,
 ) -> bool:  # fmt: skip
-    """Say if v may go to u: the surface stays what it is, no face turns over or becomes a sliver."""
+    """Return whether v may collapse to u: the topology stays, no face flips or becomes a sliver."""
     shared = 0
     of_v = set()
     of_u = set()
@@ -128,7 +128,7 @@ def collapse(
     turn: float,
     round_: float,
 ) -> Mask:
-    """Collapse half-edges of faces ``(m, 3)``, in place, until `count` vertices are left; say which faces went."""
+    """Collapse half-edges of faces ``(m, 3)``, in place, until `count` vertices are left; mark removed faces."""
     n, m = len(x), len(faces)
     first, last = np.full(n, -1), np.full(n, -1)
     after = np.full(3 * m, -1)

@@ -1,8 +1,8 @@
-r"""Dense correspondence: which point and triangle of a source every vertex and triangle of a target is.
+r"""Dense correspondence: the point and triangle of a source for every vertex and triangle of a target.
 
 A target vertex v is the point :math:`\sum_k w_{vk}\, x_{c_{vk}}` of the source, with three corners c and barycentric
-weights w. Vertices that are on no part of the source (eyes, teeth, hats) have none, and follow another vertex of the
-target, their *leader*, as if they were stuck to it.
+weights w. Vertices without a counterpart (eyes, teeth, hats) rigidly follow another vertex of the target, their
+*leader*.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ class Correspondence:
     source_size, target_size : (int, int)
         Vertices and triangles of the two meshes.
     corners : (V', 3) int64
-        Source vertices that every target vertex is between; all -1 where it follows its leader.
+        Source vertices around every target vertex; all -1 where it follows its leader.
     weights : (V', 3) float64
-        Their weights; they add to one.
+        Their barycentric weights; they add to one.
     faces : (F',) int64
         The source triangle that moves every target triangle; -1 where a corner of it follows a leader.
     leaders : (V',) int64
@@ -43,7 +43,7 @@ class Correspondence:
 
     @classmethod
     def identity(cls, vertex_count: int, face_count: int) -> Correspondence:
-        """Every vertex and triangle is itself: meshes of the same connectivity."""
+        """Make the identity of meshes of the same connectivity."""
         vertices = np.arange(vertex_count)
         size = vertex_count, face_count
         weights = np.tile([1.0, 0.0, 0.0], (vertex_count, 1))
@@ -52,25 +52,16 @@ class Correspondence:
 
     @cached_property
     def matched(self) -> Mask:
-        """Target vertices ``(V',)`` that are on the source."""
+        """Target vertices ``(V',)`` with a point on the source."""
         return np.asarray((self.corners >= 0).all(axis=1))
 
     def carry(self, values: FloatArray) -> Float:
-        """Carry values ``(..., V, c)`` at source vertices to target vertices ``(..., V', c)``.
-
-        Vertices without corners get what their leaders get.
-        """
+        """Transfer values ``(..., V, c)`` of source vertices to target vertices or their leaders, ``(..., V', c)``."""
         corners, weights = self.corners[self.leaders], self.weights[self.leaders]
         return np.asarray(np.einsum("vk,...vkc->...vc", weights, values[..., corners, :]))
 
     def check(self, source_size: tuple[int, int], target_size: tuple[int, int]) -> None:
-        """Refuse a correspondence of other meshes.
-
-        Raises
-        ------
-        SettingsError
-            If numbers of vertices or triangles differ.
-        """
+        """Raise `SettingsError` if numbers of vertices or triangles differ."""
         for what, own, given in (
             ("source", self.source_size, source_size),
             ("target", self.target_size, target_size),

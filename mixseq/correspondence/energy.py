@@ -1,4 +1,4 @@
-r"""Deform a mesh as smoothly as possible under soft constraints: the energy of a non-rigid registration.
+r"""Smooth deformation of a mesh under soft constraints: the energy of a non-rigid registration.
 
 Every vertex i has a new position p_i and an affine map A_i of its neighbourhood, both unknown (Amberg, Romdhani and
 Vetter 2007, in the form of embedded deformation, Sumner, Schmid and Pauly 2007, which does not depend on the origin).
@@ -9,13 +9,12 @@ With edges :math:`e_{ij} = x_j - x_i`,
         \bigr) + \ell^2 \sum_{ij} w_{ij} \|A_i - A_j\|^2 + \mu \sum_i a_i \|A_i - S_i\|^2 \Bigr]
         + \sum_t b_t \Bigl\| \sum_k \beta_{tk} p_{tk} - y_t \Bigr\|^2 .
 
-In brackets: neighbours move together, maps change slowly, and they are near given similarities :math:`S_i`. The last
-sum is soft constraints: points between corners of the mesh are drawn to goals y, with weights b. Areas a add to one
-and :math:`w_{ij}` is the area about an edge by half its squared length, so that E hardly depends on how finely the mesh
-is sampled.
+In brackets: neighbours move together, maps vary slowly, near given similarities :math:`S_i`. The last sum is soft
+constraints: points on triangles are drawn to goals y, with weights b. Areas a add to one and :math:`w_{ij}` is the area
+about an edge by half its squared length, so that E hardly depends on the sampling.
 
-E is quadratic, and its matrix is the same for the three coordinates. Constraints are on corners of one triangle, which
-edges join already, so its pattern never changes: it is analysed once.
+E is quadratic, with one matrix for the three coordinates. Constraints couple corners of one triangle, as edges do, so
+the pattern is constant, and analysed once.
 """
 
 from __future__ import annotations
@@ -33,15 +32,15 @@ from mixseq.geometry.rigid import nearest_rotations
 from mixseq.shells.solvers import Analysis, analyse
 
 _EDGE_WEIGHTS = 0.05, 20.0
-"""Range of an edge's area by half its squared length, 0.6 in a regular mesh: slivers neither cut nor weld. Ours."""
+"""Range of an edge's area by half its squared length, 0.6 in a regular mesh: slivers neither cut nor weld."""
 
 _LEAST_AREA = 1e-6
-"""Area about a vertex, in means of all, that it has at least: components without area would have any map. Ours."""
+"""Least area about a vertex, relative to the mean, so that maps of components without area are determined."""
 
 
 @dataclass(frozen=True, eq=False)
 class SoftConstraints:
-    """Points of a mesh that are drawn to goals: soft position constraints."""
+    """Soft position constraints: points of a mesh that are drawn to goals."""
 
     corners: Index  # (n, k) vertices that the points are between: one, or the corners of a triangle
     barycentric: Float  # (n, k) their weights in the point, which add to one
@@ -51,7 +50,7 @@ class SoftConstraints:
 
 @dataclass(frozen=True, eq=False)
 class Energy:
-    """The energy of a mesh, of which each vertex is in a triangle, and some triangle has an area."""
+    """The energy of a mesh; each vertex is in a triangle, and some triangle has an area."""
 
     mesh: TriangleMesh  # the mesh before it is deformed, in a unit of about its size
     bending: float  # the length over which maps are alike
@@ -59,13 +58,13 @@ class Energy:
 
     @cached_property
     def areas(self) -> Float:
-        """Areas ``(V,)`` about the vertices; they add to one, but for what those without area get."""
+        """Areas ``(V,)`` about the vertices; they add to one, except for the least ones."""
         areas = self.mesh.vertex_areas
         return np.asarray(np.maximum(areas / areas.sum(), _LEAST_AREA / len(areas)))
 
     @cached_property
     def _matrix(self) -> sparse.csc_array:
-        """Lower triangle ``(4 V, 4 V)`` of what the stiffness multiplies; vertex i has p_i and a row of A_i."""
+        """Lower triangle ``(4 V, 4 V)`` of the matrix that stiffness scales; vertex i has p_i and a row of A_i."""
         x = self.mesh.points
         i, j = self.mesh.topology.edges.T
         # Twice a third of the areas at an edge, by its squared length.
@@ -100,7 +99,7 @@ class Energy:
     def minimise(
         self, stiffness: float, maps: Float, constraints: list[SoftConstraints]
     ) -> tuple[Float, Float]:
-        r"""Find the positions ``(V, 3)`` and maps ``(V, 3, 3)`` of least energy."""
+        """Find the positions ``(V, 3)`` and maps ``(V, 3, 3)`` of least energy."""
         count, size = len(maps), 4 * len(maps)
         values = stiffness * self._matrix.data
         right = np.zeros((count, 4, 3))
@@ -124,14 +123,14 @@ class Energy:
 
 
 def nearest_similarities(maps: Float) -> Float:
-    """Return the similarities ``(n, 3, 3)``, without mirroring, that are nearest to maps in the Frobenius norm."""
+    """Return the proper similarities ``(n, 3, 3)`` nearest to maps in the Frobenius norm."""
     rotations = nearest_rotations(maps)
     scales = np.einsum("nij,nij->n", rotations, maps) / 3
     return np.asarray(rotations * np.maximum(scales, 0.0)[:, None, None])
 
 
 def _rows(terms: Sequence[tuple[Index, Float | float]], scales: Float, size: int) -> sparse.csr_array:
-    """Rows that are sums of a few unknowns: their columns ``(n,)`` and coefficients, scaled row by row."""
+    """Return sparse rows of scaled sums of a few unknowns: columns ``(n,)`` and coefficients."""
     count = len(scales)
     columns = np.concatenate([column for column, _ in terms])
     values = np.concatenate([np.broadcast_to(value, count) * scales for _, value in terms])

@@ -1,7 +1,7 @@
-"""Examine markers while they are set: how well they fit each other, and a map that is found in a second.
+"""Examine markers while they are set: their consistency, and a map that is found in a second.
 
-The map is that of `correspond`, between thinned-out meshes and only as far as it is still stiff: then it cannot reach
-markers that do not fit their neighbours, and how far it stays from them is their residual. The full map reaches all.
+The map is that of `correspond`, between decimated meshes and stopped while still stiff: then it cannot reach
+inconsistent markers, and its distance from them is their residual. The full map reaches all.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.sequence import MeshSequence
 
 FEWEST = 10
-"""Markers from which on a map tells something about them; ours, as all numbers here."""
+"""Least number of markers for a map with meaningful residuals."""
 
 COUNT = 1200
-"""Vertices of the meshes between which it is found."""
+"""Number of vertices of the decimated meshes."""
 
 STIFF = CorrespondenceSettings(RegistrationSettings(softest=1e-2, steps=5))
 
 
 @dataclass(frozen=True, eq=False)
 class Examination:
-    """What was found out about markers."""
+    """Results of examining markers."""
 
     suspicions: tuple[Suspicion, ...] = ()  # markers that do not fit the others
     # (n,) how far a stiff map stays from every marker, in diagonals of the target; none if there are fewer than ten, or
@@ -47,7 +47,7 @@ class Examination:
 
 
 def examine(source: MeshSequence, target: MeshSequence, markers: Markers) -> Examination:
-    """Examine markers of two meshes, each in its first frame; what is wrong is told, not raised."""
+    """Examine markers of two meshes, each in its first frame; problems are returned, not raised."""
     x, y = (np.asarray(each.points[0], np.float64) for each in (source, target))
     diagonal = float(np.linalg.norm(np.ptp(y, axis=0)))
     found = tuple(suspicions(markers, x[markers.source], y[markers.target], diagonal))
@@ -66,6 +66,6 @@ def examine(source: MeshSequence, target: MeshSequence, markers: Markers) -> Exa
 
 
 def _thinned(points: Float, faces: IntArray, keep: Index) -> tuple[Index, MeshSequence]:
-    """The vertices ``(n,)`` that stay of a mesh, and a mesh of them."""
+    """Return the remaining vertices ``(n,)`` of a mesh, and a mesh of them."""
     kept, coarse = decimate(points, faces.astype(np.int64), COUNT, keep)
     return kept, MeshSequence.from_arrays(points[None, kept], coarse)

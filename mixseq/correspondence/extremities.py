@@ -1,10 +1,9 @@
-r"""Extremities of a body: tips of limbs, tail, nose and ears, where the mean distance along the surface is largest.
+r"""Extremities of a body: tips of limbs, tail, nose and ears, the maxima of the mean distance along the surface.
 
-The mean of the distances along the surface to all of it, by area (Hilaga et al. 2001), is least in the trunk and has a
-maximum at every tip, in any pose. How prominent a maximum is tells its *prominence*, as of a summit: by how much one
-has to go down before one can go up to a higher one (0-dimensional persistence; Edelsbrunner, Letscher and Zomorodian
-2002). What surrounds an extremity on the surface is told by how much heat is still there after some times (heat kernel
-signature; Sun, Ovsjanikov and Guibas 2009),
+The area-weighted mean distance along the surface to all of it (Hilaga et al. 2001) is least in the trunk and has a
+maximum at every tip, in any pose. Its *prominence*, as of a summit, is the least descent on the way to a higher one
+(0-dimensional persistence; Edelsbrunner, Letscher and Zomorodian 2002). The surroundings of an extremity have a heat
+kernel signature (Sun, Ovsjanikov and Guibas 2009),
 
 .. math:: h_t(v) = \sum_{i \ge 1} e^{-2 t \lambda_i} \phi_i(v)^2 .
 """
@@ -20,19 +19,19 @@ from mixseq.correspondence.coarse_surface import CoarseSurface
 from mixseq.segmentation.diffusion import Diffusion
 
 SAMPLES = 100
-"""Points, far from each other, to which the mean distance is taken."""
+"""Number of far-apart points for the mean distance."""
 
 LEAST = 0.004
-"""Prominence, in roots of the area, below which a maximum may be noise; ours. Ears have 0.006 to 0.05."""
+"""Prominence, in roots of the area, below which a maximum may be noise; ears have 0.006 to 0.05."""
 
 HEAT_TIMES = np.geomspace(0.002, 0.1, 6)
-"""Times after which heat is looked at, in units of the area: from ears to limbs."""
+"""Times of heat kernel signatures, in units of the area: from ears to limbs."""
 
 FALL, FLAT = 0.01, 0.25
-"""By how much the mean distance falls where an extremity ends, and how far from it that is looked for."""
+"""Fall of the mean distance at which an extremity ends, and the search radius for it."""
 
 EIGENVECTORS = 80
-"""Of the Laplacian, of which signatures are made; later ones have decayed at the first of the times."""
+"""Number of eigenvectors of signatures; later ones have decayed at the first of the times."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +63,7 @@ class Extremities:
 
 
 def far_apart(surface: CoarseSurface, count: int) -> tuple[Index, Float]:
-    """Choose vertices of a surface that are far from each other (Gonzalez 1985): result ``(k,)``, ``(k, n)``."""
+    """Choose vertices ``(k,)`` far from each other (Gonzalez 1985), with their distances ``(k, n)``."""
     sample = int(surface.distances(np.array([0]))[0].argmax())
     samples: list[int] = []
     rows: list[Float] = []
@@ -85,7 +84,7 @@ def mean_distance(surface: CoarseSurface) -> Float:
 
 
 def maxima(values: Float, surface: CoarseSurface) -> tuple[Index, Float]:
-    """Find the maxima of values ``(n,)`` on a surface: result ``(m,)``, ``(m,)``."""
+    """Find the maxima ``(m,)`` of values ``(n,)`` on a surface, with their prominences ``(m,)``."""
     adjacency = surface.mesh.topology.vertex_adjacency.tocsr()
     peak = np.full(len(values), -1)  # of the island that a vertex is on, while the sea falls
     islands: dict[int, list[int]] = {}

@@ -1,17 +1,16 @@
-r"""Match the extremities of two bodies that stand in the same pose.
+r"""Match the extremities of two bodies in the same pose.
 
-First the prominent ones: limbs, tail, head. Any three of one body may be any three of the other. Each such guess gives
-a similarity, a proper one, that moves the one body onto the other, and with it the cost of every pair,
+First the prominent ones: limbs, tail, head. Any three of one body may be any three of the other. Each guess gives a
+proper similarity from one body to the other, and the cost of every pair,
 
 .. math:: c_{ij} = \|S x_i - y_j\| + \tfrac13 \sum_{k=1}^3 |d_{i\,i_k} - d_{j\,j_k}| ,
 
-how far the points are from each other, and how much their distances along the surface to the three differ, in roots of
-the area. The best assignment follows (Kuhn 1955), and is measured with the similarity of all its pairs and all their
-distances. A left-right exchange keeps the distances, but is no motion: that the similarity turns, and never mirrors,
-tells left from right.
+the distance of the points, and the differences of their distances along the surface to the three, in roots of the area.
+The best assignment follows (Kuhn 1955), and is measured with the similarity of all its pairs and all their distances.
+A left-right exchange keeps distances, but needs a mirroring, which a proper similarity excludes.
 
-How *sure* a pair is, is by how much the best of all matchings without it costs more. Then extremities that stick out
-less, such as ears, are matched in the same way to those that are left, led by the pairs that are there.
+A pair is *sure* by the additional cost of the best matching without it. Then less prominent extremities, such as ears,
+are matched alike to the remaining ones, guided by the pairs found.
 """
 
 from __future__ import annotations
@@ -27,32 +26,31 @@ from mixseq.correspondence.markers import Similarity, fit_similarity
 from mixseq.errors import SettingsError
 
 PROMINENT = 0.1
-"""Prominence of limbs, tail and head, in roots of the area; those of the pairs tried have 0.15 and more, ears less than
-0.06. Ours, as all numbers here."""
+"""Prominence of limbs, tail and head, in roots of the area; tried bodies have 0.15 and more, ears less than 0.06."""
 
 MOST = 8
-"""Prominent extremities that are matched; all triples of more take long."""
+"""Largest number of prominent extremities that are matched, as all triples are tried."""
 
 LEFT_OUT = 0.5
-"""Cost of an extremity that has no partner."""
+"""Cost of an extremity without a partner."""
 
 UNLIKE = 0.5
-"""Three and three whose mutual distances differ by more are no guess."""
+"""Largest difference of mutual distances between the triples of a guess."""
 
 SURE = 0.1
-"""The best matching without a pair that is sure costs so much more."""
+"""Additional cost of the best matching without a sure pair."""
 
 LARGEST_COST = 0.4
-"""Mean cost of the pairs of two bodies that are alike; horse and camel have 0.26."""
+"""Largest mean cost of the pairs of two similar bodies; horse and camel have 0.26."""
 
 SMALL_COST, CLEARER = 0.18, 1.25
-"""The cost of a pair that sticks out less, and how many times it costs to give one of the two another partner."""
+"""Largest cost of a less prominent pair, and least ratio of the next best partner's cost to it."""
 
 BLUNT = 0.08
-"""An extremity with a larger radius is on the right limb, but perhaps not at the same place of it."""
+"""Radius above which an extremity is on the right limb, but perhaps at another place of it."""
 
 NEAR = 0.3
-"""Prominent extremities that are nearer lead those that stick out less."""
+"""Distance below which prominent extremities guide less prominent ones."""
 
 HEAT = 0.2
 """Weight of differences of signatures."""
@@ -60,7 +58,7 @@ HEAT = 0.2
 
 @dataclass(frozen=True)
 class Matched:
-    """A pair of extremities, and how sure it is."""
+    """A pair of extremities, and its certainty."""
 
     first: int  # number of the extremity of the first body
     second: int  # number of the extremity of the second body
@@ -101,7 +99,7 @@ def _prominent_pairs(first: Extremities, second: Extremities) -> list[Matched]:
 def _guessed(
     first: Extremities, second: Extremities, one: Index, two: Index, guess: Index, other: Index
 ) -> tuple[tuple[int, int], ...] | None:
-    """The matching that follows from three pairs, if these are alike."""
+    """Return the matching that follows from three pairs, if these are similar."""
     from scipy.optimize import linear_sum_assignment
 
     apart = first.distances[np.ix_(guess, guess)] - second.distances[np.ix_(other, other)]
@@ -130,7 +128,7 @@ def _cost(first: Extremities, second: Extremities, pairs: tuple[tuple[int, int],
 
 
 def _other_pairs(first: Extremities, second: Extremities, pairs: list[Matched]) -> list[Matched]:
-    """Match what sticks out less: both are each other's best by far."""
+    """Match less prominent extremities: both are each other's best by far."""
     one, two = np.array([(pair.first, pair.second) for pair in pairs]).T
     rest, left = (
         np.setdiff1d(np.arange(len(each.points)), done) for each, done in ((first, one), (second, two))
@@ -156,7 +154,7 @@ def _other_pairs(first: Extremities, second: Extremities, pairs: list[Matched]) 
 
 
 def _led(first: Extremities, similarity: Similarity, pairs: Index, goals: Float) -> Float:
-    """Move all extremities ``(e, 3)`` by a similarity, and with what this leaves of the pairs nearby."""
+    """Move all extremities ``(e, 3)`` by a similarity, and by its residuals at nearby pairs."""
     moved = similarity(first.points)
     weights = np.exp(-((first.distances[:, pairs] / NEAR) ** 2)) + 1e-6
     return np.asarray(moved + weights @ (goals - moved[pairs]) / weights.sum(axis=1, keepdims=True))

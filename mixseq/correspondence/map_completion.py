@@ -1,13 +1,11 @@
-r"""Make a correspondence of a map that somebody else made: of vertices, of triangles, or of points on triangles.
-
-What the map leaves open is completed.
+"""Complete a given map to a correspondence: of vertices, of triangles, or of points on triangles.
 
 - *Vertices*, where only triangles are mapped, are on the source vertex that all triangles around them share, or else at
-  the point that is closest to the mean, by area, of the mapped triangles' centroids.
+  the point closest to the mean, by area, of the mapped triangles' centroids.
 - *Triangles* of the target are moved by the source triangle of the same three vertices, or else by the closest to the
-  mean of their mapped corners, of those that face the same way.
-- *Vertices that the map leaves out* follow the nearest vertex of their component that it does not, and components that
-  it leaves out follow one vertex, as if stuck to it.
+  mean of their mapped corners that faces the same way.
+- *Unmapped vertices* follow the nearest mapped vertex of their component, and unmapped components rigidly follow one
+  vertex.
 """
 
 from __future__ import annotations
@@ -25,18 +23,11 @@ Mesh = tuple[FloatArray, IntArray]
 """Points ``(V, 3)`` and triangles ``(F, 3)`` of a mesh at rest."""
 
 ADDS_TO_ONE = 1e-3
-"""How far weights may be from adding to one, rounded as files have them; they are then divided by their sum. Ours."""
+"""Largest deviation of sums of weights from one, as of rounded files; weights are then normalised."""
 
 
 def from_vertices(vertices: ArrayLike, source: Mesh, target: Mesh) -> Correspondence:
-    """Complete a map of vertices: vertices ``(V',)``; source, target ``(V, 3)``.
-
-    Examples
-    --------
-    >>> mesh = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]), np.array([[0, 1, 2], [1, 3, 2]])
-    >>> from_vertices([3, 2, 1, -1], mesh, mesh).faces.tolist()
-    [1, -1]
-    """
+    """Complete a map of vertices ``(V',)``, -1 for none: source, target ``(V, 3)``."""
     a, b = _mesh(source), _mesh(target)
     numbers = _numbers(vertices, len(b.points), len(a.points), "vertices")
     weights = np.where(numbers[:, None] >= 0, [1.0, 0.0, 0.0], 0.0)
@@ -44,7 +35,7 @@ def from_vertices(vertices: ArrayLike, source: Mesh, target: Mesh) -> Correspond
 
 
 def from_triangles(triangles: ArrayLike, source: Mesh, target: Mesh) -> Correspondence:
-    """Complete a map of triangles: triangles ``(F',)``; source, target ``(V, 3)``."""
+    """Complete a map of triangles ``(F',)``: source, target ``(V, 3)``."""
     a, b = _mesh(source), _mesh(target)
     numbers = _numbers(triangles, len(b.faces), len(a.faces), "triangles")
     corners, weights = _vertices_of(numbers, a, b)
@@ -52,10 +43,7 @@ def from_triangles(triangles: ArrayLike, source: Mesh, target: Mesh) -> Correspo
 
 
 def from_barycentric(corners: ArrayLike, weights: ArrayLike, source: Mesh, target: Mesh) -> Correspondence:
-    """Complete a map of target vertices to points of the source.
-
-    Shapes: corners ``(V', 3)``; weights ``(V', 3)``; source, target ``(V, 3)``.
-    """
+    """Complete a map of target vertices to points of the source: corners, weights ``(V', 3)``."""
     a, b = _mesh(source), _mesh(target)
     flat = np.asarray(corners).reshape(-1)
     numbers = _numbers(flat, 3 * len(b.points), len(a.points), "corners, three for each of its vertices")
@@ -83,7 +71,7 @@ def _mesh(mesh: Mesh) -> TriangleMesh:
 
 
 def _numbers(given: ArrayLike, target_count: int, source_count: int, what: str) -> Index:
-    """Check a map of whole numbers."""
+    """Return a map of whole numbers, or raise."""
     numbers = np.asarray(given)
     if numbers.shape != (target_count,) or not np.issubdtype(numbers.dtype, np.integer):
         raise SettingsError(
@@ -107,7 +95,7 @@ def _numbers(given: ArrayLike, target_count: int, source_count: int, what: str) 
 
 
 def _vertices_of(triangles: Index, source: TriangleMesh, target: TriangleMesh) -> tuple[Index, Float]:
-    """Corners and weights of target vertices, from the source triangles of the triangles around them."""
+    """Return corners and weights of target vertices, from the source triangles of the triangles around them."""
     count = len(target.points)
     used = np.flatnonzero(triangles >= 0)
     vertex, corner = target.faces[used].reshape(-1), np.tile(np.arange(3), len(used))
@@ -133,9 +121,9 @@ def _vertices_of(triangles: Index, source: TriangleMesh, target: TriangleMesh) -
 
 
 def _shared(vertex: Index, candidates: Index, same_corner: Index, around: Index) -> Index:
-    """The one source vertex that all mapped triangles around a target vertex have, or -1.
+    """Return the source vertex ``(n,)`` that all mapped triangles around a target vertex share, or -1.
 
-    Shapes: vertex ``(n,)``; candidates ``(n, 3)``; same_corner ``(n,)``; around ``(V',)``.
+    Shapes: vertex, same_corner ``(n,)``; candidates ``(n, 3)``; around ``(V',)``.
     """
     result = np.full(len(around), -1)
     for votes in (candidates, same_corner[:, None]):
@@ -150,7 +138,7 @@ def _shared(vertex: Index, candidates: Index, same_corner: Index, around: Index)
 def _complete(
     source: TriangleMesh, target: TriangleMesh, corners: Index, weights: Float, faces: Index
 ) -> Correspondence:
-    """Complete a map of vertices: corners ``(V', 3)``; weights ``(V', 3)``; faces ``(F',)``."""
+    """Complete a map of vertices: corners, weights ``(V', 3)``; faces ``(F',)``."""
     matched = np.asarray((corners >= 0).all(axis=1))
     whole = np.asarray(matched[target.faces].all(axis=1))
     open_faces = np.flatnonzero(whole & (faces < 0))
@@ -169,7 +157,7 @@ def _complete(
 def _faces_of(
     source: TriangleMesh, target: TriangleMesh, corners: Index, weights: Float, chosen: Index
 ) -> Index:
-    """The source triangles that move chosen target triangles, by where their corners are."""
+    """Return the source triangles that move chosen target triangles, by the points of their corners."""
     triangles = target.faces[chosen]
     # A corner with all its weight on one vertex is that vertex, which may be written in several ways.
     heaviest = np.take_along_axis(corners, np.argmax(weights, axis=1)[:, None], axis=1)[:, 0]
@@ -186,10 +174,7 @@ def _faces_of(
 
 
 def _same_triangles(source: Index, wanted: Index) -> Index:
-    """Number of the first source triangle ``(F, 3)`` of the same three vertices as each wanted one, or -1.
-
-    Of two with the same vertices the one that runs the same way round comes first.
-    """
+    """Return the first source triangle ``(F, 3)`` with each wanted one's vertices, same orientation first, or -1."""
     both = np.concatenate([source, wanted])
     first = np.argmin(both, axis=1)
     turned = np.take_along_axis(both, (first[:, None] + np.arange(3)) % 3, axis=1)
@@ -204,7 +189,7 @@ def _same_triangles(source: Index, wanted: Index) -> Index:
 
 
 def _closest_facing(source: TriangleMesh, points: Float, normals: Float) -> tuple[Index, Float]:
-    """Triangles, with weights, closest to points; of those that face the same way, if there are any."""
+    """Return triangles and weights closest to points, of those that face the same way if there are any."""
     from mixseq.geometry.nearest import Nearest
 
     nearest = Nearest.of(source.points, source.faces)

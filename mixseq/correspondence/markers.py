@@ -1,9 +1,8 @@
-r"""Markers: pairs of vertices, one on the source and one on the target, that a person says are the same point.
+r"""Markers: pairs of corresponding vertices, one on the source and one on the target, set by a person.
 
-Two things follow from them alone: which components of the meshes belong together (`pair_components`), and the
-similarity between the meshes (`fit_similarity`; Umeyama 1991). That is the rotation R, scale s and translation t that
-minimise :math:`\sum_k \|s R x_k + t - y_k\|^2`. R is that of the best rigid motion, a proper rotation, and with points
-about their centroids
+They pair components of the meshes (`pair_components`), and give the similarity between the meshes (`fit_similarity`;
+Umeyama 1991): the rotation R, scale s and translation t that minimise :math:`\sum_k \|s R x_k + t - y_k\|^2`. R is that
+of the best rigid motion, a proper rotation, and with points about their centroids
 
 .. math:: s = \frac{\sum_k y_k \cdot R x_k}{\sum_k \|x_k\|^2} .
 """
@@ -31,7 +30,7 @@ class Markers:
     source, target : (n,) int64
         Vertices of the source and of the target; those of one row are a pair.
     names : tuple of str
-        What messages call them: one each, or none. Those without a name, or an empty one, are numbered from 1.
+        Names in messages, one each or none. Markers without a name, or with an empty one, are numbered from 1.
     """
 
     source: Index
@@ -45,7 +44,7 @@ class Markers:
         Raises
         ------
         SettingsError
-            If they are no pairs of whole numbers, or there are more or fewer names.
+            If the pairs are not whole numbers, or the number of names differs.
         """
         try:
             table = np.asarray(pairs)
@@ -73,7 +72,7 @@ class Markers:
         return len(self.source)
 
     def name(self, number: int) -> str:
-        """What a message calls a marker: its name if it has one, and its pair of vertices."""
+        """Return the name of a marker in messages: its name if it has one, and its pair of vertices."""
         name = self.names[number] if self.names else ""
         called = f"'{name}'" if name else f"{number + 1}"
         return f"{called} ({self.source[number]} -> {self.target[number]})"
@@ -81,7 +80,7 @@ class Markers:
 
 @dataclass(frozen=True, eq=False)
 class Pairing:
-    """Components of a source and of a target that markers join: shoes and shoes, a body and a body."""
+    """Components of a source and of a target joined by markers: shoes and shoes, a body and a body."""
 
     source_faces: Index  # (f,) triangles of the source's components
     target_faces: Index  # (f',) triangles of the target's components
@@ -90,11 +89,7 @@ class Pairing:
 
 
 def pair_components(source: Topology, target: Topology, markers: Markers) -> tuple[Pairing, ...]:
-    """Join components by markers.
-
-    A component is in the pairing of all components that markers join it to, directly or through others; without a
-    marker it is in none.
-    """
+    """Group components that markers join, directly or through others; components without markers are in no group."""
     from scipy import sparse
     from scipy.sparse import csgraph
 
@@ -124,12 +119,12 @@ class Similarity:
     translation: Float  # (3,) translation vector
 
     def __call__(self, points: Float) -> Float:
-        """Move points ``(..., 3)``."""
+        """Map points ``(..., 3)``."""
         return np.asarray(self.scale * points @ self.rotation.T + self.translation)
 
 
 def fit_similarity(source: Float, target: Float) -> Similarity:
-    """Find the similarity that best moves points ``(n, 3)`` onto others."""
+    """Find the similarity that best maps points ``(n, 3)`` onto others."""
     rotation, _ = kabsch(source, target)
     from_centre, to_centre = source.mean(axis=0), target.mean(axis=0)
     x, y = (source - from_centre) @ rotation.T, target - to_centre

@@ -1,9 +1,8 @@
-"""Match a target to a registered source, and measure how good that is: every vertex gets the closest point there.
+"""Match a target to a registered source by closest points, and measure the quality.
 
-A closest point counts if the surfaces face the same way there and it is near enough: where two legs touch, the sides
-that face each other have opposite normals, and each finds its own. What finds nothing takes over what the nearest of
-its neighbours along the surface found. Components of the target without a marker are on nothing: they follow the
-nearest vertex that is.
+A closest point counts if it is near enough and the surfaces face the same way there: where two legs touch, the facing
+sides have opposite normals, and each finds its own. Vertices without one take that of the nearest neighbour along the
+surface. Components of the target without a marker follow the nearest matched vertex.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from mixseq.errors import SettingsError
 
 @dataclass(frozen=True)
 class MatchingSettings:
-    """Which closest points count; both values are ours."""
+    """Limits of closest points."""
 
     largest_angle: float = 75.0  # largest angle between the normals, in degrees
     largest_distance: float = 0.05  # largest distance, in diagonals of the target
@@ -37,7 +36,7 @@ class MatchingSettings:
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """A correspondence, and what was found without filling in."""
+    """A correspondence, and the matches found without filling in."""
 
     correspondence: Correspondence  # the map
     found_vertices: Mask  # (V',) target vertices with a closest point of their own, not filled in
@@ -48,7 +47,7 @@ class Matches:
 
 @dataclass(frozen=True, eq=False)
 class Quality:
-    """How good a correspondence is. Distances are in diagonals of the target."""
+    """Quality of a correspondence; distances are in diagonals of the target."""
 
     # Share of the source's area that, registered, lies on the target: within the distance and the angle of matches.
     source_coverage: float
@@ -67,7 +66,7 @@ class Quality:
     markers: Markers  # the markers
 
     def worst_markers(self, count: int = 5) -> list[tuple[str, float]]:
-        """Names and distances of the markers that were missed by most, the worst first."""
+        """Return names and distances of the markers with the largest distances, the worst first."""
         order = np.argsort(-self.marker_distances, kind="stable")[:count]
         return [(self.markers.name(int(k)), float(self.marker_distances[k])) for k in order]
 
@@ -78,7 +77,7 @@ def match(
     pairings: tuple[Pairing, ...],
     settings: MatchingSettings | None = None,
 ) -> Matches:
-    """Find the point of a source that every vertex of a target is, and the triangle that every triangle is."""
+    """Find the source point of every target vertex, and the source triangle of every target triangle."""
     settings = MatchingSettings() if settings is None else settings
     vertex_count, face_count = len(target.points), len(target.faces)
     # Vertices and, after them, triangles, by their centroids: both are nodes of the graph along the mesh.
@@ -135,7 +134,7 @@ def assess(
     matches: Matches,
     settings: MatchingSettings,
 ) -> Quality:
-    """Measure a correspondence that was found by `match` with these settings."""
+    """Measure a correspondence of `match` with these settings."""
     size = target.diagonal
     correspondence = matches.correspondence
     covered = 0.0
@@ -172,7 +171,7 @@ def assess(
 
 
 def _surface_graph(mesh: TriangleMesh) -> sparse.csr_array:
-    """Return distances along a surface: a graph of its vertices and, after them, its triangles."""
+    """Return a graph of distances along a surface: its vertices and, after them, its triangles."""
     count = len(mesh.points)
     i, j = mesh.topology.edges.T
     corner, face = mesh.faces.reshape(-1), np.repeat(np.arange(len(mesh.faces)), 3)
@@ -187,7 +186,7 @@ def _surface_graph(mesh: TriangleMesh) -> sparse.csr_array:
 
 
 def _nearest_along(graph: sparse.csr_array, sources: Index) -> Index:
-    """Return the nearest source of every node along a graph; -1 where none is connected."""
+    """Return the nearest source of every node along a graph, -1 if none is connected."""
     if not len(sources):
         return np.full(graph.shape[0], -1)
     nearest = csgraph.dijkstra(

@@ -1,17 +1,15 @@
-r"""Which point of a body is which on its other side: left and right of a body with two alike sides, in any pose.
+r"""Mirror points of a body with two similar sides to its other side, in any pose.
 
-Bodies are mirrored along their surface, where distances hardly depend on the pose. First the extremities: of all ways
-to exchange some of them in pairs, :math:`\pi`, the one that changes their distances d and heat kernel signatures h
-least is taken, where every exchanged pair may cost something, because a leg that is bent is a little unlike the other,
-and a body whose hind legs alone are exchanged would be none:
+Mirroring is along the surface, where distances hardly depend on the pose. First the extremities: of all exchanges
+:math:`\pi` of pairs of them, the one that changes their distances d and heat kernel signatures h least is taken. A
+bonus p per pair lets a bent leg differ a little from the other, and favours exchanging all limbs:
 
 .. math::
     \operatorname{mean}_{ij} |d_{ij} - d_{\pi(i)\pi(j)}| + w \operatorname{mean}_i |h_i - h_{\pi(i)}| - p\, |\pi| .
 
 Then all vertices: v is mirrored to the vertex u whose distances to the partners of the extremities are those of v to
-the extremities. Points far from each other, with their partners of now, take the place of the extremities in a few more
-rounds, in which those nearby count most. Mirrored twice, a point should be where it was: how far it is from there tells
-how good its partner is.
+the extremities. In a few more rounds far-apart points, with their partners so far, replace the extremities, and near
+ones count most. The distance of a point from its double mirror image measures the quality of its partner.
 """
 
 from __future__ import annotations
@@ -34,28 +32,28 @@ from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
 
 PAIRED = 0.04
-"""What an exchanged pair may cost, in roots of the area; ours, as all numbers here."""
+"""Largest cost of an exchanged pair, the bonus p, in roots of the area."""
 
 FEWEST = 4
-"""Prominent extremities that a body with sides has."""
+"""Least number of prominent extremities of a body with sides."""
 
 UNLIKE = 0.15
-"""The cost of exchanging that is none between alike sides; those of the bodies tried are 0.03 to 0.09."""
+"""Cost of exchanging above which sides are not similar; tried bodies have 0.03 to 0.09."""
 
 ROUNDS = 3
-"""How often points far from each other take the place of the extremities."""
+"""Number of rounds in which far-apart points replace the extremities."""
 
 NEAR = 0.4
-"""Points that are nearer count most, in roots of the area."""
+"""Distance below which points count most, in roots of the area."""
 
 TRUSTED = 0.06
-"""A point that is mirrored twice is nearer to itself, in roots of the area."""
+"""Largest distance of a point from its double mirror image, in roots of the area."""
 
 MIDDLE = 0.08
-"""So near to their partners are points in the middle, which have none."""
+"""Distance to the partner below which a point is in the middle, without a partner."""
 
 RINGS = 2
-"""Vertices around a point that tell how its neighbourhood is turned."""
+"""Rings of vertices around a point that determine the rotation of its neighbourhood."""
 
 FACING = 0.5
 """Least cosine between the normal of a partner and the mirrored one."""
@@ -71,7 +69,7 @@ class Mirror:
 
     @classmethod
     def of(cls, points: FloatArray, topology: Topology) -> Mirror | None:
-        """Find which point is which on the other side; None if no two sides are alike: points ``(V, 3)``."""
+        """Find the partners of points ``(V, 3)``; None if no two sides are similar."""
         with one_blas_thread():
             surface = CoarseSurface.of(points, topology)
             partners = _partners(surface)
@@ -79,10 +77,7 @@ class Mirror:
         return None if partners is None else cls(mesh, surface, partners)
 
     def partner(self, vertex: int) -> int | None:
-        """Return the vertex that is a vertex of the body on the other side.
-
-        None in the middle, on other components than the largest, and where it is not sure.
-        """
+        """Return the vertex on the other side; None in the middle, outside the largest component, or if not sure."""
         surface = self.surface
         if self.mesh.topology.component_of_vertex[vertex] != self._component:
             return None
@@ -100,7 +95,7 @@ class Mirror:
         return int(candidates[np.einsum("vi,vi->v", away, away).argmin()])
 
     def _mirrored(self, own: int, place: Float, normal: Float) -> tuple[Float, Float]:
-        """Mirror a point near a coarse vertex, and its normal, as the neighbourhood of that is."""
+        """Mirror a point near a coarse vertex, and its normal, by the rotation of the neighbourhood."""
         around = np.array([own])
         for _ in range(RINGS):
             around = np.unique(np.concatenate([around, self._adjacency[around].indices]))
@@ -122,7 +117,7 @@ class Mirror:
 
 
 def _partners(surface: CoarseSurface) -> Index | None:
-    """The partner ``(n,)`` of every vertex of a coarse surface."""
+    """Return the partner ``(n,)`` of every vertex of a coarse surface."""
     extremities = Extremities.of(surface)
     exchanged = _exchanged(extremities)
     if exchanged is None:
@@ -140,7 +135,7 @@ def _partners(surface: CoarseSurface) -> Index | None:
 
 
 def _exchanged(extremities: Extremities) -> Index | None:
-    """The partner of every prominent extremity, itself in the middle; None if no two sides are alike."""
+    """Return the partner of every prominent extremity, itself in the middle; None if no two sides are similar."""
     count = min(int((extremities.prominences >= PROMINENT).sum()), MOST)
     distances, signatures = extremities.distances[:count, :count], extremities.signatures[:count]
     if count < FEWEST:
@@ -179,6 +174,6 @@ def _exchanges(numbers: Sequence[int]) -> Iterator[tuple[int, ...]]:
 
 
 def _alike(own: Float, other: Float, weights: Float) -> Index:
-    """The row ``(n,)`` of a table ``(n, k)`` that is most like every row of another, weighted as the latter is."""
+    """Return the row ``(n,)`` of a table ``(n, k)`` most similar to every row of another, by weights of the latter."""
     distances = weights @ (other**2).T - 2 * (weights * own) @ other.T
     return np.asarray(distances.argmin(axis=1), dtype=np.int64)

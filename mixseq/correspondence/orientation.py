@@ -1,9 +1,9 @@
-r"""Refuse meshes that are inside out: the triangles of source and target must run around the outside the same way.
+r"""Refuse meshes that are inside out: triangles of source and target must have the same orientation.
 
 A closed component encloses the volume :math:`\frac16 \sum_t a_t \cdot (b_t \times c_t)`, negative if its triangles run
-clockwise seen from outside. Holes make it depend on the origin, by the sum of the vector areas: the sign of a component
-counts if it is the same for all origins in its bounding sphere. Surfaces that are more open have no outside of their
-own; of these a registration tells, by the normals of what is closest.
+clockwise seen from outside. With holes it depends on the origin, by the sum of the vector areas: the sign of a
+component counts if it is the same for all origins in its bounding sphere. More open surfaces are checked after
+registration, by the normals of closest points.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.topology import Topology
 
 NO_VOLUME = 1e-9
-"""Volumes below this share of a component's cubed diagonal are rounding; ours."""
+"""Volume relative to a component's cubed diagonal below which it is rounding."""
 
 NAMED = 4
-"""Most components that a message names."""
+"""Largest number of components named in a message."""
 
 _CURE = "turn its triangles over (faces[:, ::-1]; in a modelling program: flip the normals)"
 
 
 @dataclass(frozen=True, eq=False)
 class Orientation:
-    """Which way components face."""
+    """Orientation of components."""
 
     faces: Index  # (c,) a triangle of every component
     areas: Float  # (c,) their areas
@@ -38,12 +38,12 @@ class Orientation:
 
     @property
     def sign(self) -> int:
-        """The way that most of the area faces, of that which has an outside."""
+        """Orientation of most of the area that has an outside."""
         return int(np.sign(self.areas @ self.signs))
 
 
 def orientation(points: FloatArray, faces: IntArray) -> Orientation:
-    """Find which way the components of a mesh of points ``(V, 3)`` and triangles ``(F, 3)`` face."""
+    """Find the orientation of the components of points ``(V, 3)`` and triangles ``(F, 3)``."""
     mesh = TriangleMesh(np.asarray(points, np.float64), Topology(faces, len(points)))
     component = mesh.topology.component_of_face
     count = int(component.max(initial=-1)) + 1
@@ -69,10 +69,7 @@ def check_orientation(
     target_points: FloatArray,
     target_faces: IntArray,
 ) -> None:
-    """Refuse meshes of which one is inside out, as far as they have an outside.
-
-    Shapes: source_points, target_points ``(V, 3)``; source_faces, target_faces ``(F, 3)``.
-    """
+    """Raise if one of two meshes is inside out, where both have an outside: points ``(V, 3)``; faces ``(F, 3)``."""
     source, target = orientation(source_points, source_faces), orientation(target_points, target_faces)
     if source.sign * target.sign == -1:
         which = "target" if target.sign < 0 else "source"
@@ -92,10 +89,7 @@ def check_orientation(
 def check_facing(
     registered: FloatArray, source_faces: IntArray, target_points: FloatArray, target_faces: IntArray
 ) -> None:
-    """Refuse a target that faces away from the source that was fitted to it, where one of them has no outside.
-
-    Shapes: registered ``(V, 3)``; source_faces ``(F, 3)``; target_points, target_faces ``(V', 3)``.
-    """
+    """Raise if a target ``(V', 3)`` faces away from the source ``(V, 3)`` fitted to it, where one has no outside."""
     if orientation(registered, source_faces).sign * orientation(target_points, target_faces).sign != 0:
         return  # `check_orientation` knows better
     share = _against(registered, source_faces, target_points, target_faces)
@@ -109,7 +103,7 @@ def check_facing(
 def _against(
     registered: FloatArray, source_faces: IntArray, target_points: FloatArray, target_faces: IntArray
 ) -> float:
-    """Share of a target's area whose normals are opposite to those of the closest triangles of a source."""
+    """Return the share of a target's area with normals opposite to those of the closest source triangles."""
     from mixseq.geometry.nearest import Nearest
 
     fitted = TriangleMesh(np.asarray(registered, np.float64), Topology(source_faces, len(registered)))

@@ -1,8 +1,8 @@
-r"""Find markers that do not fit the others: single ones that are wrong, two or two groups that are exchanged.
+r"""Find markers that do not fit the others: single wrong ones, and two, or two groups, that are exchanged.
 
-All three follow from leaving markers out, and asking a thin-plate spline through the others where they should be. The
-smoothest map of space that takes sources :math:`x_i` to targets :math:`y_i`, up to a little slack :math:`\lambda`, has
-the bending energy (Duchon 1977; in three dimensions the kernel is :math:`-\|x\|`)
+Markers are left out, and predicted by a thin-plate spline through the others. The smoothest map of space that takes
+sources :math:`x_i` to targets :math:`y_i`, up to a little slack :math:`\lambda`, has the bending energy (Duchon 1977;
+in three dimensions the kernel is :math:`-\|x\|`)
 
 .. math::
     E = \operatorname{tr} Y^T B\, Y, \qquad B = Z (Z^T K Z)^{-1} Z^T, \qquad
@@ -15,11 +15,11 @@ takes these to where the energy is least,
 
 so that leaving out needs no other solution (Wahba 1990, chapter 4).
 
-A person who takes the left leg for the right one exchanges all its markers. No two of them then look wrong among the
-others, which are exchanged as well, but leaving both groups out tells on which side the centre of either should be.
+Exchanging the left leg for the right one exchanges all its markers. No two of them then look wrong among the others,
+but leaving both groups out predicts the side of either centre.
 
-Sources and targets are normalised: centred, with a root mean square distance of 1 from there. All numbers are ours;
-`mixseq.correspondence.checks` says how well they do.
+Sources and targets are normalised: centred, with a root mean square distance of 1. `mixseq.correspondence.checks` has
+the results of the chosen numbers.
 """
 
 from __future__ import annotations
@@ -32,39 +32,39 @@ import numpy as np
 from mixseq.arrays import Float, Index
 
 SLACK = 0.05
-"""Slack of the splines, in root mean square distances from the centre; ours. It hardly matters from 0 to 0.2."""
+"""Slack of the splines, in root mean square distances from the centre; it hardly matters from 0 to 0.2."""
 
 _NO_SUPPORT = 1e-9
-"""Entries of B, relative to its mean diagonal, below which the other markers say nothing; ours."""
+"""Entries of B, relative to its mean diagonal, below which the other markers do not support a prediction."""
 
 FEWEST_COMPARED = 8
-"""Markers of which some can be compared with the others."""
+"""Least number of markers for a comparison."""
 
 EXCHANGED = 0.5
-"""Exchanged, two markers are closer than this to where they should be, relative to as they are."""
+"""Ratio of distances, exchanged to unchanged, below which two markers are exchanged."""
 
 STRIKING = 2.5
-"""How far off exchanged markers are, in median distances of markers left out."""
+"""Least distance of exchanged markers, in median distances of markers left out."""
 
 FAR, SURPRISING = 0.5, 5.0
 """Distance of a wrong marker in root mean square distances from the centre, and surprise in medians of all."""
 
 MOST_FOUND = 20
-"""Exchanges, and wrong markers, that are looked for."""
+"""Largest number of exchanges, and of wrong markers."""
 
 NOTHING = 1e-6
-"""Distance that is rounding."""
+"""Distance below which it is rounding."""
 
 LARGEST_SHARE = 0.25
-"""A group has at most this share of all markers; ours."""
+"""Largest share of all markers in a group."""
 
 ALIKE = 2.5
-"""One of two groups has at most so many times the markers of the other; ours."""
+"""Largest ratio of the sizes of two exchanged groups."""
 
 
 @dataclass(frozen=True, eq=False)
 class Exchanges:
-    """How well two markers fit as they are and with their targets exchanged, for all pairs of markers."""
+    """Fits of all pairs of markers, unchanged and with their targets exchanged."""
 
     first: Index  # (m,) first marker of every pair
     second: Index  # (m,) second marker of every pair
@@ -80,14 +80,14 @@ class Bending:
 
     @classmethod
     def of(cls, sources: Float, slack: float = SLACK) -> Self:
-        """Prepare the energy of maps of sources ``(n, 3)``, of which there are more than four."""
+        """Prepare the energy of maps of more than four sources ``(n, 3)``."""
         kernel = -np.linalg.norm(sources[:, None] - sources, axis=2) + slack * np.eye(len(sources))
         affine = np.column_stack([np.ones(len(sources)), sources])
         free = np.linalg.qr(affine, mode="complete")[0][:, 4:]
         return cls(np.asarray(free @ np.linalg.solve(free.T @ kernel @ free, free.T)))
 
     def left_out(self, targets: Float) -> tuple[Float, Float]:
-        """Leave out every marker in turn: targets ``(n, 3)``; result ``(n,)``, ``(n,)``."""
+        """Leave out every marker in turn, with targets ``(n, 3)``; return distances ``(n,)`` and surprises ``(n,)``."""
         force = np.linalg.norm(self.matrix @ targets, axis=1)
         own = np.diag(self.matrix)
         known = own > _NO_SUPPORT * own.mean()
@@ -113,7 +113,7 @@ def _mean_size(a: Float, b: Float) -> Float:
 
 
 def exchanged_pairs(bending: Bending, target: Float) -> list[tuple[int, int, float, float]]:
-    """Find markers whose targets seem exchanged, the most striking first: target ``(n, 3)``."""
+    """Find markers whose targets ``(n, 3)`` seem exchanged, the most striking first."""
     target, found = target.copy(), []
     for _ in range(min(len(target) // 4, MOST_FOUND)):
         pairs = bending.exchanges(target)
@@ -131,10 +131,7 @@ def exchanged_pairs(bending: Bending, target: Float) -> list[tuple[int, int, flo
 
 
 def wrong_markers(source: Float, target: Float) -> list[tuple[int, float, float]]:
-    """Find markers far from where the others say that they should be, the most striking first.
-
-    Shapes: source, target ``(n, 3)``.
-    """
+    """Find markers far from their predictions, the most striking first: source, target ``(n, 3)``."""
     kept, found = np.arange(len(source)), []
     for _ in range(min(len(source) // 4, MOST_FOUND)):
         if len(kept) < FEWEST_COMPARED:
@@ -151,7 +148,7 @@ def wrong_markers(source: Float, target: Float) -> list[tuple[int, float, float]
 
 
 def groups(points: Float) -> list[Index]:
-    """Return the clusters of two or more points ``(n, 3)``, of all sizes, one in another (Ward 1963)."""
+    """Return the clusters of two or more points ``(n, 3)``, of all sizes, nested (Ward 1963)."""
     from scipy.cluster.hierarchy import linkage
 
     found = [np.array([point]) for point in range(len(points))]
@@ -161,10 +158,7 @@ def groups(points: Float) -> list[Index]:
 
 
 def exchanged_groups(bending: Bending, source: Float, target: Float) -> tuple[Index, Index, float, float]:
-    """Find the two groups that exchanging brings closest to where the other markers say that they should be.
-
-    Shapes: source, target ``(n, 3)``; result ``(a,)``.
-    """
+    """Find the two groups whose exchange brings them closest to their predictions: source, target ``(n, 3)``."""
     matrix, force = bending.matrix, bending.matrix @ target
     best = np.zeros(0, np.int64), np.zeros(0, np.int64), 1.0, 1.0
     clusters = groups(source)

@@ -1,16 +1,15 @@
-r"""Deform a source mesh until it lies on a target, led by markers: non-rigid registration.
+"""Deform a source mesh onto a target, guided by markers: non-rigid registration.
 
 First the similarity between the markers (Umeyama 1991); then the `Energy` of a deformation is minimised for falling
-stiffness (Amberg, Romdhani, Vetter 2007, *Optimal Step Nonrigid ICP Algorithms for Surface Registration*). What draws
-the source there:
+stiffness (Amberg, Romdhani, Vetter 2007, *Optimal Step Nonrigid ICP Algorithms for Surface Registration*), with
 
 - the markers, first alone, then all the time;
-- every source vertex is drawn to the closest point of the target that faces the same way;
-- every target vertex draws the closest point of the source that does, so that long features (humps, ears, hooves) are
+- every source vertex drawn to the closest point of the target that faces the same way;
+- the closest such point of the source drawn to every target vertex, so that long features (humps, ears, hooves) are
   covered too.
 
-On horse to camel and cat to lion this takes no longer than trimesh's `nricp_sumner` and a quarter of the time of its
-`nricp_amberg`, and leaves a sixth of their distances; and it knows components.
+On horse to camel and cat to lion this takes as long as trimesh's `nricp_sumner` and a quarter of the time of its
+`nricp_amberg`, leaves a sixth of their distances, and supports components.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ _BEGINNING = 3  # minimisations with markers alone, ours: similarities follow fr
 
 @dataclass(frozen=True)
 class RegistrationSettings:
-    """How a source is registered. All values are ours, tried on horse to camel and cat to lion; none is critical."""
+    """Settings of registration, tried on horse to camel and cat to lion; none is critical."""
 
     stiffest: float = 1.0  # first stiffness
     softest: float = 1e-5  # last stiffness
@@ -60,7 +59,7 @@ class RegistrationSettings:
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """A source that was deformed to lie on a target."""
+    """A source deformed onto a target."""
 
     points: Float  # (V, 3) the source's vertices, deformed, in the target's unit
     similarity: Similarity  # the motion and scaling that it began with
@@ -77,21 +76,9 @@ def register(
     settings: RegistrationSettings | None = None,
     progress: Progress = silent,
 ) -> Registration:
-    """Deform a source until it lies on a target.
+    """Deform a source onto a target in a similar pose, component by component as paired.
 
-    Parameters
-    ----------
-    source, target : TriangleMesh
-        Two meshes in similar poses.
-    pairings : tuple of Pairing
-        Which components belong together, from `pair_components`; only these are drawn to each other. Other components
-        of the source go with the nearest vertex of these, by its affine map.
-    markers : Markers
-        Vertices that are the same, each on a triangle (`check_markers` refuses others).
-    settings : RegistrationSettings, optional
-        How it is done.
-    progress : callable
-        Told every minimisation.
+    Unpaired components move with the affine map of the nearest paired vertex. Markers must be on triangles.
     """
     settings = RegistrationSettings() if settings is None else settings
     similarity = fit_similarity(source.points[markers.source], target.points[markers.target])
@@ -122,7 +109,7 @@ def register(
 
 
 def _with_the_rest(source: TriangleMesh, vertices: Index, points: Float, maps: Float) -> Float:
-    """All vertices ``(V, 3)``; components that were not fitted go with the map of the nearest fitted vertex."""
+    """Return all vertices ``(V, 3)``; unfitted components move with the map of the nearest fitted vertex."""
     x = source.points
     result = x.copy()
     result[vertices] = points
@@ -135,7 +122,7 @@ def _with_the_rest(source: TriangleMesh, vertices: Index, points: Float, maps: F
 
 @dataclass(frozen=True, eq=False)
 class DataTerm:
-    """The components of a source that are fitted, as a mesh of their own, and what draws them to the target."""
+    """The fitted components of a source as a mesh of their own, and constraints that draw them to the target."""
 
     vertices: Index  # (n,) its vertices, ascending, as numbered in the source
     mesh: TriangleMesh  # that mesh before it is deformed
@@ -153,7 +140,7 @@ class DataTerm:
         markers: Markers,
         weight: float,
     ) -> DataTerm:
-        """Cut out of a source what belongs to the target; the weight is that of all markers together."""
+        """Select the paired components of a source; the weight is that of all markers together."""
         vertices = np.unique(np.concatenate([p.source_vertices for p in pairings]))
         row = np.full(len(source.points), -1)
         row[vertices] = np.arange(len(vertices))
@@ -178,7 +165,7 @@ class DataTerm:
 
     @cached_property
     def _goals(self) -> list[ClosestPoints]:
-        """Where the closest points of every pairing are."""
+        """Closest-point queries of every pairing."""
         return [ClosestPoints(self.target, pairing.target_faces) for pairing in self.pairings]
 
     @cached_property
@@ -190,7 +177,7 @@ class DataTerm:
     def constraints(
         self, points: Float, largest_angle: float, reach: float
     ) -> tuple[list[SoftConstraints], float]:
-        """Find what draws the mesh where it is now: the markers, and closest points both ways; points ``(n, 3)``."""
+        """Return constraints of the mesh at points ``(n, 3)``: markers, and closest points both ways."""
         moved, target = TriangleMesh(points, self.mesh.topology), self.target
         own_areas, areas = self._areas
         result, squares, total = [self.markers], 0.0, 0.0

@@ -1,7 +1,6 @@
-"""Suggest markers of two meshes in the same pose: their extremities, as far as it is sure which is which.
+"""Suggest markers of two meshes in the same pose: sure pairs of extremities, for a person to confirm.
 
-These are proposals, for a person to confirm. Limbs, tail, head and ears are found; joints and flanks, where nothing
-sticks out, are for the person to set.
+Limbs, tail, head and ears are found; joints and flanks are for the person to set.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from mixseq.topology import Topology
 def suggest_markers(source: MeshSequence, target: MeshSequence, rest: int = 0) -> Markers:
     """Suggest markers: tips of limbs, tails, noses and ears, as far as it is sure which is which.
 
-    Both meshes stand in about the same pose; how they are turned, and how large they are, does not matter.
+    Both meshes stand in about the same pose, in any orientation and size.
 
     Parameters
     ----------
@@ -38,7 +37,7 @@ def suggest_markers(source: MeshSequence, target: MeshSequence, rest: int = 0) -
     -------
     Markers
         Pairs of vertices, those of limbs, tail and head first, each the surest first; none if nothing is sure, as of
-        bodies without limbs, or of two that are not alike.
+        bodies without limbs, or of two different bodies.
 
     Raises
     ------

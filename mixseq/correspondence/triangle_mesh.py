@@ -27,7 +27,7 @@ class TriangleMesh:
 
     @cached_property
     def diagonal(self) -> float:
-        """Length of the diagonal of the bounding box of the triangles; strays that no triangle uses do not count."""
+        """Diagonal of the bounding box of the triangles, without unused vertices."""
         return float(np.linalg.norm(np.ptp(self.points[self.faces.reshape(-1)], axis=0)))
 
     @cached_property
@@ -59,7 +59,7 @@ class TriangleMesh:
 
     @cached_property
     def vertex_normals(self) -> Float:
-        """Unit normals ``(V, 3)``: the mean of the triangles' by area; zero where there is none."""
+        """Unit normals ``(V, 3)``, area-weighted means of the triangles'; zero where there is none."""
         corners = self.faces.reshape(-1)
         sums = [
             np.bincount(corners, weights=np.repeat(self.vectors[:, d], 3), minlength=len(self.points))
@@ -81,14 +81,11 @@ class TriangleMesh:
         return np.asarray(np.bincount(edges, third, len(self.topology.edges)), dtype=np.float64)
 
     def points_on(self, faces: Index, weights: Float) -> Float:
-        """Points ``(n, 3)`` of triangles ``(n,)`` with barycentric weights ``(n, 3)``."""
+        """Return points ``(n, 3)`` of triangles ``(n,)`` with barycentric weights ``(n, 3)``."""
         return np.asarray(np.einsum("nk,nkc->nc", weights, self.points[self.faces[faces]]))
 
     def nearest_by_component(self, vertices: Index, among: Index) -> Index:
-        """Find the vertices that are nearest to whole components.
-
-        Shapes: vertices ``(n,)``; among ``(m,)``; result ``(n,)``.
-        """
+        """Return one of vertices `among` ``(m,)`` for each vertex ``(n,)``: the nearest to its whole component."""
         from scipy.spatial import cKDTree
 
         found = cKDTree(self.points[among]).query(self.points[vertices])
@@ -100,10 +97,9 @@ class TriangleMesh:
         return np.asarray(among[places[order[nearest[own]]]])
 
     def leaders(self, matched: Mask) -> Index:
-        """Find the vertex that every vertex follows, where only some ``(V,)`` correspond to something.
+        """Return the leader of every vertex, where some ``(V,)`` are matched and lead themselves.
 
-        Those that do are their own leaders. Others follow the nearest one that does of their component; components
-        without one follow a single vertex, as if stuck to it.
+        Others follow the nearest matched vertex of their component; components without one follow a single vertex.
         """
         from scipy.spatial import cKDTree
 
@@ -123,7 +119,7 @@ class TriangleMesh:
 
 @dataclass(frozen=True, eq=False)
 class ClosestPoints:
-    """Finds the closest points on some triangles of a mesh."""
+    """Closest-point queries on some triangles of a mesh."""
 
     mesh: TriangleMesh  # the mesh
     triangles: Index  # (n,) its triangles that count
@@ -133,10 +129,7 @@ class ClosestPoints:
         return Nearest.of(self.mesh.points, self.mesh.faces[self.triangles])
 
     def query(self, points: Float, normals: Float | None = None, largest_angle: float = 90.0) -> Found:
-        """Find closest points, where the mesh faces the same way; triangles are numbered as in the mesh.
-
-        Shapes: points ``(n, 3)``; normals ``(n, 3)``.
-        """
+        """Find closest points to ``(n, 3)``, facing as normals ``(n, 3)``; triangles are numbered as in the mesh."""
         found = self._nearest.query(points, normals, largest_angle)
         return Found(
             np.where(found.faces >= 0, self.triangles[found.faces], -1), found.weights, found.distances

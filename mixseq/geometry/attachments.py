@@ -1,7 +1,7 @@
-"""Attach the pieces of a mesh that no edge connects, such as eyes, teeth and shoes, to each other.
+"""Attach disconnected pieces of a mesh, such as eyes, teeth and shoes, to each other.
 
-Every piece but the first is held at one vertex by one vertex of another piece: by the nearest of those that are held
-already, as in the shortest spanning tree (Prim 1957). Pieces that follow a leader are held by it.
+Every piece but the first is attached at one vertex to one vertex of another piece: the nearest of those attached
+already, as in the shortest spanning tree (Prim 1957). Pieces that follow a leader are attached to it.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Attachments:
 
 
 def attach(pieces: Sequence[Index], points: Float, leaders: Index) -> Attachments:
-    """Attach every piece of a mesh but the largest to another one: points ``(V, 3)``; leaders ``(V,)``."""
+    """Attach every piece of a mesh ``(V, 3)`` but the largest to another one, or to its leader ``(V,)``."""
     led = np.array([bool((leaders[each] != each).all()) for each in pieces])
     sizes = np.array([np.linalg.norm(np.ptp(points[each], axis=0)) for each in pieces])
     root = int(np.argmax(np.where(led, -1.0, sizes)))
@@ -50,7 +50,7 @@ def attach(pieces: Sequence[Index], points: Float, leaders: Index) -> Attachment
 def _spanning_tree(
     pieces: Sequence[Index], points: Float, root: int, free: list[int]
 ) -> list[tuple[int, int, int, int]]:
-    """Rows of piece, own vertex, other vertex, holder."""
+    """Return rows of piece, own vertex, other vertex, holder."""
     if not free:
         return []
     vertices = np.concatenate([pieces[number] for number in free])

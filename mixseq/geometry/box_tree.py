@@ -1,10 +1,10 @@
-"""Search among triangles: a tree of boxes around them finds those near a point or a box without looking at all.
+"""A tree of bounding boxes of triangles, for searches near a point or a box.
 
-The tree is complete and binary, so that it needs no pointers: node 1 is the root, node n has the children 2n and
-2n + 1, and the last L = 2^d nodes are the leaves. Level l splits the triangles, in the order of the tree, into 2^l
-ranges of equal size: its j-th node has the places from floor(F j / 2^l) to floor(F (j + 1) / 2^l). A node's triangles
-are divided at the median of their boxes' centres along the axis in which the centres spread most (Bentley 1975,
-"Multidimensional binary search trees used for associative searching").
+The tree is complete and binary, without pointers: node 1 is the root, node n has the children 2n and 2n + 1, and the
+last L = 2^d nodes are the leaves. Level l splits the triangles, in the order of the tree, into 2^l ranges of equal
+size: its j-th node has the places from floor(F j / 2^l) to floor(F (j + 1) / 2^l). A node's triangles are divided at
+the median of their boxes' centres along the axis in which the centres spread most (Bentley 1975, "Multidimensional
+binary search trees used for associative searching").
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from mixseq.arrays import Float, FloatArray, Index, IntArray
 from mixseq.errors import InvalidSequenceError
 
 LEAF = 4
-"""Most triangles in a leaf; ours (from 2 to 8 it makes no difference to the times)."""
+"""Largest number of triangles in a leaf; from 2 to 8 times are the same."""
 
 MARGIN = 1e-14
-"""Boxes are larger than their triangles by this times the largest coordinate, to be safe from rounding; ours."""
+"""Enlargement of boxes, relative to the largest coordinate, against rounding."""
 
 NO_AREA = 1e-12
-"""Triangles lower than this fraction of their longest side have no area: their normals are rounding. Ours."""
+"""Ratio of height to longest side below which triangles have no area: their normals are rounding."""
 
 
 def corners_of(points: FloatArray, faces: IntArray) -> Float:
@@ -51,14 +51,7 @@ def corners_of(points: FloatArray, faces: IntArray) -> Float:
 
 
 def unit_normals(corners: Float) -> Float:
-    """Return the unit normals ``(F, 3)`` of triangles ``(F, 3, 3)``; NaN where they have no area (`NO_AREA`).
-
-    Examples
-    --------
-    >>> faces = np.array([[[0.0, 0, 0], [2, 0, 0], [0, 3, 0]], [[0, 0, 0], [1, 1, 1], [2, 2, 2]]])
-    >>> unit_normals(faces)[:, 2].tolist()
-    [1.0, nan]
-    """
+    """Return the unit normals ``(F, 3)`` of triangles ``(F, 3, 3)``; NaN for those without area (`NO_AREA`)."""
     sides = np.roll(corners, -1, axis=1) - corners
     longest = np.einsum("fki,fki->fk", sides, sides).max(axis=1, initial=0.0)
     normals = np.cross(sides[:, 0], sides[:, 1])
@@ -69,7 +62,7 @@ def unit_normals(corners: Float) -> Float:
 
 @dataclass(frozen=True, eq=False)
 class BoxTree:
-    """Triangles in boxes in boxes."""
+    """A tree of bounding boxes of triangles."""
 
     order: Index  # (F,) triangle at every place of the tree
     firsts: Index  # (L + 1,) first place of every leaf, and F
@@ -78,7 +71,7 @@ class BoxTree:
 
     @classmethod
     def of(cls, corners: Float) -> BoxTree:
-        """Build the tree of triangles ``(F, 3, 3)``; the same triangles give the same tree."""
+        """Build the tree of triangles ``(F, 3, 3)``, deterministically."""
         low, high = corners.min(axis=1), corners.max(axis=1)
         depth = max((len(corners) - 1) // LEAF, 0).bit_length()
         order = _order(low + high, depth)
@@ -87,7 +80,7 @@ class BoxTree:
         return cls(order, firsts, _boxes(low[order] - margin, high[order] + margin, firsts))
 
     def bounds(self, values: Float) -> Float:
-        """Return the boxes ``(2 L, 6)`` around values ``(F, 3)`` of the triangles in every node, without the NaN."""
+        """Return the bounding boxes ``(2 L, 6)`` of values ``(F, 3)`` of the triangles in every node, ignoring NaN."""
         values = values[self.order]
         low, high = (np.where(np.isnan(values), none, values) for none in (np.inf, -np.inf))
         return _boxes(low, high, self.firsts)

@@ -1,4 +1,4 @@
-r"""The inner loops of `mixseq.geometry.nearest` and `mixseq.geometry.intersections`, compiled.
+r"""Compiled inner loops of `mixseq.geometry.nearest` and `mixseq.geometry.intersections`.
 
 *Closest points.* With corners a, b, c relative to the query, the closest point of a triangle is the closest of four:
 
@@ -6,14 +6,14 @@ r"""The inner loops of `mixseq.geometry.nearest` and `mixseq.geometry.intersecti
 - the foot of the perpendicular, if it is inside: with :math:`n = (b - a) \times (c - a)` it has the weights
   :math:`w_b = n \cdot (c \times a) / |n|^2` and :math:`w_c = n \cdot (a \times b) / |n|^2`.
 
-Of slivers and of triangles without area the foot is inaccurate or missing, the points on the sides are not. So all
-are tried, and the closest taken, instead of the regions of Ericson (Real-Time Collision Detection, 2005, 5.1.5).
+For slivers and triangles without area the foot is inaccurate or missing, but not the points on the sides. So all are
+tried, instead of the regions of Ericson (Real-Time Collision Detection, 2005, 5.1.5).
 
 *Crossings.* Two triangles cross (Möller 1997, "A fast triangle-triangle intersection test") if each has corners on both
-sides of the other's plane, and the segments in which they meet the line that the planes share overlap. With unit
-normals n, m the line has the direction :math:`n \times m`; positions on it are measured along the axis in which that is
-largest, which keeps their order. A corner at distance d from the plane, alone on its side, has sides to corners at
-distances e that meet the plane at the fraction :math:`d / (d - e)` of their length.
+sides of the other's plane, and their segments on the common line of both planes overlap. With unit normals n, m the
+line has the direction :math:`n \times m`; positions on it are measured along the axis in which that is largest, which
+keeps their order. A corner at distance d from the plane, alone on its side, has sides to corners at distances e that
+meet the plane at the fraction :math:`d / (d - e)` of their length.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def _to_box(box: Float, q0: float, q1: float, q2: float) -> float:
 
 @compiled
 def _faces_away(bounds: Float, m0: float, m1: float, m2: float, cosine: float) -> bool:
-    """Tell whether no normal within bounds has the cosine with the given one, or there is none."""
+    """Return whether all normals within bounds have less than the cosine with the given one, or there are none."""
     product = m0 * (bounds[3] if m0 > 0.0 else bounds[0])
     product += m1 * (bounds[4] if m1 > 0.0 else bounds[1])
     product += m2 * (bounds[5] if m2 > 0.0 else bounds[2])
@@ -104,8 +104,8 @@ def closest(
 ) -> None:
     """Write the triangle, weights and squared distance of the closest point to every query.
 
-    Corners and normals are in the order of the tree; boxes and bounds, those of the normals, are of its nodes. Only
-    triangles whose normal has at least the given cosine with the query's count; all where `facing` is empty.
+    Corners and normals are in the order of the tree; boxes, and bounds of the normals, are of its nodes. Triangles
+    count if their normal has at least the given cosine with the query's; all where `facing` is empty.
     """
     leaves = len(firsts) - 1
     nodes = np.empty(64, dtype=np.int64)
@@ -150,7 +150,7 @@ def closest(
 
 @compiled
 def _lonely(distances: Float, corners: Float, normal: Float, origin: Float, least: float) -> int:
-    """Write the distances of corners to a plane; return the corner alone on its side, -1 if none is on one side."""
+    """Write the distances of corners to a plane; return the corner alone on its side, -1 if a side is empty."""
     above = below = 0
     for k in range(3):
         distance = 0.0
@@ -173,7 +173,7 @@ def _lonely(distances: Float, corners: Float, normal: Float, origin: Float, leas
 
 @compiled
 def _segment(distances: Float, corners: Float, alone: int, axis: int, origin: float) -> tuple[float, float]:
-    """Return where a triangle meets a plane, along an axis, from the origin."""
+    """Return the interval in which a triangle meets a plane, along an axis, from the origin."""
     p, q, r = alone, (alone + 1) % 3, (alone + 2) % 3
     x = corners[p, axis] - origin
     first = x + (corners[q, axis] - corners[p, axis]) * (distances[p] / (distances[p] - distances[q]))
@@ -185,7 +185,7 @@ def _segment(distances: Float, corners: Float, alone: int, axis: int, origin: fl
 def _cross(
     f: Float, g: Float, n: Float, m: Float, least: float, of_f: Float, of_g: Float, along: Float
 ) -> bool:
-    """Tell whether triangles f, g with normals n, m cross by more than the least length."""
+    """Return whether triangles f, g with normals n, m cross by more than the least length."""
     in_g = _lonely(of_g, g, n, f[0], least)
     if in_g < 0:
         return False
@@ -215,22 +215,10 @@ def crossing_pairs(
     least: float,
     pairs: Index,
 ) -> int:
-    """Count the pairs of crossing triangles without a place in common; write as many as fit, smaller first.
+    """Count pairs of crossing triangles without a common place; write pairs ``(n, 2)`` while they fit, smaller first.
 
-    Triangles without area, whose normal is NaN, cross nothing.
-
-    Parameters
-    ----------
-    corners, normals : (F, 3, 3), (F, 3) float64
-        Triangles and their unit normals, in the order of the tree.
-    places : (F, 3) int64
-        Numbers of the corners' positions, in the same order.
-    order, firsts, boxes : (F,) int64, (L + 1,) int64, (2L, 6) float64
-        The tree, see `BoxTree`.
-    least : float
-        Depths and lengths up to this are contact; in the unit of the corners.
-    pairs : (n, 2) int64
-        Written to.
+    Corners ``(F, 3, 3)``, unit normals, places ``(F, 3)`` are in the order of the tree (`BoxTree`). Depths and lengths
+    up to `least`, in the unit of the corners, are contact. Triangles without area, with a NaN normal, cross nothing.
     """
     leaves = len(firsts) - 1
     nodes = np.empty(64, dtype=np.int64)

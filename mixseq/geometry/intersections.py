@@ -1,4 +1,4 @@
-"""Where a mesh goes through itself."""
+"""Self-intersections of a mesh."""
 
 from __future__ import annotations
 
@@ -8,24 +8,14 @@ from mixseq.arrays import Float, FloatArray, Index, IntArray
 from mixseq.geometry.box_tree import BoxTree, corners_of, unit_normals
 
 TOUCH = 1e-12
-"""Depths and lengths up to this, in diagonals of the mesh's bounding box, are contact, not crossing; ours."""
+"""Depths and lengths up to this, in diagonals of the mesh's bounding box, are contact."""
 
 
 def self_intersections(points: FloatArray, faces: IntArray) -> Index:
-    """Find the pairs of triangles that cross each other and have no corner in common.
+    """Find pairs ``(k, 2)`` of triangles ``(F, 3)`` of points ``(V, 3)`` that cross and have no common corner.
 
-    Triangles cross if each has corners on both sides of the other's plane, and they share a segment of some length
-    (`TOUCH`). Contact does not count: corners or sides that end in the other triangle, and triangles that overlap in
-    one plane. Neither do triangles without area. Corners are in common also if they are different vertices at the
-    same place, as at seams.
-
-    Shapes: points ``(V, 3)``; faces ``(F, 3)``; result ``(k, 2)``.
-
-    Examples
-    --------
-    >>> points = np.array([[0.0, 0, 0], [4, 0, 0], [0, 4, 0], [1, 1, -1], [1, 1, 1], [0, 2, 1]])
-    >>> self_intersections(points, np.array([[0, 1, 2], [3, 4, 5]])).tolist()
-    [[0, 1]]
+    Each has corners on both sides of the other's plane, and they share a segment longer than `TOUCH`. Contact, overlap
+    in one plane, and triangles without area do not count. Vertices at the same place, as at seams, are common corners.
     """
     from mixseq.geometry.box_tree_kernels import crossing_pairs
 
@@ -45,7 +35,7 @@ def self_intersections(points: FloatArray, faces: IntArray) -> Index:
 
 
 def _places(corners: Float) -> Index:
-    """Number ``(F, 3)`` the positions of corners: the same number at the same position."""
+    """Number the positions ``(F, 3)`` of corners, equal ones alike."""
     flat = corners.reshape(-1, 3)
     order = np.lexsort(flat.T)
     new = (np.diff(flat[order], axis=0, prepend=np.nan) != 0).any(axis=1)

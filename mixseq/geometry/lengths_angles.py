@@ -1,7 +1,5 @@
 r"""Edge lengths and signed dihedral angles, their gradients, and angles unwrapped along time.
 
-Conventions
------------
 For a hinge with edge ``ab`` and opposite vertices ``c`` (first face) and ``d`` (second face), with
 ``e = b - a``, ``n1 = e x (c - a)`` and ``n2 = (d - a) x e``,
 
@@ -21,39 +19,31 @@ from mixseq.arrays import Float, FloatArray, IntArray
 _TURN = 2.0 * np.pi
 
 SHORTEST = 1e-6
-"""Shortest length of an edge, relative to its typical length."""
+"""Least length of an edge, relative to its typical length."""
 
 NO_LENGTH = 1e-12
-"""Edges that are shorter, in diagonals, have no direction to be moved along, and do not count; the value is ours."""
+"""Length in diagonals below which edges have no direction, and no weight."""
 
 
 def edge_lengths(points: FloatArray, edges: IntArray) -> Float:
-    """Return the lengths ``(..., E)`` of edges ``(E, 2)`` for points ``(..., V, 3)``.
-
-    Examples
-    --------
-    >>> edge_lengths(np.array([[0.0, 0, 0], [3, 4, 0]]), np.array([[0, 1]])).tolist()
-    [5.0]
-    """
+    """Return the lengths ``(..., E)`` of edges ``(E, 2)`` for points ``(..., V, 3)``."""
     difference = points[..., edges[:, 1], :] - points[..., edges[:, 0], :]
     return np.asarray(np.sqrt(np.einsum("...i,...i->...", difference, difference)), dtype=np.float64)
 
 
 def length_weights(typical: Float) -> Float:
-    """Return the weights ``(e,)`` of lengths: one over the typical ones, 0 where there is none to speak of."""
+    """Return the weights ``(e,)`` of lengths: inverse typical ones, 0 below `NO_LENGTH`."""
     return np.divide(1.0, typical, out=np.zeros_like(typical), where=typical > NO_LENGTH)
 
 
 def sound_lengths(lengths: Float, weights: Float) -> Float:
-    """Raise lengths that are too short: a curve that swings past its keys can ask for zero or less."""
+    """Raise lengths to `SHORTEST`: overshooting curves can have lengths of zero or less."""
     shortest = np.divide(SHORTEST, weights, out=np.zeros_like(weights), where=weights > 0)
     return np.maximum(lengths, shortest)
 
 
 def dihedral_angles(points: FloatArray, hinges: IntArray) -> Float:
-    """Return the signed dihedral angles ``(..., H)`` of hinges ``(H, 4)`` in radians.
-
-    A hinge with a degenerate face has the angle 0 (``atan2(0, 0)``).
+    """Return the signed dihedral angles ``(..., H)`` of hinges ``(H, 4)`` in radians; 0 at degenerate faces.
 
     Examples
     --------
@@ -74,13 +64,7 @@ def dihedral_angles(points: FloatArray, hinges: IntArray) -> Float:
 
 
 def flat_faces(points: FloatArray, faces: IntArray, height: float) -> NDArray[np.bool_]:
-    """Mark the faces ``(..., F)`` that are lower than `height` times their longest side.
-
-    Examples
-    --------
-    >>> flat_faces(np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 1, 3]]), 1e-6)
-    array([ True, False])
-    """
+    """Mark the faces ``(..., F)`` that are lower than `height` times their longest side."""
     corners = points[..., faces, :]
     sides = np.roll(corners, -1, axis=-2) - corners
     longest = np.einsum("...ki,...ki->...k", sides, sides).max(axis=-1)
@@ -123,15 +107,7 @@ def wrap(angles: FloatArray) -> Float:
 
 
 def unwrap_angles(angles: FloatArray, reference: FloatArray | None = None) -> Float:
-    """Add whole turns so that each angle stays within half a turn of the frame before.
-
-    Shapes: angles ``(T, H)``; reference ``(H,)``; result ``(T, H)``.
-
-    Examples
-    --------
-    >>> unwrap_angles(np.array([[3.0], [-3.0]])).round(4).tolist()
-    [[3.0], [3.2832]]
-    """
+    """Add whole turns to angles ``(T, H)``: each is within half a turn of the frame before, or of the reference."""
     result = np.array(angles, dtype=np.float64)
     previous = reference
     for frame in result:  # one by one, so that a frame is the same in whatever block it comes

@@ -1,12 +1,12 @@
-"""Normals of corners, with hard edges where the author wanted them.
+"""Normals of corners, with authored hard edges.
 
-Normals move with the points, so they are computed for every frame: the normal ``n_g`` of a group ``g`` of corners
-sums over its corners ``c`` the normals of their polygons, weighted by the polygons' areas,
+Normals are computed for every frame: the normal ``n_g`` of a group ``g`` of corners sums over its corners ``c`` the
+normals of their polygons, weighted by the polygons' areas,
 
     n_g = normalised sum over c in g of m_p(c),    m_p = 1/2 sum over the polygon's corners of x_i × x_(i+1),
 
-where ``m_p`` is the vector area of polygon ``p``, of an n-gon too, planar or not. Which corners share a normal is a
-matter of the surface (`mixseq.surface.Surface.hard_edges`), not of the frame.
+where ``m_p`` is the vector area of polygon ``p``, of an n-gon too, planar or not. Groups of corners with a common
+normal belong to the surface (`mixseq.surface.Surface.hard_edges`).
 """
 
 from __future__ import annotations
@@ -19,14 +19,7 @@ from mixseq.polygons import Polygons
 
 
 def vector_areas(points: FloatArray, polygons: Polygons) -> NDArray[np.float64]:
-    """Return the vector areas ``(T, P, 3)`` of the polygons in frames of points ``(T, V, 3)``.
-
-    Examples
-    --------
-    >>> square = np.array([[[0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0]]])
-    >>> vector_areas(square, Polygons(np.array([4]), np.array([0, 1, 2, 3]))).tolist()
-    [[[0.0, 0.0, 4.0]]]
-    """
+    """Return the vector areas ``(T, P, 3)`` of the polygons in frames of points ``(T, V, 3)``."""
     starts = np.cumsum(polygons.counts) - polygons.counts
     first = np.repeat(starts, polygons.counts)
     step = np.arange(polygons.indices.size) - first
@@ -41,10 +34,7 @@ def vector_areas(points: FloatArray, polygons: Polygons) -> NDArray[np.float64]:
 def shared_normals(
     points: FloatArray, polygons: Polygons, groups: IntArray | None = None
 ) -> NDArray[np.float32]:
-    """Return one normal per group of corners.
-
-    Shapes: points ``(T, V, 3)``; groups ``(sum of counts,)``; result ``(T, G, 3)``.
-    """
+    """Return one normal ``(T, G, 3)`` per group ``(sum of counts,)`` of corners: points ``(T, V, 3)``."""
     of_corner = polygons.indices if groups is None else groups
     count = points.shape[1] if groups is None else int(of_corner.max(initial=-1)) + 1
     areas = (_of_triangles if polygons.only_triangles else vector_areas)(points, polygons)
@@ -60,17 +50,14 @@ def shared_normals(
 
 
 def _of_triangles(points: FloatArray, polygons: Polygons) -> NDArray[np.float64]:
-    """Return what `vector_areas` does of triangles, but for the signs of zeros: of three products two are zero."""
+    """Return `vector_areas` of triangles, except for the signs of zeros: of three products two are zero."""
     a, b, c = polygons.triangles.T
     origin = points[:, a].astype(np.float64)
     return np.asarray(np.cross(points[:, b] - origin, points[:, c] - origin) / 2)
 
 
 def hard_edges_of_normals(polygons: Polygons, normals: FloatArray) -> NDArray[np.int32] | None:
-    """Find which corners share a normal: those of one vertex whose authored normals are equal.
-
-    Shapes: normals ``(sum of counts, 3)``; result ``(sum of counts,)``.
-    """
+    """Group corners of each vertex by equal authored normals ``(sum of counts, 3)``: groups ``(sum of counts,)``."""
     # To three digits: exporters recompute normals of one vertex face by face.
     keys = np.column_stack([polygons.indices, np.rint(normals * 1e3).astype(np.int64)])
     groups = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)

@@ -20,8 +20,8 @@ def nearest_rotations(matrices: FloatArray) -> Float:
 def aligning_rotations(covariances: FloatArray) -> Float:
     """Find the rotations ``(..., 3, 3)`` of best rigid motions from the covariances ``sum w t s^T`` of point sets.
 
-    These are the nearest rotations, but where points on a line leave a rotation free, the one closest to the identity
-    is taken, by a term too small to matter elsewhere.
+    These are the nearest rotations. Where points on a line leave a rotation undetermined, the one closest to the
+    identity is taken, by a term too small to matter elsewhere.
     """
     return _nearest(np.asarray(covariances, dtype=np.float64), held=1e-10)
 
@@ -36,16 +36,9 @@ def _nearest(matrices: Float, held: float) -> Float:
 
 
 def kabsch(source: FloatArray, target: FloatArray, weights: FloatArray | None = None) -> tuple[Float, Float]:
-    """Find the rigid motions ``x -> R x + t`` that best move a point set onto others (Kabsch 1976).
+    """Find the rigid motions ``x -> R x + t``, ``(..., 3, 3)`` and ``(..., 3)``, that best move points onto others.
 
-    Shapes: source ``(..., N, 3)``; target ``(..., N, 3)``; weights ``(N,)``; result ``(..., 3, 3)``, ``(..., 3)``.
-
-    Examples
-    --------
-    >>> points = np.eye(3)
-    >>> rotation, translation = kabsch(points, points + [1.0, 2, 3])
-    >>> rotation.round(9).tolist() == np.eye(3).tolist(), translation.round(9).tolist()
-    (True, [1.0, 2.0, 3.0])
+    Points are ``(..., N, 3)``, weights ``(N,)`` (Kabsch 1976).
     """
     count = source.shape[-2]
     w = np.full(count, 1.0 / max(count, 1)) if weights is None else weights / weights.sum()
@@ -64,12 +57,7 @@ def transform(points: FloatArray, rotation: FloatArray, translation: FloatArray)
 
 
 def mean_shape(points: FloatArray, sweeps: int = 50, tolerance: float = 1e-10) -> Float:
-    """Register a point set over all frames and return its mean.
-
-    This is generalised Procrustes analysis without scale.
-
-    Shapes: points ``(T, N, 3)``; result ``(N, 3)``.
-    """
+    """Return the mean shape ``(N, 3)`` of points ``(T, N, 3)`` by generalised Procrustes analysis without scale."""
     count = points.shape[1]
     centres = points.mean(axis=1, dtype=np.float64)
 
@@ -101,14 +89,7 @@ def mean_shape(points: FloatArray, sweeps: int = 50, tolerance: float = 1e-10) -
 
 
 def bend(first: FloatArray, second: FloatArray) -> float:
-    """How far two moving bodies turn against each other: first, second ``(T, 3, 3)``.
-
-    Examples
-    --------
-    >>> quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
-    >>> round(bend(np.stack([np.eye(3), np.eye(3)]), np.stack([np.eye(3), quarter])), 6)
-    90.0
-    """
+    """Return the largest relative rotation of two moving bodies ``(T, 3, 3)`` between two frames, in degrees."""
     relative = np.ascontiguousarray(np.swapaxes(first, 1, 2) @ second)
     flat = relative.reshape(-1, 9)
     # Traces of all pairs of frames, some frames at a time: there may be many.

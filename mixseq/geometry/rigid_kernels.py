@@ -1,7 +1,7 @@
-"""The inner loop of `mixseq.geometry.rigid`, compiled: the rotations nearest to matrices.
+"""Compiled inner loop of `mixseq.geometry.rigid`: the rotations nearest to matrices.
 
 A nearest rotation needs two singular triplets only: with u_1, u_2 and v_1, v_2 those of the two largest singular
-values, it is ``u_1 v_1^T + u_2 v_2^T + (u_1 x u_2) (v_1 x v_2)^T``, whatever the third one's size and sign. They
+values, it is ``u_1 v_1^T + u_2 v_2^T + (u_1 x u_2) (v_1 x v_2)^T``, for any size and sign of the third one. They
 come from one-sided Jacobi rotations, which are accurate also for small singular values.
 """
 

@@ -1,13 +1,12 @@
-r"""Rotations as unit quaternions, rotation vectors and matrices, without jumps along a sequence.
+r"""Rotations as unit quaternions, rotation vectors and matrices, continuous along a sequence.
 
 A *quaternion* :math:`q = (w, x, y, z)` with :math:`|q| = 1` is the rotation by the angle :math:`2 \arccos w` about
-:math:`(x, y, z)`, and so is :math:`-q`. Along a sequence we take the sign nearest to the frame before. Then sums of
-quaternions, normalised, are rotations in between, however often a body turns: there is no branch to choose, as there is
-for rotation vectors, and no place where they are singular.
+:math:`(x, y, z)`, and so is :math:`-q`. Along a sequence the sign is the nearest to the frame before. Then normalised
+sums of quaternions are rotations in between, for any number of turns, without branches or singularities.
 
 A *rotation vector* :math:`t u` is the rotation by the angle t about the unit axis u. The logarithm has many branches,
-:math:`(t + 2 \pi k) u`; along a sequence we take, frame by frame, the branch closest to the frame before, so that a
-body that turns twice has a vector of length :math:`4 \pi` and linear operations make sense.
+:math:`(t + 2 \pi k) u`; along a sequence the branch is the closest to the frame before, so that a body that turns twice
+has a vector of length :math:`4 \pi`, and vectors can be combined linearly.
 """
 
 from __future__ import annotations
@@ -18,13 +17,7 @@ from mixseq.arrays import Float, FloatArray
 
 
 def quaternions(rotations: FloatArray) -> Float:
-    """Return the unit quaternions ``(..., 4)``, w >= 0, of rotation matrices ``(..., 3, 3)``.
-
-    Examples
-    --------
-    >>> quaternions(np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])).round(3).tolist()
-    [0.707, 0.0, 0.0, 0.707]
-    """
+    """Return the unit quaternions ``(..., 4)``, w >= 0, of rotation matrices ``(..., 3, 3)``."""
     from scipy.spatial.transform import Rotation
 
     flat = Rotation.from_matrix(np.asarray(rotations, dtype=np.float64).reshape(-1, 3, 3)).as_quat()
@@ -44,13 +37,13 @@ def rotations_of(quaternions: FloatArray) -> Float:
 
 
 def normalised(quaternions: FloatArray) -> Float:
-    """Return quaternions ``(..., 4)`` of length one; zero, which is no rotation, stays."""
+    """Return quaternions ``(..., 4)`` of unit length; zero stays."""
     norms = np.linalg.norm(quaternions, axis=-1, keepdims=True)
     return np.asarray(quaternions / np.where(norms > 0, norms, 1.0), dtype=np.float64)
 
 
 def product(first: FloatArray, second: FloatArray) -> Float:
-    """Return the quaternions ``(..., 4)`` of rotations that follow each other, the second one first."""
+    """Return the quaternions ``(..., 4)`` of composed rotations, the second one first."""
     w, x, y, z = np.moveaxis(np.asarray(first, dtype=np.float64), -1, 0)
     a, b, c, d = np.moveaxis(np.asarray(second, dtype=np.float64), -1, 0)
     return np.stack(
@@ -65,19 +58,12 @@ def product(first: FloatArray, second: FloatArray) -> Float:
 
 
 def inverse(quaternions: FloatArray) -> Float:
-    """Return the quaternions ``(..., 4)`` of the inverse rotations, of unit quaternions."""
+    """Return the inverse rotations of unit quaternions ``(..., 4)``."""
     return np.asarray(quaternions * np.array([1.0, -1.0, -1.0, -1.0]))
 
 
 def powers(quaternions: FloatArray, exponents: FloatArray) -> Float:
-    """Return unit quaternions ``(..., 4)`` with their angles, of at most half a turn, times exponents ``(...)``.
-
-    Examples
-    --------
-    >>> quarter = np.array([0.0, -1.0, 0.0, 0.0])  # half a turn about x
-    >>> (powers(quarter, np.array(0.5)).round(3) + 0.0).tolist()
-    [0.707, 0.707, 0.0, 0.0]
-    """
+    """Return unit quaternions ``(..., 4)`` with their angles, of at most half a turn, times exponents ``(...)``."""
     q = np.asarray(quaternions, dtype=np.float64)
     q = np.where(q[..., :1] <= 0, -q, q)
     sine = np.linalg.norm(q[..., 1:], axis=-1)
@@ -88,19 +74,13 @@ def powers(quaternions: FloatArray, exponents: FloatArray) -> Float:
 
 
 def exponentials(vectors: FloatArray) -> Float:
-    """Return the quaternions ``(..., 4)`` of rotation vectors ``(..., 3)``: a whole turn more changes the sign.
-
-    Examples
-    --------
-    >>> exponentials(np.array([[np.pi / 2, 0, 0], [2 * np.pi, 0, 0]])).round(3).tolist()
-    [[0.707, 0.707, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0]]
-    """
+    """Return the quaternions ``(..., 4)`` of rotation vectors ``(..., 3)``: a whole turn more changes the sign."""
     half = np.linalg.norm(vectors, axis=-1, keepdims=True) / 2
     return np.concatenate([np.cos(half), np.sinc(half / np.pi) / 2 * vectors], axis=-1)
 
 
 def continued(quaternions: FloatArray, reference: FloatArray | None = None) -> Float:
-    """Return the quaternions ``(T, ..., 4)`` of a sequence with signs that do not jump: reference ``(..., 4)``."""
+    """Return quaternions ``(T, ..., 4)`` with continuous signs, from a reference ``(..., 4)`` on."""
     q = np.array(quaternions, dtype=np.float64)
     before = q[:1] if reference is None else np.asarray(reference)[None]
     cosines = np.einsum("t...i,t...i->t...", q, np.concatenate([before, q[:-1]]))
@@ -108,11 +88,9 @@ def continued(quaternions: FloatArray, reference: FloatArray | None = None) -> F
 
 
 def spins(quaternions: FloatArray, rates: FloatArray) -> Float:
-    r"""Return the angular velocities ``(..., 3)``, in the world's axes, of quaternions that change.
+    r"""Return the angular velocities ``(..., 3)`` of quaternions and rates ``(..., 4)``, in the world's axes.
 
     .. math:: \omega = 2\, \mathrm{Im}(\dot q\, \bar q) / |q|^2
-
-    Shapes: quaternions, rates ``(..., 4)``.
     """
     squares = np.einsum("...i,...i->...", quaternions, quaternions)[..., None]
     return np.asarray(
@@ -140,15 +118,12 @@ def vectors(rotations: FloatArray) -> Float:
 
 
 def continuous_vectors(rotations: FloatArray, reference: FloatArray | None = None) -> Float:
-    """Return rotation vectors that follow a sequence of rotations without jumps.
-
-    Shapes: rotations ``(T, ..., 3, 3)``; reference ``(..., 3)``; result ``(T, ..., 3)``.
-    """
+    """Return continuous rotation vectors ``(T, ..., 3)`` of matrices, the first near a reference ``(..., 3)``."""
     return unwrap(vectors(rotations), reference)
 
 
 def unwrap(shortest: FloatArray, reference: FloatArray | None = None) -> Float:
-    """Return the rotation vectors ``(T, ..., 3)`` of `continuous_vectors`, from those of any branch."""
+    """Make rotation vectors ``(T, ..., 3)`` of any branch continuous, from a reference ``(..., 3)`` on."""
     result = np.array(shortest, dtype=np.float64)
     previous = reference
     for frame in range(len(result)):
@@ -159,7 +134,7 @@ def unwrap(shortest: FloatArray, reference: FloatArray | None = None) -> Float:
 
 
 def _nearest_branch(vector: Float, previous: FloatArray) -> Float:
-    """Of all ``vector + 2 pi k axis`` return the one closest to `previous`."""
+    """Return the closest of all ``vector + 2 pi k axis`` to `previous`."""
     angle = np.linalg.norm(vector, axis=-1, keepdims=True)
     previous_angle = np.linalg.norm(previous, axis=-1, keepdims=True)
     # Where the rotation is the identity its axis is free: go on along the axis of the frame before.

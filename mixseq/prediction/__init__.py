@@ -1,1 +1,1 @@
-"""What lies between frames: weights of frames over time, and poses of parts that agree with their neighbours."""
+"""Interpolation in time: weights of frames, and poses of parts that agree with their neighbours."""

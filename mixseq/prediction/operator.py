@@ -1,23 +1,22 @@
 r"""Weights of frames at any time: one temporal operator, chosen by leaving frames out.
 
-What a quantity y is at a time t is predicted from what it is at the frames, :math:`y(t) = \sum_k w_k(t)\, y_k` with
+A quantity y at a time t is predicted from the frames, :math:`y(t) = \sum_k w_k(t)\, y_k` with
 :math:`\sum_k w_k = 1`: kriging with a linear trend and the covariance (Matern, smoothness 3/2)
 
 .. math:: k(d) = (1 + \sqrt 3\, d / \ell)\, e^{-\sqrt 3\, d / \ell}
 
-of frames at a distance d, in mean steps between frames. It passes through the frames, and is the cubic spline with
+of frames at a distance d, in mean steps between frames. It interpolates the frames, and is the cubic spline with
 natural ends in the limit of large lengths :math:`\ell`. Shorter ones keep it from overshooting where frames are sparse.
 Every inner frame is predicted from the others; the length with the smallest sum of squared errors is taken.
 
-What happens at the ends nobody knows. Natural ends are straight, which is right for a motion that goes on and wrong
-for one that starts from rest. So in the first and the last interval the usual cubic spline, which is one cubic there,
-has a share,
+Natural ends are straight, which suits a motion that goes on, but not one that starts from rest. So in the first and the
+last interval the usual cubic spline, which is one cubic there, has a share,
 
 .. math:: \frac{e^4}{e^4 + e_\text{cubic}^4},
 
 by the errors e with which kriging, and it, predict the frame next to that end when that is left out.
 
-A frame that is far away has next to no weight, so that only the nearest `WINDOW` frames are looked at.
+Distant frames have negligible weights: only the nearest `WINDOW` frames are used.
 """
 
 from __future__ import annotations
@@ -30,28 +29,28 @@ from mixseq.arrays import Float, Index, evenly
 from mixseq.prediction.spline_weights import spline_weights
 
 LENGTHS = (np.inf, 8.0, 5.6, 4.0, 2.8, 2.0, 1.4, 1.0)
-"""Lengths to choose from, in mean steps between frames."""
+"""Candidate lengths, in mean steps between frames."""
 
 WINDOW = 48
-"""Frames that are looked at."""
+"""Number of nearest frames with weights."""
 
 LEFT_OUT = 96
-"""So many frames, evenly spread, are left out at most."""
+"""Largest number of evenly spread frames that are left out."""
 
 ROUNDING = 2.0**-30
-"""Frames are whole steps apart if they are but for this share of a step."""
+"""Deviation from whole steps, in steps, below which frames are regularly spaced."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Weights of some frames at N times."""
+    """Weights of frames at N times."""
 
     frames: Index  # (N, m) frames that have a weight, in the order of time
     weights: Float  # (N, m) their weights; rows add up to one
     count: int  # number T of all frames
 
     def of(self, values: Float) -> Float:
-        """Return values ``(N, ...)`` of a quantity that is ``(T, ...)`` at the frames."""
+        """Return values ``(N, ...)`` of a quantity with values ``(T, ...)`` at the frames."""
         flat = values.reshape(self.count, -1)
         found = np.empty((len(self.frames), flat.shape[1]))
         for row, weights, frames in zip(found, self.weights, self.frames, strict=True):
@@ -61,24 +60,14 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Operator:
-    """The temporal operator of a sequence; make it with `chosen`.
-
-    Attributes
-    ----------
-    times : (T,) float64
-        Times of the frames, increasing.
-    length : float
-        Length of the covariance in mean steps, infinite for the natural cubic spline.
-    cubic : (float, float)
-        Shares of the usual cubic spline in the first and in the last interval.
-    """
+    """The temporal operator of a sequence with increasing times ``(T,)``; made by `chosen`."""
 
     times: Float
-    length: float = np.inf
-    cubic: tuple[float, float] = (0.5, 0.5)
+    length: float = np.inf  # length of the covariance in mean steps, infinite for the natural cubic spline
+    cubic: tuple[float, float] = (0.5, 0.5)  # shares of the usual cubic spline in the first and last interval
 
     def at(self, times: Float) -> Rows:
-        """Return the weights of the frames at times ``(N,)``; at a frame that frame has the weight one."""
+        """Return the weights of the frames at times ``(N,)``; at a frame its weight is one."""
         size = min(WINDOW, len(self.times))
         nearest = np.searchsorted(self.times, times) - size // 2
         starts = np.clip(nearest, 0, len(self.times) - size)
@@ -86,10 +75,7 @@ class Operator:
         return Rows(frames, self._weights(times, frames), len(self.times))
 
     def left_out(self, cubic: bool = False) -> tuple[Index, Rows]:
-        """Return inner frames ``(n,)``, evenly spread, and the weights of the others at their times.
-
-        Either by kriging alone, or by the usual cubic spline.
-        """
+        """Return evenly spread inner frames ``(n,)``, and their weights of others, by kriging or the cubic spline."""
         inner = np.arange(1, len(self.times) - 1)
         left = inner[evenly(len(inner), LEFT_OUT)]
         size = min(WINDOW, len(self.times) - 1)
@@ -153,14 +139,14 @@ def chosen(times: Float, samples: Float) -> Operator:
 
 
 def with_middles(times: Float) -> Float:
-    """Return times ``(2T - 1,)`` with the middles between them."""
+    """Return times ``(2T - 1,)`` with midpoints in between."""
     both = np.empty(2 * len(times) - 1)
     both[::2], both[1::2] = times, (times[:-1] + times[1:]) / 2
     return both
 
 
 def _whole_where_nearly(knots: Float) -> Float:
-    """Return knots ``(N, m)``, in steps from the first, as whole numbers in rows that are but for rounding."""
+    """Return knots ``(N, m)``, in steps from the first, with rows of nearly whole numbers rounded."""
     whole = np.rint(knots)
     nearly = (np.abs(knots - whole) <= ROUNDING).all(axis=1, keepdims=True)
     apart = (np.diff(whole, axis=1) > 0).all(axis=1, keepdims=True)

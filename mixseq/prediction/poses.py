@@ -1,10 +1,10 @@
-r"""Poses between frames, each predicted on its own.
+r"""Poses between frames, each predicted independently.
 
 Rotations are chained: with the weights :math:`w_k(t)` of the temporal operator and :math:`c_k = \sum_{j \ge k} w_j`,
 
 .. math:: R(t) = R_0 \prod_{k \ge 1} \bigl(R_{k-1}^T R_k\bigr)^{c_k(t)},
 
-which passes through the frames and needs no chart: a body may spin. Centres are weighted sums.
+which interpolates the frames without a chart: a body may spin. Centres are weighted sums.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from mixseq.geometry.rotations import continued, inverse, normalised, powers, pr
 from mixseq.prediction.operator import Rows
 
 NOTHING = 1e-12
-"""Powers of rotations nearer to 0 or 1 than this are these."""
+"""Distance to 0 or 1 below which exponents of rotations are rounded."""
 
 
 class Poses(NamedTuple):
@@ -29,12 +29,12 @@ class Poses(NamedTuple):
 
 
 def predicted_alone(rows: Rows, poses: Poses) -> Poses:
-    """Predict each pose on its own: rotations chained, centres as weighted sums."""
+    """Predict each pose independently: rotations chained, centres as weighted sums."""
     return Poses(chained(rows, poses.rotations), rows.of(poses.centres))
 
 
 def chained(rows: Rows, rotations: Float) -> Float:
-    """Return the rotations ``(N, p, 4)`` that are chained of those at the frames, ``(T, p, 4)``, with weights."""
+    """Return the rotations ``(N, p, 4)`` chained from those at the frames ``(T, p, 4)`` by weights."""
     exponents = np.cumsum(rows.weights[:, ::-1], axis=1)[:, ::-1]
     result = rotations[rows.frames[:, 0]]
     for place in range(1, rows.frames.shape[1]):

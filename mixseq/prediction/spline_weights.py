@@ -6,8 +6,8 @@ With second derivatives :math:`m_i` at knots that are :math:`h_i` apart, the spl
    s_i = (y_{i+1} - y_i) / h_i
 
 at inner knots, and between two of them, with :math:`b = (t - t_i) / h_i` and :math:`a = 1 - b`, the value
-:math:`a y_i + b y_{i+1} + h_i^2 / 6\, ((a^3 - a) m_i + (b^3 - b) m_{i+1})`. All of it is linear in the values. Knots
-are few here, and numpy alone will do: importing scipy's splines takes longer than decoding a frame.
+:math:`a y_i + b y_{i+1} + h_i^2 / 6\, ((a^3 - a) m_i + (b^3 - b) m_{i+1})`, linear in the values. Numpy suffices for
+few knots: importing scipy's splines takes longer than decoding a frame.
 """
 
 from __future__ import annotations
@@ -19,18 +19,11 @@ import numpy as np
 from mixseq.arrays import Float
 
 Ends = Literal["natural", "not-a-knot"]
-"""What holds at the ends: no second derivative, or one cubic through the first two intervals and the last two."""
+"""End conditions: zero second derivatives, or one cubic through the first two intervals and the last two."""
 
 
 def spline_weights(knots: Float, times: Float, ends: Ends) -> Float:
-    """Return the weights ``(N, m)`` of values at knots ``(m,)``, two or more, in the spline at times ``(N,)``.
-
-    Examples
-    --------
-    >>> knots = np.arange(5.0)
-    >>> (spline_weights(knots, np.array([1.5]), "not-a-knot") @ knots**3).round(12).tolist()
-    [3.375]
-    """
+    """Return the weights ``(N, m)`` of values at two or more knots ``(m,)`` in the spline at times ``(N,)``."""
     steps = np.diff(knots)
     system, right = np.diag(np.ones(len(knots))), np.zeros((len(knots), len(knots)))
     inner = np.arange(1, len(knots) - 1)

@@ -1,11 +1,10 @@
-r"""Align source and target as a whole: by a rotation and a scale.
+"""Align source and target as a whole: by a rotation and a scale.
 
-Motions are carried by it: what moves the source by F moves the target by :math:`G F G^T`, and a shift d is s G d. The
-scale is the ratio of radii, not that of least squares: with source and target exchanged it is the inverse.
+Motions are transferred by it: a map F of the source becomes :math:`G F G^T` of the target, and a shift d is s G d. The
+scale is the ratio of radii, instead of that of least squares: with source and target exchanged it is the inverse.
 
-Bodies of other proportions are no copies, and the rotation that fits them best is a little askew: a camel's neck and
-hump turn it eight degrees against a horse that stands beside it. So the nearest quarter turn (or none) is taken,
-unless it fits clearly worse; both numbers are ours.
+With other proportions the best rotation is a little askew: a camel's neck and hump turn it eight degrees against a
+horse beside it. So the nearest quarter turn (or none) is taken, unless it fits clearly worse.
 """
 
 from __future__ import annotations
@@ -20,11 +19,11 @@ from mixseq.errors import InvalidSequenceError
 from mixseq.geometry.rigid import kabsch
 
 ASKEW = 1.5
-"""A quarter turn is taken if its distances are at most this many times those of the best rotation."""
+"""Largest ratio of distances of a quarter turn to those of the best rotation at which it is taken."""
 
 
 ONE_PLACE = 1e-12
-"""Points that are no farther apart, relative to how far they are from the origin, are one but for rounding; ours."""
+"""Extent of points, relative to their distance from the origin, below which they are one place."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,20 +34,20 @@ class Alignment:
     scale: float
 
     def shifted(self, shifts: Float) -> Float:
-        """Return shifts ``(..., 3)`` of the source as they are for the target."""
+        """Return shifts ``(..., 3)`` of the source in the frame and scale of the target."""
         return np.asarray(self.scale * shifts @ self.rotation.T)
 
     def turned_points(self, points: Float) -> Float:
-        """Return points ``(..., 3)`` of the source, turned as the target is."""
+        """Return points ``(..., 3)`` of the source rotated to the target."""
         return np.asarray(points @ self.rotation.T)
 
     def turned(self, matrices: Float) -> Float:
-        """Return matrices ``(..., 3, 3)`` that act on the source as they act on the target."""
+        """Return matrices ``(..., 3, 3)`` of the source as matrices of the target."""
         return np.asarray(self.rotation @ matrices @ self.rotation.T)
 
 
 def align(source: Float, target: Float, weights: Float) -> Alignment:
-    """Find the rotation and the scale that take points onto others: source, target ``(n, 3)``; weights ``(n,)``."""
+    """Find the rotation and scale from source to target points ``(n, 3)`` with weights ``(n,)``."""
     if not weights.sum() > 0:
         raise InvalidSequenceError(
             "where the target corresponds to the source it has no area at rest, so that nothing tells how it moves; "
@@ -74,7 +73,7 @@ def align(source: Float, target: Float, weights: Float) -> Alignment:
 
 
 def _quarter_turns() -> list[Float]:
-    """The 24 rotations that take axes to axes."""
+    """Return the 24 rotations that permute axes."""
     matrices = [
         np.array(signs)[:, None] * np.eye(3)[list(order)]
         for order in permutations(range(3))

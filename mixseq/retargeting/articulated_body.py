@@ -1,9 +1,9 @@
-r"""The articulated body of a character: rigid parts that meet in pivots, and the limbs that lead to its contacts.
+"""The articulated body of a character: rigid parts, their pivots, and the limbs to its contacts.
 
-In frame t part p has a rotation R and a centre c and takes a rest point y to :math:`R (y - m_p) + c`, with the rest
-centre m. The parts are a tree: the parent of a part is the neighbour that is nearer to the root, and its *pivot* the
-point in which they meet. The *limb* of a contact are the parts from the child of the root down to the one that the
-contact is on. The length of a leg is that of the way through the pivots of its limb.
+In frame t part p has a rotation R and a centre c and moves a rest point y to :math:`R (y - m_p) + c`, with the rest
+centre m. The parts are a tree: the parent of a part is the neighbour nearer to the root, and its *pivot* the point in
+which they meet. The *limb* of a contact is the chain of parts from the child of the root to the contact. The length of
+a leg is that of the path through the pivots of its limb.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Contact:
 
 @dataclass(frozen=True, eq=False)
 class ArticulatedBody:
-    """Rigid parts and the pivots in which they meet."""
+    """Rigid parts and the pivots between them."""
 
     centres: Float  # (p, 3) rest centres of the parts
     pairs: Index  # (n, 2) pairs of parts that meet
@@ -41,7 +41,7 @@ class ArticulatedBody:
 
     @cached_property
     def parents(self) -> dict[int, tuple[int, int]]:
-        """Parent and number of the pivot of every part that is joined to the root; from the root on."""
+        """Parent and pivot number of every part that is connected to the root, from the root on."""
         result: dict[int, tuple[int, int]] = {}
         reached = [self.root]
         for part in reached:  # breadth first: the list grows
@@ -53,7 +53,7 @@ class ArticulatedBody:
         return result
 
     def limb(self, contact: Contact) -> tuple[int, ...]:
-        """Return the parts from the one on the root down to the one that all vertices of a contact are on or below."""
+        """Return the chain of parts from the root's child to the lowest common one of a contact's vertices."""
         name, parts = contact.name, np.unique(contact.parts).tolist()
         if not parts or contact.points.shape != (len(contact.parts), 3):
             raise SettingsError(
@@ -76,23 +76,20 @@ class ArticulatedBody:
         return chains[0][:common]
 
     def gaps(self, rotations: Float, centres: Float) -> Float:
-        """Return by how much the first part of every pair is away from the second at their pivot ``(n, 3)``.
-
-        Shapes: rotations, centres ``(p, 3, 3), (p, 3)``.
-        """
+        """Return the gaps ``(n, 3)`` of pairs at their pivots: rotations, centres ``(p, 3, 3), (p, 3)``."""
         first, second = (
             turned(rotations[part], self.pivots - self.centres[part]) + centres[part] for part in self.pairs.T
         )
         return np.asarray(first - second)
 
     def pivot(self, part: int) -> Float:
-        """Return the rest point ``(3,)`` that a part hangs by."""
+        """Return the rest point ``(3,)`` of the pivot of a part."""
         return np.asarray(self.pivots[self.parents[part][1]])
 
     def placed(
         self, points: FloatArray, parts: Sequence[int] | Index, rotations: Float, centres: Float
     ) -> Float:
-        """Return where parts ``(k,)`` take rest points ``(k, 3)`` in all frames, ``(T, k, 3)``."""
+        """Return the positions ``(T, k, 3)`` of rest points ``(k, 3)`` of parts ``(k,)`` in all frames."""
         some = np.asarray(parts, dtype=np.int64)
         arms = np.asarray(points, dtype=np.float64).reshape(-1, 3) - self.centres[some]
         return turned(rotations[:, some], arms) + centres[:, some]
@@ -100,7 +97,7 @@ class ArticulatedBody:
     def path(
         self, contact: Contact, rotations: Float, centres: Float, frames: Index | slice = slice(None)
     ) -> Float:
-        """Return the vertices of a contact ``(T, k, 3)``, for motions of some frames."""
+        """Return the vertices ``(T, k, 3)`` of a contact in frames of given motions."""
         if contact.local is None:
             return self.placed(contact.points, contact.parts, rotations, centres)
         arms = contact.local[frames] - self.centres[contact.parts]
@@ -115,7 +112,7 @@ class ArticulatedBody:
 
 
 def leg_length(body: ArticulatedBody, contact: Contact) -> float:
-    """Return how far it is from the root's pivot through the pivots of its limb to the middle of a contact, at rest.
+    """Return the rest length from the root's pivot, through the pivots of its limb, to the middle of a contact.
 
     From the root's centre, if the contact is on the root.
     """
@@ -131,7 +128,7 @@ def leg_ratio(
     source_contacts: Sequence[Contact],
     target_contacts: Sequence[Contact],
 ) -> float:
-    """Return how long the target's legs are, in lengths of the source's: strides are to be scaled by that."""
+    """Return the ratio of the target's leg lengths to the source's, the scale of strides."""
     if not source_contacts or len(source_contacts) != len(target_contacts):
         raise SettingsError(
             f"there are {len(source_contacts)} contacts of the source and {len(target_contacts)} of the target; "

@@ -1,4 +1,4 @@
-"""Measure how much of a target has a counterpart on the source, and name what follows instead."""
+"""Measure how much of a target has a counterpart on the source, and name the components that follow others."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mixseq.topology import Topology
 
 @dataclass(frozen=True)
 class Follower:
-    """A component of the target, or some vertices of it, that has no counterpart and follows a vertex."""
+    """A component of the target, or some vertices of it, without a counterpart, and the vertex it follows."""
 
     name: str  # the component
     vertices: int  # how many vertices follow
@@ -27,7 +27,7 @@ class Follower:
 
 @dataclass(frozen=True)
 class Coverage:
-    """How much of a target has a counterpart."""
+    """Share of a target with a counterpart."""
 
     vertices: float  # share of its vertices that are on the source
     area: float  # share of its area whose triangles are moved by a triangle of the source
@@ -41,7 +41,7 @@ class Coverage:
 
 
 def coverage(transfer: Transfer) -> Coverage:
-    """Find out how much of the target has a counterpart on the source."""
+    """Measure the share of the target with a counterpart on the source."""
     mapping, header = transfer.correspondence, transfer.header
     topology = Topology(header.faces, header.vertex_count)
     component = topology.component_of_vertex
@@ -63,16 +63,7 @@ def coverage(transfer: Transfer) -> Coverage:
 
 
 def component_names(header: SequenceHeader, topology: Topology) -> list[str]:
-    """Name the connected components: by the object of the file that they are, or by their numbers, counted from 1.
-
-    Examples
-    --------
-    >>> from mixseq import MeshSequence
-    >>> points = np.eye(3)[[0, 1, 2, 0, 1, 2]] + np.arange(2).repeat(3)[:, None]
-    >>> mesh = MeshSequence.from_arrays(points[None], [[0, 1, 2], [3, 4, 5]])
-    >>> component_names(mesh.header, Topology(mesh.faces, 6))
-    ['component 1', 'component 2']
-    """
+    """Name connected components by their object in the file, or by numbers from 1."""
     component = topology.component_of_vertex
     counts = [each.vertex_count for each in header.objects]
     owner = np.repeat(np.arange(len(counts)), counts)

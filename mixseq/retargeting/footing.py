@@ -1,8 +1,7 @@
-r"""Find where feet shall stay while they rest: how far the body goes along, and what is left to the limbs.
+r"""Body shift and limb moves that keep resting feet in place.
 
-Let x be the path of the middle of a contact as it was transferred. In every stance s it shall stay at an anchor, and
-misses it by :math:`d = \bar x - x`, with the mean :math:`\bar x` over the stance. What the feet agree on is a shift r
-of the whole body,
+Let x be the transferred path of the middle of a contact. In every stance s it should stay at an anchor, and misses it
+by :math:`d = \bar x - x`, with the mean :math:`\bar x` over the stance. The common shift r of the whole body minimises
 
 .. math::
 
@@ -10,13 +9,10 @@ of the whole body,
     + \alpha \sum_t |r_{t+1} - 2 r_t + r_{t-1}|^2 + \beta \sum_t |r_{t+1} - r_t|^2 .
 
 Along the ground the anchor is :math:`\bar x + b`, with free b, so that strides that do not fit the legs lengthen or
-shorten the way, and the body goes on evenly; upwards b is zero and :math:`\gamma \sum_t |r_t|^2` is added, so that
-nobody climbs or sinks. :math:`\alpha` makes what is quicker than `PERIOD` a matter of the limbs, and :math:`\beta` lets
-the shift come to rest within about `MEMORY` where no foot is on the ground. What is left to the limbs is
-:math:`e = d + b - r`. Before and after a stance it fades by cubic Hermite splines that meet its value and its slope, so
-that feet land and lift without a jerk.
-
-Free anchors and all numbers are ours.
+shorten the path, and the body moves evenly; upwards b is zero and :math:`\gamma \sum_t |r_t|^2` is added against
+climbing and sinking. :math:`\alpha` leaves what is quicker than `PERIOD` to the limbs, and :math:`\beta` lets the shift
+come to rest within about `MEMORY` where no foot is on the ground. The limbs move by :math:`e = d + b - r`. Before and
+after a stance e fades by cubic Hermite splines with its value and slope, so that feet land and lift smoothly.
 """
 
 from __future__ import annotations
@@ -32,23 +28,20 @@ Knot = tuple[int, Float, Float]
 """A frame, the value there and the slope per frame."""
 
 PERIOD = 0.5
-"""Seconds; the body follows its feet in what takes longer."""
+"""Shortest period of the body's shift, in seconds."""
 
 MEMORY = 2.0
-"""Seconds after which a shift that no foot asks for ends."""
+"""Time in which a shift without feet on the ground decays, in seconds."""
 
 UPRIGHT = 0.05
-r"""The weight :math:`\gamma` of the body's own height, where that of a foot on the ground is 1."""
+r"""Weight :math:`\gamma` of the body's own height, where that of a foot on the ground is 1."""
 
 FADE = 0.25
-"""Seconds before and after a stance in which a foot is led to its place and away from it, at most."""
+"""Longest time before and after a stance in which a foot moves to and from its place, in seconds."""
 
 
 def misses(paths: Float, found: Sequence[Sequence[Stance]], negligible: float) -> Float:
-    """How far ``(g, T, 3)`` contacts are from their mean place in the stance; zero in the air.
-
-    Zero also in stances that miss it by less than `negligible`.
-    """
+    """Return the shifts ``(g, T, 3)`` of contacts to their mean in each stance; zero in the air or if negligible."""
     result = np.zeros_like(paths)
     for miss, path, some in zip(result, paths, found, strict=True):
         for stance in some:
@@ -61,7 +54,7 @@ def misses(paths: Float, found: Sequence[Sequence[Stance]], negligible: float) -
 def body_shift(
     missed: Float, found: Sequence[Sequence[Stance]], axis: int, fps: float
 ) -> tuple[Float, Float]:
-    """Find how far the body goes along with its feet: missed ``(g, T, 3)``; result ``(T, 3)``, ``(g, T, 3)``."""
+    """Return the body's shift ``(T, 3)``, and the contacts' remaining moves ``(g, T, 3)``, from misses ``(g, T, 3)``."""
     from scipy import sparse
     from scipy.sparse.linalg import splu
 
@@ -101,9 +94,9 @@ def body_shift(
 
 
 def faded(wanted: Float, some: Sequence[Stance], fps: float) -> Float:
-    """Return moves ``(T, 3)`` of a contact that are as wanted in its stances and pass smoothly in between.
+    """Return moves ``(T, 3)`` of a contact, as given in its stances and smooth in between.
 
-    Away from zero before a stance and back to it after, or right to the next stance where that is near.
+    They fade from zero before a stance and to zero after it, or to the next stance if that is near.
     """
     result = np.zeros_like(wanted)
     fade = max(2, round(FADE * fps))
@@ -135,7 +128,7 @@ def _knot(values: Float, frame: int, beside: int) -> Knot:
 
 
 def _hermite(frames: Index, start: Knot, stop: Knot) -> Float:
-    """Cubics ``(n, 3)`` between two knots."""
+    """Return a cubic ``(n, 3)`` between two knots."""
     (first, a, slope_a), (last, b, slope_b) = start, stop
     span = last - first
     s = ((frames - first) / span)[:, None]

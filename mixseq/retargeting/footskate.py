@@ -1,8 +1,8 @@
-"""Keep feet from sliding (footskate): where contacts rest in the source, those of the target rest too.
+"""Remove footskate: contacts of the target rest where those of the source rest.
 
-When they rest tells `mixseq.retargeting.stance`. Then the whole body is moved as far as its feet agree
-(`mixseq.retargeting.footing`), and limbs turn by what is left (`mixseq.retargeting.inverse_kinematics`). A foot in the
-air keeps to its path, although its limb may share parts with others.
+Stances are found by `mixseq.retargeting.stance`. Then the whole body moves as far as its feet agree
+(`mixseq.retargeting.footing`), and limbs rotate by the rest (`mixseq.retargeting.inverse_kinematics`). A foot in the
+air keeps its path, although its limb may share parts with others.
 
 The scheme (constraints found in the motion, the root first, then the limbs, blends in between) is that of Kovar,
 Schreiner and Gleicher 2002, "Footskate cleanup for motion capture editing".
@@ -24,12 +24,12 @@ from mixseq.retargeting.inverse_kinematics import move_contacts
 from mixseq.retargeting.stance import Stance, StanceSettings, axis_of, stances
 
 NEGLIGIBLE = 1e-9
-"""Feet that slide less are left as they are, in diagonals."""
+"""Sliding distance below which feet are left unchanged, in diagonals."""
 
 
 @dataclass(frozen=True)
 class GroupReport:
-    """How far one contact slides, before and after. Lengths are in diagonals of the target."""
+    """Sliding of one contact, before and after, in diagonals of the target."""
 
     name: str  # the contact
     stances: tuple[Stance, ...]  # when it rests
@@ -40,7 +40,7 @@ class GroupReport:
 
 @dataclass(frozen=True)
 class ContactReport:
-    """How far all contacts slide, and what keeping them took."""
+    """Sliding of all contacts, and the motions that removed it."""
 
     groups: tuple[GroupReport, ...] = ()  # one for each contact
     shift: float = 0.0  # the most that the whole body was moved, in diagonals of the target
@@ -49,7 +49,7 @@ class ContactReport:
 
 @dataclass(frozen=True, eq=False)
 class PlantedMotion:
-    """Motions of parts with feet that do not slide."""
+    """Motions of parts without sliding feet."""
 
     rotations: Float  # (T, p, 3, 3) of the parts
     centres: Float  # (T, p, 3) where their rest centres go
@@ -67,31 +67,10 @@ def remove_footskate(
     diagonal: float,
     settings: StanceSettings | None = None,
 ) -> PlantedMotion:
-    """Move parts so that contacts do not slide while those of the source rest.
+    """Move parts so that contacts do not slide while those of the source rest; motions without sliding are unchanged.
 
-    Parameters
-    ----------
-    body : ArticulatedBody
-        The target's parts.
-    rotations, centres : (T, p, 3, 3), (T, p, 3) float64
-        Their motions as transferred.
-    contacts : sequence of Contact
-        Groups of vertices of the target.
-    trajectories : sequence of (T, k, 3) float
-        Of every contact, the way of the same points on the source, in the target's units.
-    up : "X", "Y" or "Z"
-        Axis that points up.
-    fps : float
-        Frames per second.
-    diagonal : float
-        That of the target, in its units.
-    settings : StanceSettings, optional
-        What counts as rest.
-
-    Returns
-    -------
-    PlantedMotion
-        Without contacts, and where nothing slides, the very motions that were given.
+    Rotations and centres are ``(T, p, 3, 3), (T, p, 3)``; trajectories ``(T, k, 3)`` are those of the source's contact
+    points, in the target's units, as is the diagonal.
     """
     lengths = [len(path) for path in trajectories]
     if lengths != len(contacts) * [len(centres)]:
@@ -136,7 +115,7 @@ def _warn_of_restless(contacts: Sequence[Contact], found: Sequence[Sequence[Stan
 
 
 def _paths(body: ArticulatedBody, contacts: Sequence[Contact], rotations: Float, centres: Float) -> Float:
-    """Middles ``(g, T, 3)`` of contacts."""
+    """Return the middles ``(g, T, 3)`` of contacts."""
     paths = [body.path(each, rotations, centres).mean(axis=1) for each in contacts]
     return np.array(paths).reshape(len(contacts), len(centres), 3)
 

@@ -1,19 +1,18 @@
 r"""Transfer by deformation gradients (S_f; Sumner and Popović 2004), the reference method.
 
-The deformation gradient :math:`J_f` of every source triangle, from rest to a frame, moves the target triangles that
-correspond to it. The target's vertices are those whose gradients are closest (`mixseq.spaces.gradient`):
+The deformation gradient :math:`J_f` of every source triangle, from rest to a frame, moves the corresponding target
+triangles. The target's vertices are those with the closest gradients (`mixseq.spaces.gradient`):
 
 .. math:: \min_x \sum_{f'} A_{f'}\, | \nabla x - G J_{f(f')} G^T |^2 .
 
-Gradients tell nothing of where a piece is. The largest moves as the points of the source do that it corresponds to, on
-average; every other piece is attached to the vertex next to it (`mixseq.geometry.attachments`), which it
-turns with:
+Gradients do not determine positions of pieces. The largest piece moves as its corresponding points of the source do, on
+average; every other piece is attached to the vertex next to it (`mixseq.geometry.attachments`), and rotates with it:
 
 .. math:: x_a = x_b + R_b (y_a - y_b) + s G (g_t - \bar R_b\, g_0)
 
 with the target's rest y, the rotation :math:`\bar R_b` of the source around b, which is :math:`R_b = G \bar R_b G^T` on
-the target, and the gap g between the points of the source that a and b are, which may open and close. Triangles that
-correspond to none turn with the vertex that they follow.
+the target, and the gap g between the source points of a and b, which may open and close. Triangles without a
+counterpart rotate with the vertex that they follow.
 """
 
 from __future__ import annotations
@@ -38,18 +37,18 @@ from mixseq.topology import Topology
 
 @dataclass(frozen=True, eq=False)
 class GradientTransfer(PickledWithoutCaches):
-    """Moves a target by the deformation gradients of its source."""
+    """Transfer by the deformation gradients of the source."""
 
     source: GradientSpace  # gradient space of the source at rest, in a unit of its own
     target: GradientSpace  # gradient space of the target at rest, in a unit of its own
     correspondence: Correspondence  # where the target is on the source
     alignment: Alignment  # how the target stands to the source, in the units of the meshes
     parts = None
-    """Gradients know no parts."""
+    """None: gradients have no parts."""
 
     @cached_property
     def attachments(self) -> Attachments:
-        """Where the pieces of the target are attached to each other."""
+        """Attachments of the target's pieces to each other."""
         return attach(self.target.pieces.vertices, self.target.reference, self.correspondence.leaders)
 
     @cached_property
@@ -59,7 +58,7 @@ class GradientTransfer(PickledWithoutCaches):
 
     @cached_property
     def _led(self) -> tuple[Index, sparse.csr_array]:
-        """Target triangles ``(n,)`` that no source triangle moves, and means around the leaders they turn with."""
+        """Target triangles ``(n,)`` without a source triangle, and means around the leaders they rotate with."""
         led = np.flatnonzero(self.correspondence.faces < 0)
         corners = self.target.topology.faces[led]
         follows = ~self.correspondence.matched[corners]
@@ -87,7 +86,7 @@ class GradientTransfer(PickledWithoutCaches):
         return self._placed(rows, x, turns) * target.scale
 
     def _placed(self, rows: Float, x: FloatArray, turns: Float) -> Float:
-        """Put the pieces, rows ``(N, 3)``, where they belong; the result is ``(V', 3)`` in the target's unit."""
+        """Place the pieces, rows ``(N, 3)``; the result is ``(V', 3)`` in the target's unit."""
         pieces, held, rest = self.target.pieces, self.attachments, self.target.reference
         correspondence = self.correspondence
         shift = self.alignment.scale * self.source.scale / self.target.scale * self.alignment.rotation
@@ -113,7 +112,7 @@ class GradientTransfer(PickledWithoutCaches):
 def gradient_transfer(
     source: Topology, source_rest: Float, target: Topology, target_rest: Float, correspondence: Correspondence
 ) -> GradientTransfer:
-    """Make a transfer between two meshes at rest, ``(V, 3)`` and ``(V', 3)``; it raises what `align` does."""
+    """Make a transfer between two meshes at rest, ``(V, 3)`` and ``(V', 3)``; raises what `align` does."""
     own, other = _space(source, source_rest), _space(target, target_rest)
     matched = correspondence.matched
     whole = align(
@@ -138,7 +137,7 @@ def combined(weights: sparse.csr_array, matrices: Float) -> Float:
 def averages_around(
     source: GradientSpace, correspondence: Correspondence, vertices: Index
 ) -> sparse.csr_array:
-    """Matrix ``(n, F)`` of means, by area, over the source triangles at the corners of target vertices ``(n,)``.
+    """Return the matrix ``(n, F)`` of area-weighted means over source triangles at target vertices ``(n,)``.
 
     Vertices without corners take those of their leaders.
     """
@@ -158,6 +157,6 @@ def averages_around(
 
 
 def normalised(weights: sparse.csr_array) -> sparse.csr_array:
-    """Scale the rows of a matrix of weights so that each adds to one; rows of zeros stay."""
+    """Normalise the rows of a matrix of weights to sums of one; rows of zeros stay."""
     sums = np.asarray(weights.sum(axis=1)).reshape(-1)
     return sparse.csr_array(sparse.diags_array(1.0 / np.where(sums > 0, sums, 1.0)) @ weights)

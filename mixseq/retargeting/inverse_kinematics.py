@@ -1,38 +1,36 @@
-r"""Inverse kinematics: turn the parts of limbs about their pivots until contacts are where they shall be.
+r"""Inverse kinematics: rotate the parts of limbs about their pivots until contacts reach their targets.
 
-The end g of a limb is the root's pivot plus a sum of *levers* :math:`u_{gk}`, one for each part k: from the pivot it
-hangs by to the next one, and from the last pivot to the end. Part k turns by :math:`\Omega_k`, in the world's axes, and
-all its levers with it, so that the end moves by :math:`\sum_k (\Omega_k - 1)\, u_{gk}`. Small turns
-:math:`\omega_k = w_k \sum_g u_{gk} \times \lambda_g`, the least ones by compliances w that move ends at all, move them
-by
+The end g of a limb is the root's pivot plus a sum of *levers* :math:`u_{gk}`, one per part k: from its pivot to the
+next one, and from the last pivot to the end. Part k rotates by :math:`\Omega_k`, in the world's axes, with all its
+levers, so that the end moves by :math:`\sum_k (\Omega_k - 1)\, u_{gk}`. Small rotations
+:math:`\omega_k = w_k \sum_g u_{gk} \times \lambda_g`, least squares by compliances w, move ends by
 
 .. math:: \sum_h A_{gh} \lambda_h, \qquad A_{gh} = \sum_k w_k \big[ (u_{gk} \cdot u_{hk})\, 1 - u_{hk} u_{gk}^T \big] .
 
-A limb that is nearly straight can hardly get shorter or longer by that: its knee would pop out. So only a part of the
-wanted moves m is made,
+A nearly straight limb can hardly change its length by rotations: its knee would pop. So only a part of the moves m is
+made,
 
 .. math:: e = l\, f(l^{-1} A\, l^{-1})\, l^{-1} m, \qquad f(x) = 3 x^2 - 2 x^3 \le 1, \qquad
           l_g^2 = (\delta L_g + |m_g|)\, L_g ,
 
 with a smooth function f of a symmetric matrix, 1 from x = 1 on, and the lengths L of limbs. (Kovar, Schreiner and
 Gleicher 2002 let legs get longer for the same reason.) Steps of damped least squares (Wampler 1986, Nakamura and
-Hanafusa 1986) do that,
+Hanafusa 1986) solve, with the remaining e,
 
-.. math:: \sum_h A_{gh} \lambda_h + \big( \mu L_g^2 + |e_g| L_g \big) \lambda_g = e_g ,
+.. math:: \sum_h A_{gh} \lambda_h + \big( \mu L_g^2 + |e_g| L_g \big) \lambda_g = e_g .
 
-with what is left of e. The second term of the damping bounds the second derivative of :math:`\tfrac12 |e|^2`, which
-Gauss-Newton leaves out, and vanishes with e. The number of steps is fixed, so that turns depend smoothly on moves.
-:math:`\delta`, :math:`\mu`, f and l are ours: joints of a leg, straight or bent, accelerate by at most four times as
-much as its end.
+The second term of the damping bounds the second derivative of :math:`\tfrac12 |e|^2`, which Gauss-Newton omits, and
+vanishes with e. The number of steps is fixed, so that rotations depend smoothly on moves. With the chosen
+:math:`\delta`, :math:`\mu`, f and l joints of a leg accelerate by at most four times as much as its end.
 
-The moves that turns leave, again :math:`e_g`, lengthen the limbs:
-the joint above part k opens by :math:`\tau_k`, the smallest with :math:`\sum_{k \in g} \tau_k = e_g`, which shares the
-stretch of one limb out evenly. With pivots q, a part k that hangs on part j moves from c to
+The moves that rotations leave, again :math:`e_g`, lengthen the limbs: the joint above part k opens by :math:`\tau_k`,
+the smallest with :math:`\sum_{k \in g} \tau_k = e_g`, which distributes the stretch of one limb evenly. With pivots q,
+a part k that hangs on part j moves from c to
 
 .. math:: c_k' = c_j' + \Omega_j (q_k - c_j) + \Omega_k (c_k - q_k) + \tau_k .
 
-A part that carries n contacts is :math:`n^2` times as stiff, so that legs move rather than the body (ours). The part
-on the ground keeps its turn, and with it the sole, where two others can do without it.
+A part that carries n contacts is :math:`n^2` times as stiff, so that legs move rather than the body. The part on the
+ground keeps its rotation, and with it the sole, where two other parts suffice.
 """
 
 from __future__ import annotations
@@ -48,7 +46,7 @@ from mixseq.geometry.rotations import matrices, turned
 from mixseq.retargeting.articulated_body import ArticulatedBody, Contact
 
 STRAIGHT = 0.02
-r"""The number :math:`\delta`: a leg of two equal bones, bent by 23 degrees, gets wholly shorter by turning."""
+r"""The number :math:`\delta`: a leg of two equal bones, bent by 23 degrees, shortens by rotation alone."""
 
 DAMPING = 0.01
 STEPS = 20
@@ -103,7 +101,7 @@ def _levers(
     centres: Float,
     frames: NDArray[np.int64],
 ) -> Float:
-    """From pivot to pivot of a limb, and on to the middle of its contact, ``(N, len(limb), 3)``."""
+    """Return vectors ``(N, len(limb), 3)`` from pivot to pivot of a limb, and on to the middle of its contact."""
     pivots = np.array([body.pivot(part) for part in limb]).reshape(-1, 3)
     joints = body.placed(pivots, limb, rotations, centres)
     end = body.path(contact, rotations, centres, frames).mean(axis=1, keepdims=True)
@@ -113,7 +111,7 @@ def _levers(
 def _forward(
     body: ArticulatedBody, rotations: Float, centres: Float, own: dict[int, tuple[Float, Float]]
 ) -> tuple[Float, Float]:
-    """Forward kinematics: motions of all parts when those of limbs turn and move off by `own` turns and stretches."""
+    """Forward kinematics: return the motions of all parts from `own` rotations and stretches of limbs."""
     facing, placed = rotations.copy(), centres.copy()
     identity, none = np.eye(3), np.zeros(3)
     turns: dict[int, Float] = {body.root: identity}
@@ -132,9 +130,9 @@ def _forward(
 
 
 def turn_limbs(levers: Float, moves: Float, compliance: Float) -> tuple[Float, Float]:
-    """Find the turns that move the ends of limbs.
+    """Find rotations ``(N, k, 3, 3)`` and remaining moves ``(N, g, 3)`` of limbs from levers ``(N, g, k, 3)``.
 
-    Shapes: levers ``(N, g, k, 3)``; moves ``(N, g, 3)``; compliance ``(k,)``; result ``(N, k, 3, 3)``, ``(N, g, 3)``.
+    Shapes: moves ``(N, g, 3)``; compliance ``(k,)``.
     """
     count, ends, parts, _ = levers.shape
     lengths = np.linalg.norm(levers, axis=3).sum(axis=2)
@@ -163,7 +161,7 @@ def _mobility(levers: Float, compliance: Float) -> Float:
 
 
 def _within_reach(mobility: Float, moves: Float, lengths: Float) -> Float:
-    """Moves e ``(N, g, 3)`` that turning can make without popping."""
+    """Return the moves e ``(N, g, 3)`` that rotations can make without popping."""
     scale = np.sqrt((STRAIGHT * lengths + np.linalg.norm(moves, axis=2)) * lengths)
     scale = np.repeat(scale, 3, axis=1)
     values, axes = np.linalg.eigh(mobility / (scale[:, :, None] * scale[:, None]))

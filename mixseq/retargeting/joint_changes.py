@@ -1,19 +1,18 @@
-r"""Carry over how joints bend and stretch: lengths change as ratios, angles as differences.
+r"""Transfer changes of joints: lengths as ratios, angles as differences.
 
 Where both meshes have the same connectivity every edge and hinge has its own,
 
 .. math:: l' = l'_0\, l / l_0, \qquad \theta' = \theta'_0 + (\theta - \theta_0) .
 
-Otherwise an edge or a hinge of the target is nowhere on the source, but its triangles are. Deformation gradients
-J = R S of the source's triangles, averaged around the points that correspond to the corners of a target triangle
-(rotations and stretches apart, so that a bend does not shrink), say how that triangle moves; and those of the two
-triangles at an edge how long it is and how they are bent:
+Otherwise triangles correspond, but not edges and hinges. Deformation gradients J = R S of the source's triangles are
+averaged around the points that correspond to the corners of a target triangle (rotations and stretches apart, so that
+a bend does not shrink); those of the two triangles at an edge give its length and angle:
 
 .. math:: l' = \tfrac12 (|J_f e| + |J_g e|), \qquad
    \theta' = \angle_{\bar e}\bigl(J_f e \times J_f a,\; J_g b \times J_g e\bigr),
    \qquad \bar e = J_f e + J_g e .
 
-A bend is so spread over as many hinges as the target has there, more or fewer than the source.
+A bend is thus distributed over the hinges of the target, more or fewer than the source's.
 """
 
 from __future__ import annotations
@@ -35,13 +34,10 @@ from mixseq.topology import Topology
 
 
 class JointChanges(Protocol):
-    """Tells lengths and angles of the target's joints in a frame of the source."""
+    """Lengths and angles of the target's joints from a frame of the source."""
 
     def of(self, x: Float) -> tuple[Float, Float]:
-        """Return lengths ``(E',)`` and angles ``(H',)`` of the joints for a frame ``(V, 3)`` of the source.
-
-        Lengths are in the unit of the target's space, angles in radians.
-        """
+        """Return lengths ``(E',)``, in the unit of the target's space, and angles ``(H',)`` for a frame ``(V, 3)``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +89,7 @@ class OtherEdges:
 
     @cached_property
     def _weights(self) -> sparse.csr_array:
-        """Matrix ``(f, F)``: what every source triangle counts in the gradient of every face of a joint."""
+        """Matrix ``(f, F)``: weights of source triangles in the gradient of every face of a joint."""
         corners = self._topology.faces[self._faces]
         vertices, place = np.unique(corners, return_inverse=True)
         rows = np.repeat(np.arange(len(corners)), 3)

@@ -1,8 +1,7 @@
-"""Rebuild a mesh from where its parts are, and from lengths and angles of the joints between them.
+"""Rebuild a mesh from poses of its parts, and lengths and angles of the joints between them.
 
-Parts go where their poses say. A joint between them is a boundary value problem: its free vertices are those that fit
-lengths and angles best (`mixseq.shells.reconstruction`), near where the parts carry them
-(`mixseq.retargeting.solved_joints`).
+Parts are posed. A joint between them is a boundary value problem: its free vertices fit lengths and angles best
+(`mixseq.shells.reconstruction`), near their skinned positions (`mixseq.retargeting.solved_joints`).
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ class JointFrame(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class JointSolver:
-    """Puts parts where their poses say, and solves the joints between them."""
+    """Poses parts, and solves the joints between them."""
 
     topology: Topology  # connectivity of the mesh
     decomposition: Decomposition  # its parts and joints
@@ -48,12 +47,12 @@ class JointSolver:
 
     @cached_property
     def solved(self) -> SolvedJoints:
-        """The joints that are solved."""
+        """The joints with free vertices."""
         return SolvedJoints.of(self.topology, self.decomposition)
 
     @cached_property
     def _copies(self) -> tuple[Index, Index, Float]:
-        """Part and vertex of every row of part vertices, and how many copies each vertex of the mesh has."""
+        """Part and vertex of every row of part vertices, and the number of copies of each vertex of the mesh."""
         parts = self.decomposition.parts
         vertex = np.concatenate(parts)
         copies = np.bincount(vertex, minlength=self.topology.vertex_count)
@@ -81,16 +80,13 @@ class JointSolver:
 
     @cached_property
     def _systems(self) -> list[tuple[Joint, Patch, slice, slice, slice, HarmonicSkin]]:
-        """The joints that are solved, with the places of their lengths, angles and free vertices."""
+        """Solved joints, with the places of their lengths, angles and free vertices."""
         solved = self.solved
         slices = solved.edge_slices, solved.hinge_slices, solved.vertex_slices
         return list(zip(solved.joints, solved.patches, *slices, self._skins, strict=True))
 
     def solve(self, frame: JointFrame, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
-        """Return the mesh ``(V, 3)`` of a frame, with a report for each joint that was solved.
-
-        A vertex that several parts share is where they put it on average.
-        """
+        """Return the mesh ``(V, 3)`` of a frame, with the mean of shared vertices, and a report per solved joint."""
         points = self._placed(frame)
         moves, shifts = self._moves(frame.rotations, frame.translations)
         reports = []
@@ -111,10 +107,9 @@ class JointSolver:
         return points, reports
 
     def offsets(self, rotations: Float, translations: Float, points: Float) -> Float:
-        """Return the offsets ``(F, 3)`` of a frame's free vertices from where the parts carry them.
+        """Return the offsets ``(F, 3)`` of a frame's free vertices from their skinned positions (`HarmonicSkin`).
 
-        Parts carry them by harmonic weights from the reference frame (`HarmonicSkin`); an offset is in the axes of the
-        part that a vertex follows most, so it turns with the body.
+        Offsets are in the axes of the main part of a vertex, and rotate with the body.
         """
         moves, shifts = self._moves(rotations, translations)
         offsets = np.zeros((len(self.solved.vertices), 3))
@@ -124,14 +119,14 @@ class JointSolver:
         return offsets
 
     def _placed(self, frame: JointFrame) -> Float:
-        """Where parts put the vertices ``(V, 3)``: the mean over the copies of each; zero for those that none holds."""
+        """Return the vertices ``(V, 3)`` posed by parts: the mean of copies, zero without a part."""
         part, vertex, copies = self._copies
         placed = turned(frame.rotations[part], frame.parts) + frame.translations[part]
         sums = [np.bincount(vertex, column, minlength=len(copies)) for column in placed.T]
         return np.stack(sums, axis=1) / copies[:, None]
 
     def _moves(self, rotations: Float, translations: Float) -> tuple[Float, Float]:
-        """Motions ``x -> M x + s`` of the parts from the reference frame; linear in both."""
+        """Return motions ``x -> M x + s`` of the parts from the reference frame; linear in both."""
         turns, centres = self._reference_poses
         moves = rotations @ np.swapaxes(turns, 1, 2)
         return moves, translations - turned(moves, centres)
@@ -140,6 +135,6 @@ class JointSolver:
 def _expected(
     skin: HarmonicSkin, moves: Float, shifts: Float, frame: JointFrame, free: slice
 ) -> tuple[Float, SoftConstraint]:
-    """Where the free vertices ``(f, 3)`` of a joint are to begin with, and the soft constraint that offsets give."""
+    """Return the start ``(f, 3)`` of a joint's free vertices, and the soft constraint of offsets."""
     places = skin.place(moves, shifts) + turned(frame.rotations[skin.nearest], frame.offsets[free])
     return places, SoftConstraint(places, frame.offset_weights[free])

@@ -1,14 +1,14 @@
-r"""Transfer by parts, joints and poses (the mixed shape space S_m), each carried over in its own way.
+"""Transfer by parts, joints and poses (the mixed shape space S_m).
 
-The target is cut into parts as the source is (`part_correspondence`). A frame of the source then gives
+The target is cut into parts as the source (`part_correspondence`). A frame of the source gives
 
-- the shape of every part, as deformation gradients move it (`gradient_transfer`), registered to the part at rest. What
-  a part does beside moving rigidly is so as large as the part, and the registration tells how the part is turned;
-- where the part is: its pivots meet as those of the source do, with the proportions of the target (`pivots`);
-- lengths and angles of the joints, as ratios and differences (`joint_changes`), and, as gradients tell, where their
-  free vertices are beside what the parts carry along.
+- the shape of every part by deformation gradients (`gradient_transfer`), registered to the part at rest. Its
+  deformation scales with the part, and the registration gives its rotation;
+- the place of every part: its pivots meet as those of the source, with the proportions of the target (`pivots`);
+- lengths and angles of the joints, as ratios and differences (`joint_changes`), and, by gradients, the offsets of
+  their free vertices from the skinned positions.
 
-Parts are put together and joints solved between them (`joint_solver`): that is the target's frame.
+Parts are posed and joints are solved between them (`joint_solver`).
 """
 
 from __future__ import annotations
@@ -37,13 +37,12 @@ from mixseq.shells.fitting import ShellSettings
 from mixseq.spaces.gradient import GradientSpace
 
 OFFSET_WEIGHT = 0.3
-"""Weight of where gradients put a free vertex against a length of its edges, both relative to these: enough to choose
-between solutions, too little to stretch joints. Ours."""
+"""Weight of offsets of free vertices against edge lengths, both relative; small enough not to stretch joints."""
 
 
 @dataclass(frozen=True, eq=False)
 class MixedTransfer(PickledWithoutCaches):
-    """Moves a target by the parts and joints of its source."""
+    """Transfer by the parts and joints of the source."""
 
     gradients: GradientTransfer  # the two meshes at rest, and how they correspond
     parts: PartCorrespondence  # parts and joints of both
@@ -67,17 +66,17 @@ class MixedTransfer(PickledWithoutCaches):
 
     @cached_property
     def shapes(self) -> RestShapes:
-        """The parts of the target at rest."""
+        """The rest shapes of the target's parts."""
         return RestShapes.of(self.parts.target, self._rest)
 
     @cached_property
     def _source_shapes(self) -> RestShapes:
-        """The parts of the source at rest."""
+        """The rest shapes of the source's parts."""
         return RestShapes.of(self.parts.source, self.gradients.source.reference)
 
     @cached_property
     def solver(self) -> JointSolver:
-        """Puts the target's parts and joints together."""
+        """The solver for the target's parts and joints."""
         topology = self.gradients.target.topology
         return JointSolver(topology, self.parts.target, self.shapes.shapes, self._rest)
 
@@ -87,10 +86,7 @@ class MixedTransfer(PickledWithoutCaches):
 
     @cached_property
     def body(self) -> ArticulatedBody:
-        """The target's parts, and where they meet at rest.
-
-        The root has the largest product of areas on both meshes: it is the same back.
-        """
+        """The target's parts, and their pivots at rest; the root has the largest product of areas on both meshes."""
         areas = _part_areas(self.gradients.target, self.parts.target)
         others = _part_areas(self.gradients.source, self.parts.source)
         root = int((areas * others[self.parts.sources[: len(areas)]]).argmax())
@@ -99,7 +95,7 @@ class MixedTransfer(PickledWithoutCaches):
 
     @cached_property
     def source_body(self) -> ArticulatedBody:
-        """The same on the source: the parts that move those of the target, and the points that their pivots are."""
+        """The source's parts that move those of the target, and the source points of their pivots."""
         points = self._pivots.points(self._correspondence.carry(self.gradients.source.reference))
         return replace(self.body, pivots=points, centres=self._source_shapes.centres[self.parts.sources])
 
@@ -109,18 +105,18 @@ class MixedTransfer(PickledWithoutCaches):
 
     @cached_property
     def joint_changes(self) -> JointChanges:
-        """Tells how the joints change."""
+        """The changes of joints."""
         source, target, solved = self.gradients.source, self.gradients.target, self.solver.solved
         if self.parts.target is self.parts.source:
             return SameEdges(target.topology, solved, source.reference, target.reference)
         return OtherEdges(self.gradients, solved)
 
     def by_gradients(self, x: FloatArray) -> Float:
-        """Return the target ``(V', 3)`` as gradients move it in a frame ``(V, 3)``, in its unit."""
+        """Return the target ``(V', 3)`` moved by gradients in a frame ``(V, 3)``, in its unit."""
         return self.gradients.frame(x) / self.gradients.target.scale
 
     def poses(self, x: FloatArray, moved: PartPoses) -> PartPoses:
-        """Place the target's parts as a frame ``(V, 3)`` of the source places its own."""
+        """Pose the target's parts as those of the source in a frame ``(V, 3)``."""
         points = x.astype(np.float64) / self.gradients.source.scale
         _, own = self._source_shapes.register(points)
         rotations, centres = (values[self.parts.sources] for values in own)
@@ -132,7 +128,7 @@ class MixedTransfer(PickledWithoutCaches):
         return PartPoses(moved.rotations, placed)
 
     def frame(self, x: FloatArray, poses: PartPoses | None = None) -> Float:
-        """Move the target ``(V', 3)`` as the source is moved in a frame ``(V, 3)``; its parts may have other poses."""
+        """Move the target ``(V', 3)`` as the source in a frame ``(V, 3)``, optionally with other poses of its parts."""
         smooth = self.by_gradients(x)
         aligned, moved = self.shapes.register(smooth)
         placed = self.poses(x, moved) if poses is None else poses

@@ -1,4 +1,4 @@
-"""Cut a target into parts as its source is cut: which part of the source moves each part of the target."""
+"""Cut a target into parts as its source, with the source part that moves each."""
 
 from __future__ import annotations
 
@@ -17,18 +17,14 @@ from mixseq.spaces.registered import registered
 from mixseq.topology import Topology, split_labels, vertices_of
 
 SMALL = 0.1
-"""A region with less than this share of the area of its part joins a neighbour; the value is ours."""
+"""Share of the area of its part below which a region joins a neighbour."""
 
 CORE = 0.1
-"""Share of its vertices that a part keeps. It is less than for parts that were found on the mesh itself
-(`mixseq.segmentation.joints`): where no vertex between two parts is free, it is the mesh that gives way; ours."""
+"""Least share of its vertices that a part keeps; less than in `mixseq.segmentation.joints`, to keep vertices free."""
 
 
 class PartPoses(NamedTuple):
-    """Where the parts of the target are: rotations ``(..., p', 3, 3)`` from rest, and centres ``(..., p', 3)``.
-
-    Centres are in the unit of the target's space.
-    """
+    """Poses of the target's parts: rotations ``(..., p', 3, 3)`` from rest, centres ``(..., p', 3)`` in its unit."""
 
     rotations: Float
     centres: Float
@@ -44,14 +40,14 @@ class RestShapes:
 
     @classmethod
     def of(cls, decomposition: Decomposition, rest: Float) -> RestShapes:
-        """Take the parts of a mesh ``(V, 3)``."""
+        """Make the centred parts of a mesh ``(V, 3)``."""
         centres = np.stack([rest[part].mean(axis=0) for part in decomposition.parts])
         pairs = zip(decomposition.parts, centres, strict=True)
         shapes = np.concatenate([rest[part] - centre for part, centre in pairs])
         return cls(decomposition.parts, shapes, centres)
 
     def register(self, x: Float) -> tuple[Float, PartPoses]:
-        """Return a frame's parts as aligned to their shapes ``(N, 3)``, and their poses."""
+        """Return a frame's parts aligned to their shapes ``(N, 3)``, and their poses."""
         aligned, rotations, centres = registered(self.shapes, self.vertices, x)
         return aligned, PartPoses(rotations, centres)
 
@@ -66,7 +62,7 @@ class PartCorrespondence:
 
     @property
     def part_of_face(self) -> tuple[Index, Index]:
-        """The part of every triangle of the source ``(F,)``, and which of them moves those of the target ``(F',)``."""
+        """Parts of source triangles ``(F,)``, and source parts of target triangles ``(F',)``."""
         return self.source.part_of_face, self.sources[self.target.part_of_face]
 
 
@@ -78,22 +74,9 @@ def carry_parts(
     rest: Float,
     joint_width: int,
 ) -> PartCorrespondence:
-    """Cut a target into parts as its source is cut, and grow joints between them.
+    """Cut a target at rest ``(V', 3)`` into parts as its source, and grow joints between them.
 
-    Parameters
-    ----------
-    source : Decomposition
-        Parts and joints of the source.
-    rotations : (T, p, 3, 3) float64
-        How its parts turn in some frames: joints are as wide as they bend.
-    correspondence : Correspondence
-        Where the target is on the source.
-    topology : Topology
-        Connectivity of the target.
-    rest : (V', 3) float64
-        Its vertices.
-    joint_width : int
-        Largest width of joints in strips of triangles.
+    Rotations ``(T, p, 3, 3)`` of the source's parts determine the widths of joints, up to `joint_width` strips.
     """
     faces = topology.faces
     labels = carry_labels(source.part_of_face, correspondence, faces)
@@ -107,7 +90,7 @@ def carry_parts(
 
 
 def carry_labels(labels: Index, correspondence: Correspondence, faces: IntArray) -> Index:
-    """Carry labels ``(F,)`` of the source's triangles to the target's ``(F',)``: faces ``(F', 3)``."""
+    """Transfer labels ``(F,)`` of the source's triangles to the target's ``(F',)``: faces ``(F', 3)``."""
     known = np.flatnonzero(correspondence.faces >= 0)
     result = np.zeros(len(faces), dtype=np.int64)
     result[known] = labels[correspondence.faces[known]]
@@ -121,11 +104,9 @@ def carry_labels(labels: Index, correspondence: Correspondence, faces: IntArray)
 
 
 def without_small_regions(topology: Topology, labels: Index, areas: Float) -> Index:
-    """Join regions that are small beside the rest of their part to the neighbour they share most edges with.
+    """Merge regions of labels ``(F,)`` that are small in their part into the neighbour with most shared edges.
 
     The smallest comes first. Regions without a neighbour stay.
-
-    Shapes: labels ``(F,)``; areas ``(F,)``.
     """
     labels = labels.copy()
     while True:
@@ -146,7 +127,7 @@ def without_small_regions(topology: Topology, labels: Index, areas: Float) -> In
 
 
 def vertex_parts(decomposition: Decomposition, topology: Topology) -> Index:
-    """A part ``(V,)`` of every vertex: that of a face at it; the last one of vertices of no face."""
+    """Return a part ``(V,)`` of every vertex: that of a face at it, the last part without faces."""
     result = np.full(topology.vertex_count, len(decomposition.parts) - 1, dtype=np.int64)
     for part in range(int(decomposition.part_of_face.max(initial=-1)), -1, -1):
         result[vertices_of(topology, decomposition.part_of_face == part)] = part

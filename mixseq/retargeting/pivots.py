@@ -1,26 +1,24 @@
-r"""Put the parts of a target together at its pivots, with the gaps of the source.
+r"""Assemble the parts of a target at its pivots, with the gaps of the source.
 
 Neighbouring parts i and j meet at a pivot c, in the middle of their boundary on the target; :math:`\bar c` is that
-point on the source. With the rotations R' of the target's parts (as gradients turn them) and rest centres m the centres
-x solve
+point on the source. With the rotations R' of the target's parts (by gradients) and rest centres m the centres x solve
 
 .. math:: \min_x \sum_{ij} w_{ij}\, | x_i + R'_i (c - m_i) - x_j - R'_j (c - m_j) - g'_{ij} |^2 ,
    \qquad g_{ij} = M_i(\bar c) - M_j(\bar c)
 
-where M is the rigid motion of a part of the source, and g' is s G g, up to what follows (G, s:
+where M is the rigid motion of a part of the source, and g' is s G g, up to the correction below (G, s:
 `mixseq.retargeting.alignment`). That is the articulated body with the proportions of the target, which opens and slides
-where the source's does. Where there are no loops of parts all terms vanish;
-otherwise those weigh most that have the longest boundaries, by the squares of their lengths. The root moves as the
-source's does, by s G. Pieces that no edge connects meet the others at the vertices that hold them.
+where the source's does. Without loops of parts all terms vanish; otherwise weights are the squared lengths of
+boundaries. The root moves as the source's does, by s G. Disconnected pieces meet the others at the vertices that hold
+them.
 
-Flesh is not rigid. What gaps make up for on the source they do not with other proportions, and where a boundary is
-short a small difference tears the joint. Deformation gradients tell gaps too, those of the parts as they move them
-(:math:`\tilde g`): smoother ones, which lead astray over long limbs. So g' differs from theirs by what the boundary,
-of radius r, can take up,
+Flesh is not rigid: with other proportions gaps of the source do not fit, and at short boundaries small differences
+tear the joint. Gaps by deformation gradients (:math:`\tilde g`) are smoother, but drift over long limbs. So g' differs
+from them by what the boundary, of radius r, can take up,
 
 .. math:: g' = \tilde g + \frac{\rho r}{\sqrt{(\rho r)^2 + |\delta|^2}}\, \delta , \qquad \delta = s G g - \tilde g ,
 
-which is the body of pivots for small differences, and changes smoothly with time. That and the weights are ours.
+which is the body of pivots for small differences, and changes smoothly with time.
 """
 
 from __future__ import annotations
@@ -41,16 +39,15 @@ from mixseq.segmentation.joints import Decomposition
 from mixseq.shells.solvers import Factor, factorise
 
 SHORTEST = 1e-3
-"""Boundaries count as at least so long, relative to the longest."""
+"""Least length of boundaries in weights, relative to the longest."""
 
 REACH = 1.2
-r"""How far a gap goes from that of gradients at most, :math:`\rho`, in radii of its boundary. Chosen for the errors of
-poses and for accelerations of three pairs of animals."""
+r"""Largest distance :math:`\rho` of gaps from those of gradients, in boundary radii; chosen on three animal pairs."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pivots:
-    """Where the parts of a mesh meet: at the boundaries between them first, then where its pieces are attached."""
+    """Pivots of a mesh: at the boundaries between parts first, then at attachments of pieces."""
 
     pairs: Index  # (n, 2) the parts that meet. They connect all parts
     boundaries: Boundaries  # edges between parts
@@ -58,7 +55,7 @@ class Pivots:
 
     @classmethod
     def of(cls, gradients: GradientTransfer, decomposition: Decomposition) -> Pivots:
-        """Find where the parts of a target meet."""
+        """Find the pivots of a target."""
         held = gradients.attachments
         boundaries = Boundaries.of(gradients.target.topology, decomposition.part_of_face)
         ends = ((held.pieces, held.own), (held.holders, held.other))
@@ -66,11 +63,11 @@ class Pivots:
         return cls(np.concatenate([boundaries.parts, attached]), boundaries, held)
 
     def points(self, x: Float) -> Float:
-        """Where parts meet ``(n, 3)``: in the middle of boundaries, at vertices that are held; x is ``(V', 3)``."""
+        """Return pivots ``(n, 3)`` of a target ``(V', 3)``: middles of boundaries, and held vertices."""
         return np.concatenate([self.boundaries.middles(x), x[self.attachments.own]])
 
     def sizes(self, x: Float) -> tuple[Float, Float]:
-        """Lengths ``(n,)`` of boundaries and their root mean square distances from the middles; 0 of attachments."""
+        """Return lengths ``(n,)`` of boundaries and their root mean square radii; 0 of attachments."""
         ends, pair, middles = x[self.boundaries.edges], self.boundaries.pair, self.points(x)
         lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
         away = np.square(ends.mean(axis=1) - middles[pair]).sum(axis=1)
@@ -81,7 +78,7 @@ class Pivots:
 
 @dataclass(frozen=True, eq=False)
 class PivotSolver:
-    """Puts the parts of an articulated body together at their pivots."""
+    """Assembles the parts of an articulated body at their pivots."""
 
     body: ArticulatedBody  # the parts at rest, all of them joined to the root, whose place is given
     lengths: Float  # (n,) length of the boundary at every pivot
@@ -111,7 +108,7 @@ class PivotSolver:
         return factorise(sparse.csr_array(self._weighted @ self._incidence[:, self._others]))
 
     def within_reach(self, gaps: Float, smooth: Float) -> Float:
-        """Return gaps ``(n, 3)`` that are near smooth ones, within the reach of the boundaries."""
+        """Return gaps ``(n, 3)`` limited to the reach of boundaries around smooth ones."""
         away, reach = gaps - smooth, REACH * self.radii
         whole = np.hypot(reach, np.linalg.norm(away, axis=1))
         share = np.divide(reach, whole, out=np.zeros_like(whole), where=whole > 0)
@@ -132,7 +129,7 @@ class PivotSolver:
 def _parts_at(
     gradients: GradientTransfer, decomposition: Decomposition, pieces: Index, vertices: Index
 ) -> Index:
-    """A part ``(n,)`` at each vertex, of the piece that is meant: several may share the vertex."""
+    """Return a part ``(n,)`` at each vertex, of the given piece, as several pieces may share the vertex."""
     topology = gradients.target.topology
     result = vertex_parts(decomposition, topology)[vertices]
     for row, (piece, vertex) in enumerate(zip(pieces.tolist(), vertices.tolist(), strict=True)):

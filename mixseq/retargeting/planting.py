@@ -1,4 +1,4 @@
-"""Keep named vertices of the target from sliding: find poses of its parts in which contacts stay where they rest."""
+"""Keep named vertices of the target from sliding: find poses of its parts with resting contacts."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from mixseq.sequence import SequenceHeader
 
 @dataclass(frozen=True, eq=False)
 class PlantedTransfer:
-    """A transfer whose contacts do not slide."""
+    """A transfer without sliding contacts."""
 
     method: MixedTransfer  # the transfer, with the stride of the target's legs
     poses: PartPoses  # of the target's parts in all frames, rotations (T, p', 3, 3) and centres (T, p', 3)
@@ -39,24 +39,9 @@ def plant_contacts(
     workers: Executor,
     progress: Progress = silent,
 ) -> PlantedTransfer:
-    """Find the poses in which contacts of a transfer do not slide while those of the source rest.
+    """Find poses in which contacts ``(k,)`` of a transfer do not slide while those of the source ``(T, V, 3)`` rest.
 
-    The root travels farther, or less far, as the target's legs are longer or shorter than those of a copy.
-
-    Parameters
-    ----------
-    method : MixedTransfer
-        The transfer.
-    points : (T, V, 3) array, perhaps on disk
-        The frames of the source.
-    header : SequenceHeader
-        The target, at the times of the source.
-    contacts : mapping of str to (k,) int
-        Vertices of the target that touch the ground together, by the name of each contact.
-    workers : Executor
-        Who works on blocks of frames.
-    progress : callable, optional
-        Told about every block.
+    The root's travel scales with the ratio of the target's legs to those of a copy.
     """
     target, source, correspondence = (
         method.gradients.target,
@@ -97,7 +82,7 @@ def plant_contacts(
 
 
 def _measure(shared: tuple[MixedTransfer, Index, Index], block: FloatArray) -> tuple[PartPoses, Float, Float]:
-    """Poses of all parts in some frames ``(B, V, 3)``; and vertices on the source, and as their parts see them."""
+    """Return part poses in frames ``(B, V, 3)``, contact vertices on the source, and on the target's rest parts."""
     method, vertices, parts = shared
     poses, soles = [], []
     for x in block:

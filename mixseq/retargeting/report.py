@@ -1,16 +1,16 @@
-r"""Measure how good a transfer is: strain, smoothness, triangles turned over, and self-intersections.
+r"""Measures of a transfer: strain, smoothness, flipped triangles, and self-intersections.
 
 - *strain* of an edge in a frame: :math:`|\,l / l_\mathrm{rest} - 1\,|`, of the target and of the source,
-- *excess* of a target edge: :math:`|\,l / l_\mathrm{rest} - \lambda\,|` with the stretch :math:`\lambda` that the
-  source says it should have (`mixseq.retargeting.transfer_measures`), on average over the triangles at the edge: what
-  the target is strained and the source is not, or the other way round. What has no counterpart should not be strained.
-- a triangle is *turned over* if it faces away from where the source says that it should face to,
+- *excess* of a target edge: :math:`|\,l / l_\mathrm{rest} - \lambda\,|` with the stretch :math:`\lambda` expected from
+  the source (`mixseq.retargeting.transfer_measures`), averaged over the triangles at the edge: the strain of one mesh
+  alone. Edges without a counterpart should have no strain.
+- a triangle is *turned over* if it faces away from the direction expected from the source,
 - *acceleration* of a vertex: :math:`|x_{t+1} - 2 x_t + x_{t-1}| / d`, per frame squared, with the target's diagonal d
   at rest, and for the source d / s with the scale s between the two (`mixseq.retargeting.alignment`).
-  That of the source is taken at the points that the target's vertices are: it does not matter where meshes are fine.
+  That of the source is taken at the points of the target's vertices, independent of the density of meshes.
 
-All frames are looked at but for self-intersections, which are counted in some of them. Frames come block by block, and
-only the largest thousandth of the strains is kept.
+All frames are measured, but self-intersections are counted in some only. Frames come block by block, and only the
+largest thousandth of the strains is kept.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ from mixseq.statistics import RunningStatistics, Statistics
 from mixseq.topology import Topology
 
 FRAMES = 8
-"""In so many frames at most self-intersections are counted."""
+"""Largest number of frames in which self-intersections are counted."""
 
 
 @dataclass(frozen=True)
 class Counts:
-    """How often something is found: at rest, and in some frames."""
+    """Counts at rest, and in some frames."""
 
     rest: int  # at rest
     frames: tuple[int, ...]  # the frames
@@ -51,16 +51,16 @@ class Counts:
 
     @property
     def worst(self) -> int:
-        """The largest number."""
+        """Largest count."""
         return max(self.values)
 
     @property
     def worst_frame(self) -> int:
-        """The first frame that has it."""
+        """First frame with the largest count."""
         return self.frames[self.values.index(self.worst)]
 
     def as_dict(self, per_frame: bool = False) -> dict[str, Any]:
-        """Plain values for JSON; frames and values only if asked for."""
+        """Return plain values for JSON, optionally with counts per frame."""
         summary = {"rest": self.rest, "mean": self.mean, "worst": self.worst, "worst_frame": self.worst_frame}
         return summary | ({"frames": list(self.frames), "values": list(self.values)} if per_frame else {})
 
@@ -80,7 +80,7 @@ class TransferReport:
     flat: Counts  # triangles of the target that are flat in a frame but not at rest, in all frames
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
+        """Return plain values for JSON."""
         smooth = self.smoothness
         return {
             "coverage": self.coverage.as_dict(),
@@ -101,19 +101,7 @@ def measure(
     progress: Progress = silent,
     workers: Executor | None = None,
 ) -> TransferReport:
-    """Measure a transfer.
-
-    Examples
-    --------
-    >>> import mixseq
-    >>> from mixseq.creature import walk_cycle
-    >>> from mixseq.retargeting.transfer import plan
-    >>> walk = walk_cycle(frames=4)
-    >>> large = mixseq.MeshSequence.from_arrays(2 * walk.points[:1], walk.faces)
-    >>> report = measure(plan(walk, large, method="gradients"))
-    >>> report.excess.max < 1e-6, round(report.smoothness.ratio, 6), report.turned_over.worst
-    (True, 1.0, 0)
-    """
+    """Measure a transfer; frames are made unless blocks of them are given."""
     meter = Meter(transfer)
     for block in transfer.blocks(progress, workers) if blocks is None else blocks:
         meter.add(block)
@@ -121,7 +109,7 @@ def measure(
 
 
 class Meter:
-    """Measures a transfer while its frames pass by."""
+    """Measures a transfer as its frames stream."""
 
     def __init__(self, transfer: Transfer) -> None:
         self._transfer = transfer
@@ -141,7 +129,7 @@ class Meter:
         self._flat: list[int] = []
 
     def passing(self, blocks: Iterable[FloatArray]) -> Iterator[FloatArray]:
-        """Pass on blocks of the target's points, and measure them."""
+        """Yield blocks of the target's points, and measure them."""
         for block in blocks:
             self.add(block)
             yield block
@@ -173,7 +161,7 @@ class Meter:
         self._done += len(block)
 
     def report(self) -> TransferReport:
-        """Return what was found, when all frames have passed."""
+        """Return the report after all frames."""
         if self._done < self._count:
             raise InvalidSequenceError(
                 f"{self._done} frames were measured, the source has {self._count}; give one frame for each of them"

@@ -1,8 +1,8 @@
-"""The joints that are solved for: where their numbers are in a frame, and how parts carry their free vertices.
+"""The solved joints: places of their numbers in a frame, and skinning of their free vertices.
 
 Linear blend skinning from a reference frame: every free vertex moves with all parts that hold fixed vertices of its
 joint, with harmonic weights (1 at the vertices of a part, 0 at those of the others, smooth in between). Close to the
-reference this is a start without folds, where lengths and angles between two frames do not fit together.
+reference this is a start without folds, where blended lengths and angles are inconsistent.
 """
 
 from __future__ import annotations
@@ -20,49 +20,49 @@ from mixseq.topology import Topology
 
 @dataclass(frozen=True, eq=False)
 class SolvedJoints:
-    """The joints of a mesh that have free vertices; what frames know of them is stored joint by joint."""
+    """The joints of a mesh with free vertices; data of frames is stored joint by joint."""
 
     joints: tuple[Joint, ...]  # the joints
     patches: tuple[Patch, ...]  # each as a patch, in which the vertices of parts are fixed
 
     @classmethod
     def of(cls, topology: Topology, decomposition: Decomposition) -> SolvedJoints:
-        """Take the joints of a decomposition that have free vertices."""
+        """Select the joints of a decomposition with free vertices."""
         joints = tuple(joint for joint in decomposition.joints if joint.free.any())
         return cls(joints, tuple(Patch.of_joint(topology, joint, ~joint.free) for joint in joints))
 
     @cached_property
     def edge_ids(self) -> Index:
-        """Numbers ``(E',)`` in the mesh of the edges at free vertices."""
+        """Global numbers ``(E',)`` of the edges at free vertices."""
         return _joined([j.edge_ids[p.free_edges] for j, p in zip(self.joints, self.patches, strict=True)])
 
     @cached_property
     def hinge_ids(self) -> Index:
-        """Numbers ``(H',)`` in the mesh of the hinges with a free vertex."""
+        """Global numbers ``(H',)`` of the hinges with a free vertex."""
         return _joined([j.hinge_ids[p.free_hinges] for j, p in zip(self.joints, self.patches, strict=True)])
 
     @cached_property
     def vertices(self) -> Index:
-        """Numbers ``(F,)`` in the mesh of the free vertices."""
+        """Global numbers ``(F,)`` of the free vertices."""
         return _joined([j.vertices[p.free] for j, p in zip(self.joints, self.patches, strict=True)])
 
     @cached_property
     def edge_slices(self) -> list[slice]:
-        """Where the edges of every joint are among all."""
+        """Slices of the edges of every joint."""
         return _slices([int(np.count_nonzero(patch.free_edges)) for patch in self.patches])
 
     @cached_property
     def hinge_slices(self) -> list[slice]:
-        """Where the hinges of every joint are among all."""
+        """Slices of the hinges of every joint."""
         return _slices([int(np.count_nonzero(patch.free_hinges)) for patch in self.patches])
 
     @cached_property
     def vertex_slices(self) -> list[slice]:
-        """Where the free vertices of every joint are among all."""
+        """Slices of the free vertices of every joint."""
         return _slices([len(patch.free) for patch in self.patches])
 
     def spacing(self, lengths: Float) -> Float:
-        """Mean length ``(F,)`` of the edges at every free vertex, from the lengths ``(E',)``."""
+        """Return the mean length ``(F,)`` of the edges at every free vertex, from lengths ``(E',)``."""
         sums, counts = np.zeros((2, len(self.vertices)))
         for patch, edges, free in zip(self.patches, self.edge_slices, self.vertex_slices, strict=True):
             ends = patch.free_number[patch.edges[patch.free_edges]]
@@ -75,7 +75,7 @@ class SolvedJoints:
 
 @dataclass(frozen=True, eq=False)
 class HarmonicSkin:
-    """How the free vertices of a joint follow its parts."""
+    """Harmonic skinning weights of the free vertices of a joint."""
 
     parts: Index  # (k,) parts that hold fixed vertices of the joint
     weights: Float  # (f, k) weights of the free vertices; rows add up to one
@@ -96,12 +96,12 @@ class HarmonicSkin:
 
     @cached_property
     def nearest(self) -> Index:
-        """Part ``(f,)`` that every free vertex follows most."""
+        """Main part ``(f,)`` of every free vertex."""
         return np.asarray(self.parts[self.weights.argmax(axis=1)])
 
 
 def _joined(ids: list[Index]) -> Index:
-    """Concatenate index arrays; none at all are an empty one."""
+    """Concatenate index arrays; return an empty one for none."""
     return np.concatenate(ids) if ids else np.zeros(0, dtype=np.int64)
 
 

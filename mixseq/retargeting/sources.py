@@ -23,12 +23,12 @@ from mixseq.signals.model import Model
 from mixseq.topology import Topology
 
 SAME_SIZE = 0.05
-"""A mesh at rest whose edges are, on the median, this much longer or shorter than in the motion is of another size."""
+"""Largest relative difference of median edge lengths between a rest mesh and the motion of the same size."""
 
 
 @dataclass(frozen=True, eq=False)
 class SourceMotion:
-    """A motion with a shape at rest."""
+    """A motion with a rest shape."""
 
     header: SequenceHeader  # mesh and times
     topology: Topology  # connectivity
@@ -47,7 +47,7 @@ class SourceMotion:
 
 @dataclass(frozen=True, eq=False)
 class _Sampled:
-    """The frames of a model, as a sequence that streams."""
+    """The frames of a model, as a streamed sequence."""
 
     model: Model
 
@@ -91,7 +91,7 @@ def source_motion(
 def _shape_at_rest(
     rest: MeshSequence, header: SequenceHeader, topology: Topology, points: LargeArray
 ) -> Float:
-    """Return the first frame of a mesh at rest, as large as it is in the motion."""
+    """Return the first frame of a rest mesh, scaled to the size of the motion."""
     if rest.vertex_count != header.vertex_count:
         raise InvalidSequenceError(
             f"the mesh at rest has {rest.vertex_count} vertices, the motion {header.vertex_count}; give the same mesh"

@@ -6,7 +6,7 @@ is at rest if both its speed and its height z above the lowest are small,
 .. math:: v < \max(a\, v_{95},\ a_0\, d), \qquad z - z_0 < \max(b\, (z_1 - z_0),\ b_0\, d),
 
 where :math:`v_{95}` is the speed that 95 % of the steps stay below, :math:`z_0` and :math:`z_1` are the lowest and the
-highest height, and d is the size of the body. So the thresholds follow the motion, but what hardly moves is at rest.
+highest height, and d is the size of the body. So the thresholds follow the motion, and contacts that hardly move rest.
 A run of steps is a stance if all of them are at rest by the wide thresholds and one of them by the narrow ones
 (hysteresis: Canny 1986 does so along edges). It joins at least two frames.
 """
@@ -21,12 +21,12 @@ from mixseq.arrays import FloatArray, Mask
 from mixseq.errors import SettingsError
 
 FASTEST = 95.0
-"""Percentile that tells how fast a contact is: the few fastest steps may be outliers."""
+"""Percentile of speeds that counts as the fastest, against outliers."""
 
 
 @dataclass(frozen=True)
 class StanceSettings:
-    """Thresholds, narrow and wide; all are ours."""
+    """Thresholds, narrow and wide."""
 
     speed: tuple[float, float] = (0.05, 0.1)  # of speeds, as fractions of the contact's fast speed
     # Of speeds, in sizes of the body per second; these are at rest in any motion.
@@ -55,7 +55,7 @@ class Stance:
 
     @property
     def frames(self) -> slice:
-        """The frames."""
+        """Slice of the frames."""
         return slice(self.start, self.stop)
 
 
@@ -67,27 +67,10 @@ def stances(
     size: float,
     settings: StanceSettings | None = None,
 ) -> tuple[Stance, ...]:
-    """Find when a contact is at rest on the ground.
+    """Find disjoint stances of a contact with points ``(T, k, 3)``, in order.
 
-    Parameters
-    ----------
-    group : str
-        Name of the contact.
-    trajectory : (T, k, 3) float
-        Its points, frame by frame.
-    up : "X", "Y" or "Z"
-        Axis that points up.
-    fps : float
-        Frames per second.
-    size : float
-        Diagonal of the body, in the units of the points.
-    settings : StanceSettings, optional
-        Thresholds.
-
-    Returns
-    -------
-    tuple of Stance
-        In order, without a frame in common. A single frame, or a contact that never moves, is one stance.
+    `up` is the upward axis, `size` the diagonal of the body in the units of the points. A single frame, or a contact
+    that never moves, is one stance.
     """
     settings = settings or StanceSettings()
     path = np.asarray(trajectory, dtype=np.float64)

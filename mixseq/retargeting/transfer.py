@@ -34,11 +34,11 @@ from mixseq.topology import Topology
 
 
 class TransferMethod(Protocol):
-    """A way to transfer, made for two meshes."""
+    """A method of transfer, made for two meshes."""
 
     @property
     def parts(self) -> PartCorrespondence | None:
-        """Parts and joints of both meshes; None if the method knows none."""
+        """Parts and joints of both meshes; None for methods without parts."""
 
     def frame(self, x: FloatArray) -> Float:
         """Move the target ``(V', 3)`` as the source is moved in a frame ``(V, 3)``."""
@@ -59,7 +59,7 @@ class Transfer:
 
     @property
     def contacts(self) -> ContactReport:
-        """What became of the contacts."""
+        """Report on the contacts."""
         return ContactReport() if self.planted is None else self.planted.report
 
     def blocks(self, progress: Progress = silent, workers: Executor | None = None) -> Iterator[Float]:
@@ -76,7 +76,7 @@ class Transfer:
             progress(done, count, "transferring frames")
 
     def _slices(self) -> Iterator[slice]:
-        """Yield which frames are a block."""
+        """Yield the frames of each block."""
         size = block_size(max(self.source.header.vertex_count, self.header.vertex_count))
         for start in range(0, len(self.source.points), size):
             yield slice(start, start + size)
@@ -114,7 +114,7 @@ def plan(
 ) -> Transfer:
     """Prepare a transfer without making frames; parameters and errors are those of `transfer`.
 
-    A source that was looked at before (`source_motion`) has its rest and its parts.
+    A `SourceMotion` has its own rest and parts.
     """
     if method not in TRANSFERS:
         raise SettingsError(f"method is {method!r}; {' or '.join(map(repr, TRANSFERS))} is expected")
@@ -150,7 +150,7 @@ def correspondence_of(
     mapping: Correspondence | Callable[[Mesh, Mesh], Correspondence] | None,
     progress: Progress = silent,
 ) -> tuple[Correspondence, Quality | None]:
-    """Return the correspondence that is given, or follows from markers or connectivity; of markers its quality."""
+    """Return the given correspondence, or that of markers or connectivity; for markers also its quality."""
     if markers is not None and mapping is not None:
         raise SettingsError("markers and a map are two ways to say the same; give one of them")
     sizes = tuple((t.vertex_count, len(t.faces)) for t in (source.header, header))
@@ -201,19 +201,20 @@ def transfer(
     source : MeshSequence, SequenceReader or Model
         The motion. Of a model, its frames; and its parts, if its space is the mixed one.
     target : MeshSequence
-        The mesh to move, as it is in its first frame, in a pose like the source's at rest. If it has the triangles of
-        the source, nothing else is needed.
+        The mesh to move, in its first frame, in a pose like the source's at rest. With the triangles of the source,
+        nothing else is needed.
     markers : Markers or (n, 2) int, optional
-        Pairs of vertices, one of the source and one of the target, that are the same; see `mixseq.correspond`.
+        Pairs of corresponding vertices, one of the source and one of the target; see `mixseq.correspond`.
     mapping : Correspondence or callable, optional
-        A dense correspondence, or what makes one of both meshes at rest (points and triangles), instead of markers.
+        A dense correspondence, or a function that makes one of both meshes at rest (points and triangles), instead of
+        markers.
     method : {"mixed", "gradients"}
         Parts, joints and poses (S_m, the default), or deformation gradients (S_f; Sumner and Popović 2004).
     rest : int or MeshSequence
         The frame in which the source is at rest, or the source's mesh at rest (its first frame), in any size.
     contacts : mapping of str to (k,) int, optional
         S_m: vertices of the target that touch the ground together, by the name of each contact. They do not slide
-        while the points of the source that they are rest, and the body travels as its legs are long.
+        while the corresponding points of the source rest, and the travel of the body scales with its legs.
     parts : int or (F,) int, optional
         S_m: number of parts, or the part of every triangle of the source; found from the motion if not given.
     joint_width : int
@@ -221,9 +222,9 @@ def transfer(
     shell : ShellSettings, optional
         S_m: settings of the joint solves.
     progress : callable, optional
-        Told about every stage.
+        Called for every stage.
     workers : Executor, optional
-        Who works on blocks of frames, see `mixseq.mapping`; by default as many threads as there are cores.
+        Executor for blocks of frames, see `mixseq.mapping`; by default one thread per core.
 
     Returns
     -------

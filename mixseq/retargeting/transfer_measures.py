@@ -1,8 +1,8 @@
-r"""Measure frames of a transfer: stretches and normals against those that the source expects, and accelerations.
+r"""Measure frames of a transfer: stretches and normals against those expected from the source, and accelerations.
 
-The gradients J of the source's triangles and the rotation G between the two meshes say where a side s of a target
-triangle should go, :math:`s' = G J G^T s`, as in `mixseq.retargeting.gradient_transfer`. So its length should be
-:math:`|s'| / |s|` times that at rest, and the triangle should face to where :math:`s'_1 \times s'_2` points.
+With the gradients J of the source's triangles and the rotation G between the two meshes a side s of a target triangle
+should become :math:`s' = G J G^T s`, as in `mixseq.retargeting.gradient_transfer`. So its length should be
+:math:`|s'| / |s|` times that at rest, and the triangle should face along :math:`s'_1 \times s'_2`.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from mixseq.retargeting.transfer import Transfer
 from mixseq.topology import Topology
 
 FLAT = 1e-3
-"""A triangle lower than this, relative to its longest side, is flat; ours."""
+"""Ratio of height to longest side below which a triangle is flat."""
 
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """What the source expects of the triangles of the target."""
+    """Expected stretches and normals of the target's triangles."""
 
     gradients: GradientTransfer  # the two meshes at rest, and how they correspond
     rest: Float  # (V', 3) target at rest, in its own units
@@ -34,7 +34,7 @@ class Expected:
 
     @classmethod
     def of(cls, transfer: Transfer) -> Expected:
-        """Make it for the two meshes of a transfer, whatever its method is."""
+        """Make it for the two meshes of a transfer by any method."""
         topology = Topology(transfer.header.faces, transfer.header.vertex_count)
         source = transfer.source
         made = gradient_transfer(
@@ -54,7 +54,7 @@ class Expected:
 
     @cached_property
     def matched(self) -> Index:
-        """Target triangles ``(n,)`` that a source triangle moves."""
+        """Target triangles ``(n,)`` with a source triangle."""
         return np.flatnonzero(self.gradients.correspondence.faces >= 0)
 
     @cached_property
@@ -77,13 +77,13 @@ class Expected:
         return _or_nan(edge_lengths(self.source_rest, self.source.edges))
 
     def sides(self, x: Float) -> Float:
-        """Where the sides ``(n, 3, 3)`` of matched triangles should go in a frame ``(V, 3)``."""
+        """Return the expected sides ``(n, 3, 3)`` of matched triangles in a frame ``(V, 3)``."""
         faces = self.gradients.correspondence.faces[self.matched]
         moving = self.gradients.alignment.turned(self.gradients.gradients(x)[faces])
         return np.asarray(self._sides @ np.swapaxes(moving, 1, 2))
 
     def stretches(self, sides: Float) -> Float:
-        """Stretches ``(E',)`` that the target's edges should have; 1 where nothing tells."""
+        """Return the expected stretches ``(E',)`` of the target's edges; 1 without a counterpart."""
         with np.errstate(divide="ignore", invalid="ignore"):
             stretches = np.linalg.norm(sides, axis=2) / np.linalg.norm(self._sides, axis=2)
         of_side = np.ones((len(self.topology.faces), 3))
@@ -95,26 +95,26 @@ class Expected:
         )
 
     def own_stretches(self, y: Float) -> Float:
-        """Stretches ``(E',)`` of the target's edges in a frame ``(V', 3)``; NaN where they had no length."""
+        """Return the stretches ``(E',)`` of the target's edges in a frame ``(V', 3)``; NaN without a rest length."""
         return np.asarray(edge_lengths(y, self.topology.edges) / self._lengths)
 
     def source_stretches(self, x: Float) -> Float:
-        """Stretches ``(E,)`` of the source's edges in a frame ``(V, 3)``."""
+        """Return the stretches ``(E,)`` of the source's edges in a frame ``(V, 3)``."""
         return np.asarray(edge_lengths(x, self.source.edges) / self._source_lengths)
 
     def turned_over(self, y: Float, sides: Float) -> Mask:
-        """Matched triangles ``(n,)`` whose normals point away from where they should in a frame ``(V', 3)``."""
+        """Mark matched triangles ``(n,)`` whose normals oppose the expected ones in a frame ``(V', 3)``."""
         own = _sides_of(y, self.topology.faces[self.matched])
         normals, expected = (np.cross(each[:, 0], each[:, 1]) for each in (own, sides))
         return np.asarray((normals * expected).sum(axis=1) < 0)
 
     def newly_flat(self, y: Float) -> Mask:
-        """Triangles ``(F',)`` that are flat in a frame ``(V', 3)`` and were not at rest."""
+        """Mark triangles ``(F',)`` that are flat in a frame ``(V', 3)``, but not at rest."""
         return np.asarray(flat_faces(y, self.topology.faces, FLAT) & ~self.flat)
 
 
 def _sides_of(points: Float, faces: NDArray[Any]) -> Float:
-    """Sides 01, 12, 20 ``(n, 3, 3)`` of triangles ``(n, 3)``, in rows."""
+    """Return sides 01, 12, 20 ``(n, 3, 3)`` of triangles ``(n, 3)``, in rows."""
     corners = points[faces]
     return np.asarray(np.roll(corners, -1, axis=1) - corners)
 
@@ -124,7 +124,7 @@ def _or_nan(lengths: Float) -> Float:
 
 
 class Acceleration:
-    """Second differences of frames that come in blocks."""
+    """Second differences of frames in blocks."""
 
     def __init__(self) -> None:
         self._before: Float | None = None
@@ -132,7 +132,7 @@ class Acceleration:
         self.worst_frame = 0
 
     def add(self, block: Float) -> None:
-        """Take the next frames ``(B, V, 3)``."""
+        """Add the next frames ``(B, V, 3)``."""
         whole = block if self._before is None else np.concatenate([self._before, block])
         for number in range(1, len(whole) - 1):
             before, here, after = whole[number - 1 : number + 2]
@@ -151,7 +151,7 @@ class Acceleration:
 
     @property
     def max(self) -> float:
-        """The largest."""
+        """Largest acceleration of a vertex."""
         return float(np.sqrt(self._largest))
 
 

@@ -1,4 +1,4 @@
-"""Cutting a mesh into near-rigid parts and the joints between them."""
+"""Cut a mesh into near-rigid parts and the joints between them."""
 
 from mixseq.segmentation.joints import Decomposition, Joint, decompose
 from mixseq.segmentation.methods import (

@@ -1,4 +1,4 @@
-"""Where neighbouring parts meet."""
+"""Boundaries between neighbouring parts."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Boundaries:
 
     @classmethod
     def of(cls, topology: Topology, part_of_face: Index) -> Boundaries:
-        """Find the boundaries between the parts ``(F,)`` of all faces: where faces of two parts meet in a hinge."""
+        """Find the boundaries between the parts ``(F,)`` of faces: hinges between faces of two parts."""
         sides = np.sort(part_of_face[topology.hinge_faces], axis=1)
         across = sides[:, 0] != sides[:, 1]
         parts, pair = np.unique(sides[across], axis=0, return_inverse=True)
@@ -28,7 +28,7 @@ class Boundaries:
         return cls(parts.astype(np.int64).reshape(-1, 2), edges, pair.reshape(-1))
 
     def middles(self, frame: FloatArray) -> Float:
-        """Return the middles ``(n, 3)`` of the boundaries in a frame ``(V, 3)``: means of the middles of edges."""
+        """Return the middles ``(n, 3)`` of the boundaries in a frame ``(V, 3)``: means of edge midpoints."""
         middles = frame[self.edges].mean(axis=1)
         sums = [np.bincount(self.pair, column, minlength=len(self.parts)) for column in middles.T]
         return np.stack(sums, axis=1) / np.bincount(self.pair, minlength=len(self.parts))[:, None]
@@ -36,7 +36,7 @@ class Boundaries:
 
 @dataclass(frozen=True, eq=False)
 class Rim:
-    """What is near the boundaries of patches: less and less, as patches are merged."""
+    """Edges and faces near the boundaries of patches."""
 
     vertex_count: int  # number of vertices of the mesh
     ends: Index  # (n, 2) vertices of the boundary edges
@@ -57,9 +57,9 @@ class Rim:
         return cls(topology.vertex_count, ends, sides, edges, faces, corners)
 
     def narrowness(self, patches: Index) -> Float:
-        """Return the share of each patch's corners on its boundary or one edge away: what joints would take from it.
+        """Return the share of each patch's corners that joints would take: on its boundary or one edge away.
 
-        Patches ``(F,)`` are those that the rim was found for, or some of them merged.
+        Patches ``(F,)`` are those of `of`, or some of them merged.
         """
         across = patches[self.sides]
         boundary = _marked(self.ends[across[:, 0] != across[:, 1]], self.vertex_count)
@@ -70,7 +70,7 @@ class Rim:
 
 
 def _marked(some: Index, count: int) -> Mask:
-    """Mark some of so many vertices."""
+    """Return a mask ``(count,)`` of vertices."""
     marks = np.zeros(count, dtype=bool)
     marks[some] = True
     return marks

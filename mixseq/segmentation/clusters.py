@@ -1,7 +1,7 @@
-r"""Clustering by rigid motion: Lloyd's iteration, which computes again only what has changed.
+"""Clustering by rigid motion: Lloyd's iteration with incremental updates.
 
-A cluster's motion follows from sums over its vertices ("tallies"), which elements that move from one cluster to
-another take along. Costs of clusters that no element has joined or left are those of the round before.
+A cluster's motion follows from sums over its vertices ("tallies"), which moving elements take along. Costs of unchanged
+clusters are reused.
 """
 
 from __future__ import annotations
@@ -34,10 +34,7 @@ class Clusters:
         self._costs = np.full((len(elements), capacity), np.inf, dtype=np.float32)
 
     def assign(self, rounds: int) -> Single:
-        """Give every element to the cluster of lowest cost; return that cost ``(E,)``.
-
-        Costs are averaged over neighbouring elements first, as many times as `rounds` tells.
-        """
+        """Assign every element to the cluster of lowest cost ``(E,)``, averaged `rounds` times over neighbours."""
         from mixseq.segmentation.segmentation_kernels import cheapest
 
         stale = np.flatnonzero(self._sizes > 0 if rounds != self._rounds else self._stale)
@@ -51,7 +48,7 @@ class Clusters:
         return lowest
 
     def seed(self, members: Index, cluster: int) -> None:
-        """Move some elements to a cluster."""
+        """Move elements to a cluster."""
         labels = self.labels.copy()
         labels[members] = cluster
         self._move(labels)
@@ -74,7 +71,7 @@ class Clusters:
             self._costs[:, empty] = np.inf
 
     def _diffused(self, clusters: Index, rounds: int) -> Single:
-        """Costs ``(E, n)`` of some clusters, averaged over neighbours."""
+        """Costs ``(E, n)`` of clusters, averaged over neighbours."""
         from mixseq.segmentation.segmentation_kernels import averages, squared_distances
 
         e = self._elements

@@ -1,10 +1,10 @@
-r"""How much edges and hinges deform: their largest variation between any two frames.
+r"""Deformation of edges and hinges: their largest variation between any two frames.
 
 .. math:: \Delta\theta_h = \max_{s,t} \lvert \mathrm{wrap}(\theta_{h,s} - \theta_{h,t}) \rvert, \qquad
           \Delta l_e = \max_{s,t} \lvert l_{e,s} - l_{e,t} \rvert
 
-Segmentations by boundaries, rather than by motions, start from these (paper, Sections 1.3 and 2.1). To vertices they
-are brought by means over the incident hinges or edges, weighted by length in the first frame:
+Segmentations by boundaries, rather than by motions, start from these (paper, Sections 1.3 and 2.1). Values at vertices
+are means over the incident hinges or edges, weighted by length in the first frame:
 
 .. math:: \Delta\theta_v = \frac{\sum_h l_h \Delta\theta_h}{\sum_h l_h}, \qquad
           \epsilon_v = \frac{\sum_e \Delta l_e}{\sum_e l_e} .
@@ -23,10 +23,7 @@ _TINY = np.finfo(np.float64).tiny
 
 
 def some_frames(points: FloatArray, frames: int) -> Float:
-    """Return at most so many frames ``(T, V, 3)`` of a sequence, evenly spread, in diagonals of the first.
-
-    If that is a single point, in diagonals of the largest.
-    """
+    """Return at most `frames` evenly spread frames ``(T, V, 3)``, in diagonals of the first, or else of the largest."""
     x = points[frames_to_look_at(len(points), frames)].astype(np.float64)
     x -= x[0].mean(axis=0)
     diagonals = np.linalg.norm(np.ptp(x, axis=1), axis=1)
@@ -34,18 +31,7 @@ def some_frames(points: FloatArray, frames: int) -> Float:
 
 
 def angle_variation(points: FloatArray, topology: Topology) -> Float:
-    """Return the largest change ``(H,)`` of every dihedral angle between two of the frames ``(T, V, 3)``, in radians.
-
-    Examples
-    --------
-    A fold that closes and goes on has changed by little:
-
-    >>> def fold(t):
-    ...     return [[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, np.cos(t), np.sin(t)]]
-    >>> square = Topology(np.array([[0, 1, 2], [1, 0, 3]]), 4)
-    >>> angle_variation(np.array([fold(0.1), fold(-0.1)]), square).round(6).tolist()
-    [0.2]
-    """
+    """Return the largest change ``(H,)`` of dihedral angles between frames ``(T, V, 3)``, wrapped, in radians."""
     angles = np.stack([dihedral_angles(frame, topology.hinges) for frame in points])
     largest = np.zeros(angles.shape[1])
     for frame in range(1, len(angles)):
@@ -54,13 +40,13 @@ def angle_variation(points: FloatArray, topology: Topology) -> Float:
 
 
 def length_variation(points: FloatArray, topology: Topology) -> Float:
-    """Return the largest change ``(E,)`` of every edge's length between two of the frames ``(T, V, 3)``."""
+    """Return the largest change ``(E,)`` of edge lengths between two of the frames ``(T, V, 3)``."""
     lengths = np.stack([edge_lengths(frame, topology.edges) for frame in points])
     return np.asarray(np.ptp(lengths, axis=0), dtype=np.float64)
 
 
 def vertex_bending(points: FloatArray, topology: Topology) -> Float:
-    """Return the mean change ``(V,)`` of the dihedral angles about every vertex, in radians."""
+    """Return the mean change ``(V,)`` of the dihedral angles at every vertex, in radians."""
     hinged = topology.edges[topology.hinge_edges]
     lengths = edge_lengths(points[0], hinged)
     count = topology.vertex_count
@@ -69,7 +55,7 @@ def vertex_bending(points: FloatArray, topology: Topology) -> Float:
 
 
 def vertex_strain(points: FloatArray, topology: Topology) -> Float:
-    """Return the mean change ``(V,)`` of the lengths of the edges at every vertex, relative to their length."""
+    """Return the mean relative change ``(V,)`` of edge lengths at every vertex."""
     count = topology.vertex_count
     lengths = _gathered(topology.edges, edge_lengths(points[0], topology.edges), count)
     change = _gathered(topology.edges, length_variation(points, topology), count)

@@ -1,4 +1,4 @@
-r"""Diffusion on a surface: smoothing, and the distance that it defines.
+r"""Diffusion on a surface: smoothing, and diffusion distance.
 
 With the cotangent Laplacian L and the vertex areas M of a mesh, heat spreads as :math:`M \dot u = -L u`. One implicit
 step of time :math:`r^2`,
@@ -7,12 +7,11 @@ step of time :math:`r^2`,
 
 smooths values over about the distance r. The eigenvectors :math:`L \phi_i = \lambda_i M \phi_i`,
 :math:`\phi_i^T M \phi_j = \delta_{ij}`, embed the surface so that Euclidean distances are *diffusion distances*
-(Coifman et al. 2005; Bronstein and Bronstein 2011), which see how well two vertices are connected, not just how near
-they are:
+(Coifman et al. 2005; Bronstein and Bronstein 2011), which measure how well two vertices are connected:
 
 .. math:: d_t(v, w)^2 = \sum_{i \ge 1} e^{-2 t \lambda_i} \bigl(\phi_i(v) - \phi_i(w)\bigr)^2 .
 
-Neither the signs of eigenvectors nor the choice of a basis where eigenvalues coincide change distances.
+Distances are independent of the signs of eigenvectors and of their basis where eigenvalues coincide.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ _LEAST, _MOST = 1e-2, 1e2
 """Range of an edge's cotangent weight: slivers and obtuse triangles neither cut nor weld the surface."""
 
 _DENSE = 400
-"""Components with fewer vertices are decomposed as dense matrices."""
+"""Number of vertices of a component below which its matrix is decomposed as a dense one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,10 +47,7 @@ class Diffusion:
 
     @cached_property
     def areas(self) -> Float:
-        """Area ``(V,)`` of every vertex: a third of its faces'; vertices without any get a tiny one.
-
-        Where no face has any, all areas are equal.
-        """
+        """Area ``(V,)`` of every vertex: a third of its faces'; tiny without faces, all equal without area."""
         corners = self.points[self.topology.faces]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         thirds = np.repeat(np.linalg.norm(normals, axis=1) / 6.0, 3)
@@ -75,17 +71,16 @@ class Diffusion:
         return sparse.csc_array(sparse.diags_array(adjacency.sum(axis=0)) - adjacency)
 
     def smoothed(self, values: Float, radius: float) -> Float:
-        """Average values ``(V,)`` of vertices over about a radius; their mean over the surface stays."""
+        """Smooth values ``(V,)`` over about a radius; their mean over the surface is kept."""
         if radius == 0.0:
             return values.copy()
         system = sparse.diags_array(self.areas) + radius**2 * self.laplacian
         return np.asarray(_factored(system).solve(self.areas * values), dtype=np.float64)
 
     def embedding(self, time: float, count: int) -> Float:
-        """Coordinates ``(V, count)`` whose distances are diffusion distances.
+        """Coordinates ``(V, count)`` whose Euclidean distances are diffusion distances, within each component.
 
-        Every connected component is embedded on its own, by its lowest eigenvectors: distances mean something within
-        a component only. Components with few vertices have fewer coordinates, filled up with zeros.
+        Small components have fewer coordinates, padded with zeros.
         """
         result = np.zeros((self.topology.vertex_count, count))
         for component, values, vectors in self._spectra(count):
@@ -93,7 +88,7 @@ class Diffusion:
         return result
 
     def heat_kernel(self, times: Float, count: int) -> Float:
-        """Return how much heat ``(V, n)`` is still where it was, less what is then everywhere: times ``(n,)``."""
+        """Return the heat ``(V, n)`` left at its source after times ``(n,)``, less the constant part."""
         result = np.zeros((self.topology.vertex_count, len(times)))
         for component, values, vectors in self._spectra(count):
             result[component] = vectors**2 @ np.exp(-2 * np.outer(values, times))
@@ -113,7 +108,7 @@ class Diffusion:
 
 
 def _lowest(matrix: sparse.csr_array, count: int) -> tuple[Float, Float]:
-    """Return the lowest eigenvalues ``(count,)`` but the first, which is zero, and their eigenvectors."""
+    """Return the lowest eigenvalues ``(count,)`` without the first, which is zero, and their eigenvectors."""
     from scipy.sparse.linalg import LinearOperator, eigsh
 
     size = matrix.shape[0]

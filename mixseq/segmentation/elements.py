@@ -1,6 +1,6 @@
-"""What is clustered: the faces of a mesh and their trajectories.
+"""Elements of clustering: faces of a mesh, or cells of faces, and their trajectories.
 
-Every element has a few vertices, which say how it moves, and neighbours, over which costs are averaged.
+Every element has a few vertices, which define its motion, and neighbours, over which costs are averaged.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Table = NDArray[np.int32]
 
 @dataclass(frozen=True, eq=False)
 class Trajectories:
-    """Where vertices are in some frames."""
+    """Vertex positions in a set of frames."""
 
     moved: Single  # (3T, V) their coordinates, frame by frame
     # (V, 4T + 4) for every vertex its coordinates x_t, the squares |x_t|^2, and h = (rest position, 1).
@@ -27,7 +27,7 @@ class Trajectories:
 
     @classmethod
     def of(cls, x: Float) -> Trajectories:
-        """Gather the trajectories of frames ``(T, V, 3)``; the first one is at rest."""
+        """Gather the trajectories of frames ``(T, V, 3)``; the first one is the rest frame."""
         count, vertices = x.shape[:2]
         rows = np.empty((vertices, 4 * count + 4))
         rows[:, : 3 * count].reshape(vertices, count, 3)[:] = x.transpose(1, 0, 2)
@@ -37,7 +37,7 @@ class Trajectories:
         return cls(x.transpose(0, 2, 1).reshape(3 * count, vertices).astype(np.float32), rows)
 
     def at(self, vertices: Index) -> Trajectories:
-        """Return those of some vertices."""
+        """Return the trajectories of vertices."""
         return Trajectories(np.ascontiguousarray(self.moved[:, vertices]), self.rows[vertices])
 
     @property
@@ -70,7 +70,7 @@ class Elements:
 
     @classmethod
     def cells(cls, topology: Topology, faces: Elements) -> tuple[Elements, Index]:
-        """Make elements of cells of a mesh, each a vertex and what is nearest; return the cell of every face, too."""
+        """Make elements of cells, each a vertex and its surroundings; also return the cell of every face."""
         from mixseq.segmentation.segmentation_kernels import cells
 
         graph = topology.vertex_adjacency
@@ -93,7 +93,7 @@ class Elements:
 
     @cached_property
     def around(self) -> Table:
-        """Every element and its neighbours ``(E, m)``, m >= 4; E stands for none."""
+        """Every element and its neighbours ``(E, m)``, m >= 4, padded with E."""
         from mixseq.segmentation.segmentation_kernels import list_neighbours
 
         table = _filled(np.arange(len(self))[:, None], len(self), int(self._members.max(initial=1)))
@@ -102,7 +102,7 @@ class Elements:
 
     @cached_property
     def factors(self) -> Single:
-        """One over the number ``(E,)`` of those."""
+        """Inverse numbers ``(E,)`` of those."""
         return (1.0 / self._members).astype(np.float32)
 
     @cached_property
@@ -124,7 +124,7 @@ class Elements:
 
 
 def face_areas(x: Float, topology: Topology) -> Float:
-    """Return the areas ``(F,)`` of faces in a frame ``(V, 3)`` of unit size; those without any get a tiny one."""
+    """Return the areas ``(F,)`` of faces in a frame ``(V, 3)`` of unit size, tiny ones without area."""
     from mixseq.segmentation.segmentation_kernels import measure_areas
 
     areas = np.empty(len(topology.faces))
@@ -133,7 +133,7 @@ def face_areas(x: Float, topology: Topology) -> Float:
 
 
 def _filled(members: NDArray[np.integer], none: int, width: int = 0) -> Table:
-    """Make a table of members ``(E, n)`` with at least four columns, the missing ones filled with `none`."""
+    """Return a table of members ``(E, n)`` with at least four columns, padded with `none`."""
     table = np.full((len(members), max(4, width)), none, dtype=np.int32)
     table[:, : members.shape[1]] = members
     return table

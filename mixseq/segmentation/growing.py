@@ -1,15 +1,15 @@
-r"""Growing regions over a landscape, and the passes where they meet.
+"""Growing regions over a landscape, and the passes between them.
 
 Every hinge has a height. Rising water connects faces across hinges in the order of height, which is Kruskal's
-algorithm for the minimum spanning tree of the dual graph: its nodes are faces, its edges hinges. Where a hinge joins
-two lakes, it is the *pass* between them. A pass is known by
+algorithm for the minimum spanning tree of the dual graph: its nodes are faces, its edges hinges. A hinge that joins two
+lakes is the *pass* between them, with
 
-- its *area*: that of the smaller lake when they meet,
-- its *depth*: its height above the bottom of the shallower lake (the persistence of that lake).
+- an *area*: that of the smaller lake when they meet,
+- a *depth*: its height above the bottom of the shallower lake (the persistence of that lake).
 
-Cutting the tree at some passes leaves regions, in every connected component one more than passes. Where all passes
-that are cut have at least some area, so have all regions; where they have at least some depth, every region has one
-bottom, its *seed*, that is as deep below the passes that surround it. Regions are connected across hinges.
+Cutting the tree at passes leaves regions, connected across hinges, in every component one more than passes. If all cut
+passes have at least some area, so have all regions. If they have at least some depth, every region has one bottom, its
+*seed*, as deep below the surrounding passes.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Passes:
     depths: Float  # (n,) depths of the passes
 
     def cut(self, where: Index) -> Index:
-        """Cut the tree at some of its n hinges; number the regions ``(F,)`` that are left by decreasing area."""
+        """Cut the tree at n hinges; number the regions ``(F,)`` by decreasing area."""
         count = len(self.face_areas)
         i, j = self.topology.hinge_faces[np.delete(self.hinges, where)].T
         graph = sparse.coo_array((np.ones(len(i), dtype=bool), (i, j)), shape=(count, count))
@@ -45,10 +45,7 @@ class Passes:
         return by_area(region, self.face_areas)
 
     def deepest(self, parts: int, least_area: float) -> Index:
-        """Choose the deepest passes with at least some area, as many as leave `parts` regions.
-
-        Where there are too few of that area, it is halved until there are enough.
-        """
+        """Choose the deepest passes that leave `parts` regions; the least area is halved until there are enough."""
         components = len(self.face_areas) - len(self.hinges)
         count = min(max(parts - components, 0), len(self.hinges))
         while np.count_nonzero(self.areas >= least_area) < count:
@@ -57,7 +54,7 @@ class Passes:
         return np.asarray(large[np.argsort(-self.depths[large], kind="stable")[:count]], dtype=np.int64)
 
     def deeper(self, than: float, least_area: float) -> Index:
-        """Choose all passes that are deeper than something, with at least some area."""
+        """Choose all passes above a depth and an area."""
         return np.flatnonzero((self.depths > than) & (self.areas >= least_area))
 
 
@@ -71,7 +68,7 @@ def flood(topology: Topology, heights: Float, bottoms: Float, areas: Float) -> P
 
 
 def by_area(labels: NDArray[np.integer], areas: Float) -> Index:
-    """Number the labels ``(F,)`` of faces by decreasing area, 0, 1, ..., equal ones in the order of first faces."""
+    """Renumber the labels ``(F,)`` of faces by decreasing area, equal ones in the order of first faces."""
     _, first, dense = np.unique(labels, return_index=True, return_inverse=True)
     order = np.lexsort((first, -np.bincount(dense, areas)))
     rank = np.empty_like(order)
@@ -80,7 +77,7 @@ def by_area(labels: NDArray[np.integer], areas: Float) -> Index:
 
 
 def check_parts(parts: int | None, topology: Topology) -> None:
-    """Refuse a number of parts that no segmentation has."""
+    """Raise `SettingsError` for a number of parts that no segmentation has."""
     if parts is None:
         return
     whole = isinstance(parts, int | np.integer)

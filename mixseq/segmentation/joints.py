@@ -6,15 +6,14 @@ a vertex, ``max_b (w_b - number of edges to the boundary vertex b)``:
 
 - a part keeps its vertices of depth <= 1,
 - the faces with a vertex of depth >= 1 are a joint's,
-- vertices of depth >= 2 on all sides are *free*: no part keeps them, only the joint knows where they are.
+- vertices of depth >= 2 on all sides are *free*: they belong to the joint alone.
 
 The width follows the motion: each strip but the first takes up a bend of at most 30 degrees between the two parts
-(their largest relative rotation between any two frames), and `joint_width` is the limit. And it follows the mesh:
-on a coarse mesh full strips would eat whole parts and all joints would run into one, so a part's own limit is the
-largest width that leaves it a core of a third of its vertices. Width 1 takes nothing from a part.
+(their largest relative rotation between any two frames), up to `joint_width`. On coarse meshes a part limits the width
+further, to keep a core of a third of its vertices. Width 1 takes nothing from a part.
 
 Three things cannot be solved for from lengths and angles and are given back to the parts: faces without area,
-vertices where a joint hangs together by a point only, and patches of a joint without a face that one part holds.
+vertices where a joint is connected by a point only, and patches of a joint without a face that one part holds.
 """
 
 from __future__ import annotations
@@ -33,64 +32,36 @@ from mixseq.segmentation.observed import Observed, Watched, frames_to_look_at, o
 from mixseq.topology import Topology, face_patches, hinges_inside, spread, vertices_of
 
 CORE = 1.0 / 3.0
-"""Share of its vertices that a part keeps, whatever the width of its joints."""
+"""Least share of its vertices that a part keeps, whatever the width of its joints."""
 
 BEND = 30.0
-"""Degrees of bend that each strip of a joint but its first takes up."""
+"""Bend per strip of a joint, except the first, in degrees."""
 
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """A hinge-connected patch of faces between parts, with indices into itself (local) and the mesh (global).
+    """A hinge-connected patch of faces between parts; local indices are into its vertices."""
 
-    Attributes
-    ----------
-    vertices : (n,) int64
-        Global vertices, ascending.
-    faces : (m, 3) int64
-        Local triangles.
-    face_ids : (m,) int64
-        Their global numbers.
-    edge_ids : (e,) int64
-        Global numbers of the joint's edges, ascending.
-    hinge_ids : (h,) int64
-        Global numbers of the hinges between two of its faces, ascending.
-    free : (n,) bool
-        Vertices that no part keeps.
-    """
-
-    vertices: Index
-    faces: Index
-    face_ids: Index
-    edge_ids: Index
-    hinge_ids: Index
-    free: Mask
+    vertices: Index  # (n,) global vertices, ascending
+    faces: Index  # (m, 3) local triangles
+    face_ids: Index  # (m,) their global numbers
+    edge_ids: Index  # (e,) global numbers of the joint's edges, ascending
+    hinge_ids: Index  # (h,) global numbers of hinges between two of its faces, ascending
+    free: Mask  # (n,) vertices of no part
 
 
 @dataclass(frozen=True, eq=False)
 class Decomposition:
-    """A mesh cut into parts and joints.
+    """A mesh cut into parts and joints."""
 
-    Attributes
-    ----------
-    part_of_face : (F,) int64
-        The segmentation the decomposition was made from.
-    parts : tuple of (V_i,) int64
-        Vertices of every part, ascending. Parts may share vertices.
-    joints : tuple of Joint
-        The joints; their faces are disjoint.
-    widths : (p,) int64
-        Largest width of the joints on the side of every part, in strips.
-    """
-
-    part_of_face: Index
-    parts: tuple[Index, ...]
-    joints: tuple[Joint, ...]
-    widths: Index
+    part_of_face: Index  # (F,) the segmentation
+    parts: tuple[Index, ...]  # (V_i,) vertices of every part, ascending; parts may share vertices
+    joints: tuple[Joint, ...]  # their faces are disjoint
+    widths: Index  # (p,) largest width of joints on the side of every part, in strips
 
     @property
     def joint_of_face(self) -> Index:
-        """Joint ``(F,)`` of every face, -1 where there is none."""
+        """Joint ``(F,)`` of every face, -1 for none."""
         result = np.full(len(self.part_of_face), -1, dtype=np.int64)
         for number, joint in enumerate(self.joints):
             result[joint.face_ids] = number
@@ -110,7 +81,7 @@ def decompose(
     points: FloatArray | Observed | None = None,
     core: float = CORE,
 ) -> Decomposition:
-    """Grow joints around the boundaries of a segmentation: part_of_face ``(F,)``; points ``(T, V, 3)``."""
+    """Grow joints around the boundaries of a segmentation ``(F,)``; points ``(T, V, 3)`` limit their width."""
     if joint_width < 1:
         raise SettingsError(f"joint_width is {joint_width}; at least 1 strip is needed")
     if part_of_face.shape != (len(topology.faces),):
@@ -154,7 +125,7 @@ def decompose(
 def _boundary_widths(
     topology: Topology, part_of_face: Index, joint_width: int, observed: Observed | None
 ) -> Index:
-    """Width ``(V,)`` that the joint at every boundary vertex should have, 0 where there is no boundary."""
+    """Width ``(V,)`` of the joint at every boundary vertex, 0 elsewhere."""
     boundaries = Boundaries.of(topology, part_of_face)
     width_of_pair = np.full(len(boundaries.parts), joint_width)
     if observed is not None:
@@ -167,7 +138,7 @@ def _boundary_widths(
 
 
 def _width(depths: list[Index], inside: Mask, core: float) -> int:
-    """Largest width that leaves a part its core."""
+    """Return the largest width that leaves a part its core."""
     size = np.count_nonzero(inside)
     for width in range(len(depths) - 1, 1, -1):
         kept = np.count_nonzero(depths[width][inside] <= 1)
@@ -177,7 +148,7 @@ def _width(depths: list[Index], inside: Mask, core: float) -> int:
 
 
 def _give_back(topology: Topology, part_of_face: Index, kept: list[Mask], in_joint: Mask) -> Index:
-    """Number the patches of the joints that stay; what cannot stay is added to `kept`, in place."""
+    """Number the remaining patches of joints; add the rest to `kept`, in place."""
 
     def keep(faces: Mask, vertices: Mask | None = None) -> None:
         for part, inside in enumerate(kept):
@@ -197,7 +168,7 @@ def _give_back(topology: Topology, part_of_face: Index, kept: list[Mask], in_joi
 
 
 def _firm(topology: Topology, kept: list[Mask]) -> Mask:
-    """Mark the faces that one part holds with all their corners."""
+    """Mark the faces whose corners all belong to one part."""
     firm = np.zeros(len(topology.faces), dtype=bool)
     for inside in kept:
         firm |= np.logical_and.reduce(_at_corners(topology, inside))
@@ -210,7 +181,7 @@ def _at_corners(topology: Topology, marked: Mask) -> list[Mask]:
 
 
 def _points_of_contact(topology: Topology, patches: Index) -> Mask:
-    """Mark the vertices whose joint faces do not form one fan across hinges."""
+    """Mark the vertices whose joint faces are several fans across hinges."""
     marked = patches >= 0
     joined = hinges_inside(topology, marked)
     sides = topology.hinge_faces[joined]
@@ -228,7 +199,7 @@ def _points_of_contact(topology: Topology, patches: Index) -> Mask:
 
 
 def make_joint(topology: Topology, faces: Mask, held: Mask) -> Joint:
-    """Make a joint of the marked faces ``(F,)``, with free vertices where none of the parts ``(V,)`` holds one."""
+    """Make a joint of the marked faces ``(F,)``; its vertices outside `held` ``(V,)`` are free."""
     face_ids = np.flatnonzero(faces)
     vertices = np.unique(topology.faces[face_ids]).astype(np.int64)
     return Joint(

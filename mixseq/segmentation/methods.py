@@ -1,4 +1,4 @@
-"""Cut a mesh into parts: by a method with a name, or by labels that somebody else made."""
+"""Cut a mesh into parts by a named method, or by given labels."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mixseq.topology import Topology, split_labels
 
 MethodSettings = MotionSettings | SilhouetteSettings | SpanningTreeSettings
 Segmentation = SegmentationName | MethodSettings
-"""A method by its name, or with settings of its own, which tell what method they are for."""
+"""Name of a method, or settings of it."""
 
 
 class Method(NamedTuple):
@@ -34,7 +34,7 @@ METHODS: dict[SegmentationName, Method] = {
     "silhouettes": Method(segment_by_silhouettes, SilhouetteSettings),
     "spanning-tree": Method(segment_by_spanning_tree, SpanningTreeSettings),
 }
-"""The methods that need nothing but the moving mesh."""
+"""Methods that need the moving mesh alone."""
 
 
 def chosen(segmentation: Segmentation) -> tuple[SegmentationName, MethodSettings]:
@@ -57,33 +57,10 @@ def segment(
     parts: int | None = None,
     settings: MethodSettings | None = None,
 ) -> Index:
-    """Find the near-rigid parts of a moving mesh.
+    """Find the near-rigid part ``(F,)`` of every face, numbered by decreasing area: points ``(T, V, 3)`` in any unit.
 
-    Parameters
-    ----------
-    points : (T, V, 3) float
-        The sequence; any unit.
-    topology : Topology
-        Its connectivity.
-    method : {"motion", "silhouettes", "spanning-tree"}
-        How: by rigid motion (ours, the default), by augmented silhouettes (Marras et al. 2012, the paper's choice), or
-        by cutting a spanning tree (Wuhrer and Brunton 2010).
-    parts : int, optional
-        Number of parts; found automatically if not given. Every connected component has at least one. Where little
-        moves, the motion method may find fewer than asked for.
-    settings : MotionSettings, SilhouetteSettings or SpanningTreeSettings, optional
-        Details of the method.
-
-    Returns
-    -------
-    (F,) int64
-        Part of every face, numbered 0, 1, ... by decreasing area. Parts are connected across edges.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such method, the settings are another method's, or `parts` is below one or above the number of
-        faces.
+    Parts are connected across edges. Without `parts` their number is automatic, at least one per component; "motion"
+    may find fewer where little moves. Raises `SettingsError` for wrong settings, or `parts` below 1 or above F.
     """
     found = METHODS[chosen(method)[0]]
     if settings is not None and not isinstance(settings, found.settings):
@@ -95,14 +72,7 @@ def segment(
 
 
 def segment_by_labels(labels: ArrayLike, topology: Topology) -> NDArray[np.int64]:
-    """Make a segmentation of given face labels: labels ``(F,)``; result ``(F,)``.
-
-    Examples
-    --------
-    >>> strip = Topology(np.array([[0, 1, 2], [2, 1, 3], [2, 3, 4]]), 5)
-    >>> segment_by_labels([7, 5, 7], strip).tolist()
-    [1, 0, 2]
-    """
+    """Split face labels ``(F,)`` into connected parts ``(F,)``; raise `SegmentationError` if they do not fit."""
     given = np.asarray(labels)
     if given.shape != (len(topology.faces),) or not np.issubdtype(given.dtype, np.integer):
         raise SegmentationError(

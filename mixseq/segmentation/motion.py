@@ -1,16 +1,14 @@
-"""Segmentation by rigid motion: faces that turn together form a part.
+"""Segmentation by rigid motion: faces that rotate together form a part.
 
-1. *Cluster.* Every cluster carries one rigid motion per frame; faces go to the cluster that predicts them best
-   (Lloyd's iteration), the costs being diffused over the surface first so that boundaries come out smooth. The
-   worst predicted patch seeds the next cluster, until there are enough. On dense meshes cells of some faces are
-   clustered first.
+1. *Cluster.* Every cluster has one rigid motion per frame; faces go to the cluster that predicts them best
+   (Lloyd's iteration), after costs are diffused over the surface for smooth boundaries. The worst predicted patch
+   seeds the next cluster, until there are enough. Dense meshes are clustered by cells of faces first.
 2. *Connect.* Clusters are split into connected patches; small regions join the neighbour that predicts them best.
-3. *Merge.* Neighbours are merged, those that turn least against each other first, until every boundary bends
-   enough (or the number of parts asked for is reached). Bending is the measure because it is what a part cannot
-   do: vertices of a part are combined linearly, which is fine for slides and small deformations, but shortens
-   what turns.
+3. *Merge.* Neighbours are merged, those with the least relative rotation first, until every boundary bends enough
+   (or the given number of parts is reached). Bending is the measure because vertices of a part are combined linearly,
+   which suits slides and small deformations, but shortens what rotates.
 
-The result depends on nothing but the input: there are no random numbers.
+The result is deterministic: there are no random numbers.
 """
 
 from __future__ import annotations
@@ -30,10 +28,10 @@ from mixseq.segmentation.rigid_error import Moments
 from mixseq.topology import Topology, split_labels
 
 DENSE = 20000
-"""Meshes with more faces are clustered by cells first."""
+"""Number of faces above which meshes are clustered by cells first."""
 
 LARGE = 160_000
-"""Meshes with more faces are clustered by cells alone: their borders are off by no more than an edge. Ours."""
+"""Number of faces above which meshes are clustered by cells alone: borders are off by at most an edge."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +77,7 @@ def segment_by_motion(
     parts: int | None = None,
     settings: MotionSettings | None = None,
 ) -> Index:
-    """Find the near-rigid parts of a moving mesh: points ``(T, V, 3)``; result ``(F,)``."""
+    """Find the near-rigid part ``(F,)`` of every face from points ``(T, V, 3)``."""
     settings = settings or MotionSettings()
     check_parts(parts, topology)
     faces = Elements.faces(topology, _looked_at(points, settings.frames))
@@ -92,7 +90,7 @@ def segment_by_motion(
 
 
 def _looked_at(points: FloatArray, frames: int) -> Float:
-    """Return some frames ``(T, V, 3)``, centred, in units of the diagonal of the first, or else of the largest."""
+    """Return sampled frames ``(T, V, 3)``, centred, in diagonals of the first, or else of the largest."""
     x = points[frames_to_look_at(len(points), frames)].astype(np.float64)
     x -= x.mean(axis=1, keepdims=True)
     diagonals = np.linalg.norm(np.ptp(x, axis=1), axis=1)
@@ -101,9 +99,9 @@ def _looked_at(points: FloatArray, frames: int) -> Float:
 
 
 def _cluster(topology: Topology, faces: Elements, count: int, settings: MotionSettings) -> Index:
-    """Lloyd's iteration with one more cluster at a time; only its end looks at fully diffused costs.
+    """Cluster faces by Lloyd's iteration with one more cluster at a time; only the end uses fully diffused costs.
 
-    Dense meshes are clustered by cells of some faces, and only the end looks at the faces, large ones not even there.
+    Dense meshes are clustered by cells first, large ones by cells alone.
     """
     rounds = settings.smoothing * len(faces) ** 0.5
     if len(faces) <= DENSE:
@@ -115,7 +113,7 @@ def _cluster(topology: Topology, faces: Elements, count: int, settings: MotionSe
 
 
 def _grown(elements: Elements, count: int, rounds: float) -> Clusters:
-    """Seed one more cluster at a time where elements are predicted worst."""
+    """Add one cluster at a time, seeded at the worst predicted elements."""
     seed_size = max(4, len(elements) // (6 * count))
     few = 1 + max(1, round(rounds)) // 4
     clusters = Clusters(elements, np.zeros(len(elements), dtype=np.int64), count)
@@ -127,7 +125,7 @@ def _grown(elements: Elements, count: int, rounds: float) -> Clusters:
 
 
 def _settled(clusters: Clusters, rounds: float, times: int) -> Index:
-    """Assign all elements some more times, by costs that are averaged over `rounds` rounds."""
+    """Reassign all elements several times, by costs averaged over `rounds` rounds."""
     for _ in range(times):
         clusters.assign(max(1, round(rounds)))
     return clusters.labels
@@ -161,7 +159,7 @@ class _Bodies:
         return [(p, q) for p, beside in self.neighbours.items() for q in beside if p < q]
 
     def merge(self, keep: int, drop: int) -> None:
-        """Give all faces of a patch to another one, in place."""
+        """Move all faces of a patch to another one, in place."""
         self.patches[self.patches == drop] = keep
         self.moments[keep] += self.moments.pop(drop)
         self.sizes[keep] += self.sizes.pop(drop)
@@ -173,7 +171,7 @@ class _Bodies:
 
 
 def _absorb_small_regions(bodies: _Bodies, settings: MotionSettings) -> None:
-    """Give every small patch to the neighbour with which the rigid error grows least, smallest first."""
+    """Merge small patches, the smallest first, into the neighbour with the least growth of the rigid error."""
     smallest = max(4, round(settings.small_region * len(bodies.patches)))
     moments = bodies.moments
     while True:

@@ -1,16 +1,7 @@
-"""What the width of joints depends on, gathered from a sequence block by block.
+"""Observations of frames for the width of joints, gathered block by block.
 
-A decomposition asks two things of the frames: how far neighbouring parts turn against each other, and which faces
-lose their area in some frame. Both are small values that add up over blocks of frames, so that a sequence need not be
-in memory as a whole:
-
->>> import numpy as np
->>> from mixseq.topology import Topology
->>> strip = Topology(np.array([[0, 1, 2], [2, 1, 3]]), 4)
->>> frames = np.array([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]] * 6)
->>> watched = Watched.of(strip, np.array([0, 1]), frames[::3])
->>> gather(observe(watched, block) for block in (frames[:4], frames[4:])).rotations.shape
-(6, 2, 3, 3)
+A decomposition needs the relative rotations of neighbouring parts, and the faces without area in some frame. Both are
+small and additive over blocks of frames, so that a sequence need not be in memory as a whole.
 """
 
 from __future__ import annotations
@@ -27,17 +18,17 @@ from mixseq.polygons import frozen
 from mixseq.topology import Topology, vertices_of
 
 FLAT = 1e-5
-"""A face lower than this, relative to its longest side, has no area to speak of."""
+"""Ratio of height to longest side below which a face has no area."""
 
 
 def frames_to_look_at(frame_count: int, at_most: int = 24) -> Index:
-    """Choose frames, evenly spread, that stand for a sequence: for finding its parts and their shapes."""
+    """Choose evenly spread frames that represent a sequence, for finding its parts and their shapes."""
     return evenly(frame_count, at_most)
 
 
 @dataclass(frozen=True, eq=False)
 class Watched:
-    """What is looked at in every frame."""
+    """Quantities observed in every frame."""
 
     faces: NDArray[np.integer]  # (F, 3) triangles of the mesh
     parts: tuple[Index, ...]  # vertices of every part, ascending
@@ -45,7 +36,7 @@ class Watched:
 
     @classmethod
     def of(cls, topology: Topology, part_of_face: Index, frames: FloatArray) -> Watched:
-        """Watch the parts ``(F,)`` of a mesh; their shapes are means of some frames ``(S, V, 3)``, S >= 1."""
+        """Make it for the parts ``(F,)`` of a mesh; their shapes are means of frames ``(S, V, 3)``, S >= 1."""
         count = int(part_of_face.max(initial=-1)) + 1
         parts = tuple(np.flatnonzero(vertices_of(topology, part_of_face == part)) for part in range(count))
         shapes = tuple(mean_shape(frames[:, part].astype(np.float64), sweeps=3) for part in parts)
@@ -54,14 +45,14 @@ class Watched:
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """What was seen."""
+    """Observations of frames."""
 
     rotations: Float  # (T, p, 3, 3) rotation of every part in every frame, relative to its shape
     flat: Mask  # (F,) faces that have no area in some frame
 
 
 def observe(watched: Watched, points: FloatArray) -> Observed:
-    """Look at a block of frames ``(B, V, 3)``. What is seen of a frame does not depend on its block."""
+    """Observe a block of frames ``(B, V, 3)``; each frame is independent of its block."""
     from mixseq.segmentation.segmentation_kernels import mark_flat
 
     flat = np.zeros(len(watched.faces), dtype=bool)
@@ -76,7 +67,7 @@ def observe(watched: Watched, points: FloatArray) -> Observed:
 
 
 def gather(blocks: Iterable[Observed]) -> Observed:
-    """Put together what was seen of the blocks of a sequence, one at least, in their order."""
+    """Concatenate the observations of one or more blocks, in order."""
     rotations, flat = [], None
     for block in blocks:
         rotations.append(block.rotations)

@@ -1,4 +1,4 @@
-r"""How far sets of vertices are from moving rigidly, from sums that add up.
+r"""Deviation of vertex sets from rigid motion, from additive sums.
 
 For vertices with weights w, rest positions h and positions x_t in frame t, the error of the best rigid motion is
 
@@ -6,8 +6,7 @@ For vertices with weights w, rest positions h and positions x_t in frame t, the 
           C_t = \sum w\, x_t h^T - \frac{1}{W} \bigl(\sum w\, x_t\bigr)\bigl(\sum w\, h\bigr)^T
 
 with centred second moments S. The maximum is the sum of the singular values of C_t, the last one with the sign
-of det C_t (Kabsch 1976). All sums are additive over disjoint sets, so the error of a union costs no further look
-at the vertices.
+of det C_t (Kabsch 1976). All sums are additive over disjoint sets: the error of a union needs no vertices.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-r"""Score segmentations: how near-rigid their parts are, and how far two of them agree.
+r"""Scores of segmentations: agreement of two of them, and near-rigidity of parts.
 
 *Adjusted Rand index* (Hubert and Arabie 1985) of two segmentations of one mesh. With :math:`n_{ij}` the weight that is
 in part i of one and part j of the other, :math:`a_i = \sum_j n_{ij}`, :math:`b_j = \sum_i n_{ij}`, N their sum, and the
@@ -6,14 +6,14 @@ sums of squares
 
 .. math:: S = \sum_{ij} n_{ij}^2, \quad A = \sum_i a_i^2, \quad B = \sum_j b_j^2, \quad Q = \sum_f w_f^2,
 
-of which Q is what pairs of a face with itself contribute, the index is
+of which Q is the contribution of pairs of a face with itself, the index is
 
 .. math:: \mathrm{ARI} = \frac{(S - Q) - E}{\frac{1}{2} (A + B) - Q - E}, \qquad
           E = \frac{(A - Q)(B - Q)}{N^2 - Q} .
 
 For weights of one that is the usual index of counts, since :math:`n^2 - n = 2 \binom{n}{2}`.
 
-*Karni-Gotsman error* of one ("Compression of soft-body animation sequences", Computers & Graphics 2004). With B the
+*Karni-Gotsman error* ("Compression of soft-body animation sequences", Computers & Graphics 2004). With B the
 vertices of A moved by the best rigid motion of their part in every frame (Kabsch), from the first frame on,
 
 .. math:: \mathrm{KG} = 100\, \frac{\|A - B\|_F}{\|A - \bar A\|_F},
@@ -33,15 +33,7 @@ from mixseq.segmentation.rigid_error import moments
 
 
 def adjusted_rand_index(first: ArrayLike, second: ArrayLike, weights: ArrayLike | None = None) -> float:
-    """Compare two labelings of the same faces: first, second ``(F,)``; weights ``(F,)``.
-
-    Examples
-    --------
-    >>> adjusted_rand_index([0, 0, 1, 1], [5, 5, 3, 3])
-    1.0
-    >>> round(adjusted_rand_index([0, 0, 1, 1], [0, 1, 0, 1]), 9)
-    -0.5
-    """
+    """Return the adjusted Rand index of two labelings ``(F,)`` of the same faces, with weights ``(F,)``."""
     a, b = np.asarray(first), np.asarray(second)
     if a.ndim != 1 or a.shape != b.shape:
         raise SegmentationError(
@@ -64,16 +56,13 @@ def adjusted_rand_index(first: ArrayLike, second: ArrayLike, weights: ArrayLike 
 
 
 def _pairs(group: NDArray[np.intp], weights: NDArray[np.float64]) -> float:
-    """Weight of the pairs of different faces that are in one group; exactly 0 where every face is alone."""
+    """Return the weight of pairs of different faces in one group; exactly 0 where every face is alone."""
     squared, own = np.bincount(group, weights) ** 2, np.bincount(group, weights**2)
     return float(np.sum(squared - own))
 
 
 def near_rigid_errors(points: FloatArray, faces: IntArray, part_of_face: IntArray) -> tuple[Float, float]:
-    """Measure how near-rigid parts are.
-
-    Shapes: points ``(T, V, 3)``; faces ``(F, 3)``; part_of_face ``(F,)``; result ``(p,)``.
-    """
+    """Return KG errors ``(p,)`` of parts ``(F,)`` and of the whole: points ``(T, V, 3)``, faces ``(F, 3)``."""
     count = int(part_of_face.max(initial=-1)) + 1
     centroids = points.mean(axis=1, dtype=np.float64)[None]  # (1, T, 3)
     errors, own, whole = np.zeros(count), np.zeros(count), 0.0

@@ -1,4 +1,4 @@
-"""The inner loops of all segmentations, compiled: clusters of rigid motion, flat faces, regions that grow."""
+"""Compiled inner loops of segmentations: clusters of rigid motion, flat faces, growing regions."""
 
 from __future__ import annotations
 
@@ -17,24 +17,10 @@ Table = NDArray[np.int32]
 def transfer(
     moved: Index, source: Index, target: Index, corners: Table, weights: Float, rows: Float, tallies: Float
 ) -> None:
-    """Move elements between clusters: add what they weigh to the target's tallies, subtract it from the source's.
+    """Move elements ``(n,)`` between clusters ``(E,)``, -1 for none, and update tallies ``(K, 4, D)``, in place.
 
-    A vertex with the row y, which ends with ``h = (rest position, 1)``, adds ``w h y^T``.
-
-    Parameters
-    ----------
-    moved : (n,) int64
-        Elements that move.
-    source, target : (E,) int64
-        Cluster of every element before and after; a source of -1 is none.
-    corners : (E, 4) int32
-        Rows of their vertices; V stands for none.
-    weights : (E,) float64
-        Weight w of each vertex of an element, a share of its area in squared diagonals.
-    rows : (V, D) float64
-        Rows y of vertices, as in `Trajectories`.
-    tallies : (K, 4, D) float64
-        Changed in place.
+    A vertex with weight w, a share of area in squared diagonals, and row y ``(D,)`` of `Trajectories`, which ends with
+    ``h = (rest position, 1)``, adds ``w h y^T``. Corners ``(E, 4)`` are padded with V.
     """
     size = rows.shape[1]
     for e in moved:
@@ -56,10 +42,7 @@ def transfer(
 
 @compiled
 def squared_distances(moved: Single, rest: Single, motions: Single, result: Single) -> None:
-    """Write mean squared distances of trajectories from where motions put the vertices.
-
-    Shapes: moved, rest ``(3T, V), (3, V)``; motions ``(K, 3T, 4)``; result ``(V, K)``.
-    """
+    """Write mean squared distances ``(V, K)`` of trajectories ``(3T, V)`` from rest ``(3, V)`` under ``(K, 3T, 4)``."""
     chunk = 512  # of vertices, so that what the inner loops touch stays in cache
     sums = np.empty(chunk, dtype=np.float32)
     count = np.float32(len(moved) // 3)
@@ -85,11 +68,9 @@ def squared_distances(moved: Single, rest: Single, motions: Single, result: Sing
 
 @compiled
 def averages(values: Single, members: Table, factors: Single, result: Single) -> None:
-    """Write the mean of the rows of values that are the members of each element.
+    """Write the mean ``(E, K)`` of the rows of values ``(n, K)`` of each element's members ``(E, m)``.
 
-    Elements with fewer members repeat one whose row is zero.
-
-    Shapes: values ``(n, K)``; members ``(E, m)``; factors ``(E,)``; result ``(E, K)``.
+    Members are padded with a row of zeros.
     """
     for e in range(len(members)):
         a, b = values[members[e, 0]], values[members[e, 1]]
@@ -105,10 +86,7 @@ def averages(values: Single, members: Table, factors: Single, result: Single) ->
 
 @compiled
 def cheapest(fresh: Single, columns: Index, costs: Single, labels: Index, lowest: Single) -> None:
-    """Put fresh costs into columns of the costs; write each row's lowest, and where it is.
-
-    Shapes: fresh, columns ``(E, n)``; costs ``(E, K)``; labels, lowest ``(E,)``.
-    """
+    """Write fresh costs ``(E, n)`` to columns of costs ``(E, K)``; write each row's lowest and its label ``(E,)``."""
     for e in range(len(costs)):
         row = costs[e]
         for i in range(len(columns)):
@@ -123,10 +101,7 @@ def cheapest(fresh: Single, columns: Index, costs: Single, labels: Index, lowest
 
 @compiled
 def list_neighbours(pairs: Index, table: Table) -> None:
-    """Write the neighbours of elements behind the elements themselves: first those of pairs that they are first in.
-
-    Shapes: pairs ``(n, 2)``; table ``(E, m)``.
-    """
+    """Write neighbours by pairs ``(n, 2)`` behind the elements in a table ``(E, m)``, pairs they lead first."""
     next_place = np.ones(len(table), dtype=np.int32)
     for own in range(2):
         for pair in range(len(pairs)):
@@ -137,7 +112,7 @@ def list_neighbours(pairs: Index, table: Table) -> None:
 
 @compiled
 def measure_areas(points: Float, faces: NDArray[np.integer], areas: Float) -> None:
-    """Write the areas of faces: points, faces ``(V, 3)``; areas ``(F,)``."""
+    """Write the areas ``(F,)`` of faces ``(F, 3)`` of points ``(V, 3)``."""
     for f in range(len(faces)):
         a, b, c = points[faces[f, 0]], points[faces[f, 1]], points[faces[f, 2]]
         u0, u1, u2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -148,10 +123,7 @@ def measure_areas(points: Float, faces: NDArray[np.integer], areas: Float) -> No
 
 @compiled
 def cells(starts: Table, neighbours: Table, owner: Table) -> Index:
-    """Give every vertex to a cell: a centre and those of its neighbours that no cell had; return the centres.
-
-    Shapes: starts, neighbours ``(V + 1,), (m,)``; owner ``(V,)``.
-    """
+    """Partition vertices into cells, a centre and its unassigned neighbours; write owners ``(V,)``, return centres."""
     centres = np.empty(len(owner), dtype=np.int64)
     count = 0
     for v in range(len(owner)):
@@ -167,7 +139,7 @@ def cells(starts: Table, neighbours: Table, owner: Table) -> Index:
 
 @compiled
 def mark_flat(points: Float, faces: NDArray[np.integer], height: float, flat: Mask) -> None:
-    """Mark the faces that are lower than `height` times their longest side: points, faces ``(V, 3)``; flat ``(F,)``."""
+    """Mark the faces ``(F,)`` lower than `height` times their longest side: points ``(V, 3)``."""
     for f in range(len(faces)):
         a, b, c = points[faces[f, 0]], points[faces[f, 1]], points[faces[f, 2]]
         u0, u1, u2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -181,10 +153,7 @@ def mark_flat(points: Float, faces: NDArray[np.integer], height: float, flat: Ma
 
 @compiled
 def kruskal(ends: Index, heights: Float, bottoms: Float, areas: Float) -> tuple[Index, Float, Float]:
-    """Join nodes by edges in the order in which these are given.
-
-    Shapes: ends ``(m, 2)``; heights ``(m,)``; bottoms, areas ``(n,)``; result ``(k,)``, ``(k,)``, ``(k,)``.
-    """
+    """Join nodes by edges ``(m, 2)`` in the given order; return joining edges ``(k,)``, areas and depths ``(k,)``."""
     parent = np.arange(len(areas))
     tree = np.empty(len(areas), dtype=np.int64)
     area, depth = np.empty(len(areas)), np.empty(len(areas))

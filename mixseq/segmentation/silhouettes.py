@@ -1,26 +1,24 @@
 r"""Segmentation by augmented silhouettes, after Marras, Bronstein, Hormann, Scateni and Scopigno (2012).
 
-As the paper tells it (Section 2.1, Figure 3):
+The method (paper, Section 2.1, Figure 3):
 
-1. *Look.* The N poses are seen from K viewpoints. The perceptually relevant edges of a view are those between a visible
-   and a hidden face, occlusion left aside; they are its augmented silhouette. Only K' of all K N silhouettes are
-   looked at, chosen at random.
+1. *Look.* The N poses are seen from K viewpoints. The augmented silhouette of a view are the edges between a visible
+   and a hidden face, without occlusion. Only K' of all K N silhouettes, chosen at random, are used.
 2. *Mark.* On every silhouette the vertices are marked whose surrounding triangles deform most, by the largest
    variation over the poses of the angles and lengths of their edges. Vertices marked often are *significant*.
-3. *Seed.* Every vertex is as high as its diffusion distance from the nearest significant one. Tops are seeds.
+3. *Seed.* The height of a vertex is its diffusion distance from the nearest significant one. Maxima are seeds.
 4. *Grow.* Regions grow from the seeds downwards, until they meet where the mesh deforms.
 
-The paper gives no numbers, and leaves open what follows, which is ours:
+Choices that the paper leaves open, like all numbers:
 
-- Views are orthographic, and directions are spread over a half sphere, since a mesh has the same silhouette from
-  behind.
+- Views are orthographic, with directions spread over a half sphere: silhouettes are the same from behind.
 - A vertex deforms by :math:`\Delta\theta_v + \epsilon_v` (`mixseq.segmentation.deformation`), smoothed over a small
-  radius; on every silhouette the share of its vertices that deform most is marked; those marked on at least half of
-  the silhouettes that they are on are significant.
-- A significant vertex lies as far below zero as it is from the nearest one that is not. So regions meet in the middle
-  of what deforms.
-- A seed stands for a part if it is high enough above the pass to a higher one (its persistence, see
-  `mixseq.segmentation.growing`), and if its region is large enough. Every connected component is at least one part.
+  radius; on every silhouette a fixed share of vertices is marked; those marked on at least half of their silhouettes
+  are significant.
+- The height of a significant vertex is minus its distance from the nearest other one, so that regions meet in the
+  middle of what deforms.
+- A seed makes a part if it is high enough above the pass to a higher one (its persistence, see
+  `mixseq.segmentation.growing`), and its region is large enough. Every connected component is at least one part.
 """
 
 from __future__ import annotations
@@ -99,10 +97,7 @@ def segment_by_silhouettes(
     parts: int | None = None,
     settings: SilhouetteSettings | None = None,
 ) -> Index:
-    """Find the parts of a moving mesh between the places where its silhouettes deform.
-
-    Shapes: points ``(T, V, 3)``; result ``(F,)``.
-    """
+    """Find the part ``(F,)`` of every face between deforming silhouettes of points ``(T, V, 3)``."""
     settings = settings or SilhouetteSettings()
     check_parts(parts, topology)
     x = some_frames(points, settings.frames)
@@ -129,7 +124,7 @@ def viewpoints(count: int) -> Float:
 
 
 def silhouette(points: FloatArray, topology: Topology, direction: Float) -> Mask:
-    """Mark the hinges ``(H,)`` between a face that looks along a direction ``(3,)`` and one that does not."""
+    """Mark the hinges ``(H,)`` between a face towards a direction ``(3,)`` and one away from it."""
     corners = points[topology.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     visible = (normals @ direction > 0.0)[topology.hinge_faces]
@@ -139,7 +134,7 @@ def silhouette(points: FloatArray, topology: Topology, direction: Float) -> Mask
 def significant_vertices(
     points: FloatArray, topology: Topology, deformation: Float, settings: SilhouetteSettings
 ) -> Mask:
-    """Mark the vertices ``(V,)`` that deform most on most of the silhouettes that they are on: points ``(N, V, 3)``."""
+    """Mark the vertices ``(V,)`` that deform most on most of their silhouettes: points ``(N, V, 3)``."""
     directions = viewpoints(settings.viewpoints)
     views = len(points) * len(directions)
     chosen = np.random.default_rng(settings.seed).choice(
@@ -158,11 +153,9 @@ def significant_vertices(
 
 
 def _signed_distance(surface: Diffusion, significant: Mask, settings: SilhouetteSettings) -> Float:
-    """Diffusion distance ``(V,)`` from the nearest significant vertex; of those to the nearest other, negative.
+    """Return the diffusion distance ``(V,)`` from the nearest significant vertex, negative inside; 0 without a rim.
 
-    Only vertices on the rim are looked at, with a neighbour of the other kind. Nearest ones are there on a path along
-    the surface; that others are nearer by diffusion is rare, and then they hardly are. It is zero on components where
-    no vertex is significant, or all are.
+    Only rim vertices, with a neighbour of the other kind, are compared: others are rarely nearer, and then hardly.
     """
     from scipy.spatial import cKDTree
 

@@ -1,13 +1,13 @@
-r"""Segmentation by a spanning tree, after Wuhrer and Brunton (2010): parts are cut apart where hinges bend most.
+"""Segmentation by a spanning tree, after Wuhrer and Brunton (2010): cut where hinges bend most.
 
-1. Every hinge is characterised by the largest variation of its dihedral angle between any two frames.
+1. Every hinge has the largest variation of its dihedral angle between any two frames.
 2. A minimum spanning tree of the dual graph (nodes are faces, edges are hinges) connects the faces across the hinges
    that bend least.
-3. The tree is cut at hinges of large variation. What stays connected is a near-rigid part.
+3. The tree is cut at hinges of large variation, which leaves near-rigid parts.
 
-That much is the method as the paper tells it (Section 1.3). Cut just like that, noisy meshes fall into one large part
-and crumbs: the largest variations are those of single bad triangles, while a bending limb has sides that are only
-sheared, past which the tree sneaks through the joint. So two things are ours:
+That is the method of the paper (Section 1.3). On noisy meshes it leaves one large part and crumbs: the largest
+variations are those of single bad triangles, and the tree passes joints along sides of limbs that are only sheared.
+Two additions:
 
 - *Smoothing.* Variations are averaged at vertices and smoothed over a small radius on the surface; a hinge has the
   mean of its two ends. That closes the rings about joints.
@@ -37,16 +37,16 @@ class SpanningTreeSettings:
     Attributes
     ----------
     frames : int
-        Frames looked at, evenly spread over the sequence.
+        Number of frames, evenly spread over the sequence.
     radius : float
-        Variations are smoothed over about this distance, in diagonals; 0 takes them as they are.
+        Smoothing radius of variations, in diagonals; 0 for none.
     contrast : float
         Without a number of parts, cuts are where the variation is larger than inside the parts by this fraction of
         the mesh's mean variation ...
     still : float
-        ... and by more than this angle, in degrees: what varies less is taken for noise.
+        ... and by more than this angle, in degrees; smaller variations are noise.
     small_region : float
-        Parts have at least this fraction of the area, unless more parts are asked for than that allows.
+        Least fraction of the area of a part, unless more parts are requested than that allows.
     """
 
     frames: int = 24
@@ -72,7 +72,7 @@ def segment_by_spanning_tree(
     parts: int | None = None,
     settings: SpanningTreeSettings | None = None,
 ) -> Index:
-    """Cut a moving mesh where its dihedral angles vary most: points ``(T, V, 3)``; result ``(F,)``."""
+    """Cut a moving mesh ``(T, V, 3)`` where its dihedral angles vary most; returns parts ``(F,)``."""
     settings = settings or SpanningTreeSettings()
     check_parts(parts, topology)
     x = some_frames(points, settings.frames)

@@ -1,8 +1,8 @@
-"""Where the 3 x 3 blocks of a sparse symmetric matrix are kept.
+"""Sparsity pattern of symmetric matrices of 3 x 3 blocks.
 
-Unknowns come in threes: the coordinates of a vertex, or the columns of a face's frame. Which pairs are coupled follows
-from connectivity, so the places of all values are found once; matrices of one pattern are nothing but their values,
-the lower triangle column by column (compressed sparse columns).
+Unknowns come in threes: the coordinates of a vertex, or the columns of a face's frame. Coupled pairs follow from
+connectivity, so the places of all values are found once. A matrix is its values alone, the lower triangle column by
+column (compressed sparse columns).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from mixseq.shells.solvers import Analysis, analyse
 
 @dataclass(frozen=True, eq=False)
 class BlockSparsePattern(PickledWithoutCaches):
-    """The lower triangle of a symmetric matrix of n x n blocks, all blocks of the diagonal there."""
+    """The lower triangle of a symmetric matrix of n x n blocks, with all diagonal blocks."""
 
     starts: Index  # (3n + 1,) where the values of every column start
     rows: Index  # (N,) row of every value, ascending in each column; the first is that of the diagonal
@@ -32,7 +32,7 @@ class BlockSparsePattern(PickledWithoutCaches):
 
     @classmethod
     def of(cls, count: int, pairs: Index, threads: int | None = None) -> BlockSparsePattern:
-        """Make the pattern of `count` triples of unknowns, coupled in pairs ``(k, 2)``; negative ones are none."""
+        """Make the pattern of `count` triples of unknowns, coupled in pairs ``(k, 2)``; negative ones are ignored."""
         low, high = pairs.min(axis=1, initial=count), pairs.max(axis=1, initial=-1)
         coupled = (low >= 0) & (low < high)
         keys = np.unique(count * low[coupled] + high[coupled])
@@ -68,7 +68,7 @@ class BlockSparsePattern(PickledWithoutCaches):
 
     @cached_property
     def diagonal(self) -> Index:
-        """Where the values of the diagonal are ``(3n,)``."""
+        """Places ``(3n,)`` of the values of the diagonal."""
         return self.starts[:-1]
 
     @cached_property

@@ -1,7 +1,4 @@
-"""The inner loops of `mixseq.shells.face_frames`, compiled: frames of faces, chained and averaged.
-
-Rotations are unit quaternions (w, x, y, z).
-"""
+"""Compiled inner loops of `mixseq.shells.face_frames`: chain and average frames, quaternions (w, x, y, z)."""
 
 from __future__ import annotations
 
@@ -15,7 +12,7 @@ from mixseq.compiled import compiled, inlined
 
 @inlined
 def product(p: Float, q: Float, r: Float) -> None:
-    """Write the product ``p q`` to r, which is neither of them."""
+    """Write the product ``p q`` to r, which must not alias them."""
     r[0] = p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3]
     r[1] = p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2]
     r[2] = p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1]
@@ -24,7 +21,7 @@ def product(p: Float, q: Float, r: Float) -> None:
 
 @inlined
 def product_with_inverse(p: Float, q: Float, r: Float) -> None:
-    """Write the product ``p conj(q)`` to r, which is neither of them."""
+    """Write the product ``p conj(q)`` to r, which must not alias them."""
     r[0] = p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3]
     r[1] = -p[0] * q[1] + p[1] * q[0] - p[2] * q[3] + p[3] * q[2]
     r[2] = -p[0] * q[2] + p[1] * q[3] + p[2] * q[0] - p[3] * q[1]
@@ -33,7 +30,7 @@ def product_with_inverse(p: Float, q: Float, r: Float) -> None:
 
 @compiled
 def frames_of(x: Float, faces: Index) -> Float:
-    """Return the frames ``(m, 4)`` of triangles ``(m, 3)`` with vertices ``(n, 3)``; of those without area, any."""
+    """Return the frames ``(m, 4)`` of triangles ``(m, 3)`` of vertices ``(n, 3)``; arbitrary ones without area."""
     frames = np.empty((len(faces), 4))
     r = np.empty((3, 3))
     for f in range(len(faces)):
@@ -93,10 +90,7 @@ def _quaternion(r: Float, q: Float) -> None:
 
 @compiled
 def transitions(first: Float, second: Float, bends: Float) -> Float:
-    """Return the rotations ``R_z(first) R_x(bend) R_z(-second)`` ``(h, 4)`` across hinges.
-
-    Shapes: first, second, bends ``(h,)``.
-    """
+    """Return the rotations ``R_z(first) R_x(bend) R_z(-second)`` ``(h, 4)`` across hinges ``(h,)``."""
     turns = np.empty((len(bends), 4))
     for k in range(len(bends)):
         c, s = math.cos(0.5 * bends[k]), math.sin(0.5 * bends[k])
@@ -110,19 +104,10 @@ def transitions(first: Float, second: Float, bends: Float) -> Float:
 def chained(
     pairs: Index, turns: Float, weights: Float, order: Index, starts: Index, links: Index, frames: Float
 ) -> None:
-    """Write frames one after the other, each the mean of what the links to earlier ones say of it.
+    """Write frames ``(n, 4)`` in the order ``(k,)``, each the mean predicted by its links to earlier ones.
 
-    Parameters
-    ----------
-    pairs, turns, weights : (h, 2) int64, (h, 4), (h,) float64
-        Pairs of frames, the rotations between them, and how much they count.
-    order : (k,) int64
-        Frames, in the order in which they are found.
-    starts, links : (k + 1,), (l,) int64
-        The links of ``order[k]`` are ``links[starts[k] : starts[k + 1]]``: numbers of pairs, -1 - number where the
-        frame is the first of its pair.
-    frames : (n, 4) float64
-        Those that are not in the order are known, the others are written.
+    The links of ``order[k]`` are ``links[starts[k] : starts[k + 1]]``: numbers of pairs ``(h, 2)``, -1 - number where
+    the frame is the first of its pair. Frames outside the order are known.
     """
     seen, total = np.empty(4), np.empty(4)
     for k in range(len(order)):
@@ -147,10 +132,7 @@ def chained(
 
 @compiled
 def misfits(frames: Float, pairs: Index, turns: Float, weights: Float, right: Float) -> None:
-    """Write the right-hand side of a step of averaging: weighted axes of misfits, as long as their sines.
-
-    Shapes: right ``(n, 3)``.
-    """
+    """Write the right-hand side ``(n, 3)`` of a step of averaging: weighted axes of misfits, as long as their sines."""
     right[:] = 0.0
     expected, off = np.empty(4), np.empty(4)
     for k in range(len(pairs)):
@@ -165,7 +147,7 @@ def misfits(frames: Float, pairs: Index, turns: Float, weights: Float, right: Fl
 
 @compiled
 def turned_on(frames: Float, steps: Float) -> None:
-    """Turn frames by rotation vectors: frames ``(n, 4)``; steps ``(n, 3)``."""
+    """Rotate frames ``(n, 4)`` by rotation vectors ``(n, 3)``, in place."""
     turn, result = np.empty(4), np.empty(4)
     for v in range(len(frames)):
         angle = math.sqrt(steps[v, 0] ** 2 + steps[v, 1] ** 2 + steps[v, 2] ** 2)
@@ -179,10 +161,7 @@ def turned_on(frames: Float, steps: Float) -> None:
 
 @compiled
 def turned_sides(frames: Float, flat: Float) -> Float:
-    """Return the sides 01, 12, 20 ``(F, 3, 3)`` of flat triangles with frames.
-
-    Shapes: frames ``(F, 4)``; flat ``(F, 3, 2)``.
-    """
+    """Return the sides 01, 12, 20 ``(F, 3, 3)`` of flat triangles ``(F, 3, 2)`` with frames ``(F, 4)``."""
     sides = np.empty((len(flat), 3, 3))
     for f in range(len(flat)):
         w, x, y, z = frames[f]

@@ -1,22 +1,22 @@
 r"""Find the rotations of faces from edge lengths and dihedral angles.
 
 Lengths give the shape of every triangle. Its *frame* is a rotation whose columns are the direction of its side 01, the
-in-plane normal of that side and the normal. It sees a hinge's edge under an angle :math:`\alpha` that lengths tell, so
-that the frames of both faces of a hinge differ by a known rotation (Wang, Liu and Tong 2012)
+in-plane normal of that side and the normal. A hinge's edge is at an angle :math:`\alpha` in it, which follows from
+lengths, so that the frames of both faces of a hinge differ by a known rotation (Wang, Liu and Tong 2012)
 
 .. math:: F_j = F_i T_{ij}, \qquad T_{ij} = R_z(\alpha_i)\, R_x(\theta)\, R_z(-\alpha_j) .
 
-Lengths and angles between poses are those of no mesh, and no frames satisfy all of these. The best are found by
-*rotation averaging* (after Govindu 2004): misfits :math:`F_i T_{ij} F_j^{-1}`, rotations by angles :math:`\varphi`
-about axes a, are divided among the frames by
+Blended lengths and angles are those of no mesh, and no frames satisfy all of these. The best are found by *rotation
+averaging* (after Govindu 2004): misfits :math:`F_i T_{ij} F_j^{-1}`, rotations by angles :math:`\varphi` about axes a,
+are distributed over the frames by
 
 .. math:: \min_\omega \sum_{ij} w_{ij}\, |\omega_j - \omega_i - a_{ij} \sin \varphi_{ij}|^2 ,
 
-a system with a constant matrix, and frames are turned on by :math:`\exp \omega`. Two or three rounds do. The sine is
-ours, and makes it smooth: half a turn has no side, and a rotation vector would jump from one to the other.
+a system with a constant matrix, and frames are rotated by :math:`\exp \omega`, in two or three rounds. The sine keeps
+it smooth at half a turn, where a rotation vector would jump.
 
-Averaging starts from frames that are expected, or from chained ones: from one face on, layer by layer, each frame is
-the mean of what its neighbours in the layer before say of it. That is exact where a mesh has these lengths and angles.
+Averaging starts from expected frames, or from chained ones: from one face on, layer by layer, each frame is the mean of
+the predictions of its neighbours in the layer before. That is exact where a mesh has these lengths and angles.
 """
 
 from __future__ import annotations
@@ -35,18 +35,13 @@ from mixseq.shells import face_frame_kernels as kernels
 from mixseq.shells.solvers import Factor, factored_laplacian
 
 SHORTEST = 1e-12
-"""No side is shorter, in diagonals: a triangle has a side 01 that its frame can follow."""
+"""Least length of sides, in diagonals: side 01 defines the frame of a triangle."""
 
 
 def flat_triangles(lengths: Float) -> Float:
     """Lay triangles with sides ``(m, 3)`` = 01, 12, 20 into the plane, as corners ``(m, 3, 2)``.
 
-    Interpolated lengths may break the triangle inequality; such a triangle is laid flat on a line.
-
-    Examples
-    --------
-    >>> flat_triangles(np.array([[3.0, 4.0, 5.0]])).tolist()
-    [[[0.0, 0.0], [3.0, 0.0], [3.0, 4.0]]]
+    Triangles of interpolated lengths that break the triangle inequality are laid flat on a line.
     """
     l01, l12, l20 = np.maximum(lengths, SHORTEST).T
     x = np.clip((l01**2 + l20**2 - l12**2) / (2.0 * l01), -l20, l20)
@@ -58,20 +53,14 @@ def flat_triangles(lengths: Float) -> Float:
 def frames_of(x: Float, faces: IntArray) -> Float:
     """Return the frames ``(m, 4)``, as quaternions, of triangles ``(m, 3)`` with vertices ``(n, 3)``.
 
-    The normal of a triangle without area is any that is across its first side.
-
-    Examples
-    --------
-    >>> corner = np.array([[0.0, 0, 0], [0, 2, 0], [-1, 0, 0]])
-    >>> frames_of(corner, np.array([[0, 1, 2]])).round(3).tolist()
-    [[0.707, 0.0, 0.0, 0.707]]
+    The normal of a triangle without area is any that is perpendicular to its first side.
     """
     return np.asarray(kernels.frames_of(x, faces.astype(np.int64)))
 
 
 @dataclass(frozen=True, eq=False)
 class Hinges:
-    """Hinges, as seen from the frames of their faces."""
+    """Hinges in the frames of their faces."""
 
     faces: IntArray  # (m, 3) triangles
     hinges: Index  # (h, 4) hinges a, b, c, d: edge ab, opposite vertices c and d
@@ -91,7 +80,7 @@ class Hinges:
 
     @cached_property
     def sides(self) -> Index:
-        """Side ``(h, 2)`` of both faces that a hinge's edge is."""
+        """Side ``(h, 2)`` of the hinge's edge in both faces."""
         return np.where(self.backward, self._ends[1], self._ends[0])
 
     @cached_property
@@ -108,7 +97,7 @@ class Hinges:
 
 
 class _Layers(NamedTuple):
-    """In which order frames are chained, see `face_frame_kernels.chained`."""
+    """Order in which frames are chained, see `face_frame_kernels.chained`."""
 
     order: Index
     starts: Index
@@ -117,7 +106,7 @@ class _Layers(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FrameGraph(PickledWithoutCaches):
-    """Frames, and which of them know how they are turned against each other."""
+    """Frames, and pairs of them with known relative rotations."""
 
     count: int  # number n of frames
     pairs: Index  # (h, 2) pairs of different frames
@@ -127,7 +116,7 @@ class FrameGraph(PickledWithoutCaches):
 
     @cached_property
     def factor(self) -> Factor:
-        """Factor of the matrix of all averages."""
+        """Factor of the matrix of averaging."""
         return factored_laplacian(self.pairs, self.weights, np.where(self.known, self.known_weight, 0.0))
 
     def constants(self) -> tuple[object, ...]:
@@ -135,7 +124,7 @@ class FrameGraph(PickledWithoutCaches):
         return self.factor, self._layers
 
     def averaged(self, frames: Float, turns: Float, rounds: int) -> Float:
-        """Return frames that fit each other better: frames ``(n, 4)``; turns ``(h, 4)``."""
+        """Return averaged frames ``(n, 4)`` with smaller misfits to rotations ``(h, 4)``."""
         frames, right = frames.copy(), np.empty((self.count, 3))
         for _ in range(rounds):
             kernels.misfits(frames, self.pairs, turns, self.weights, right)
@@ -143,7 +132,7 @@ class FrameGraph(PickledWithoutCaches):
         return frames
 
     def chained(self, turns: Float, known: Float) -> Float:
-        """Return frames ``(n, 4)`` that go on from those that are known, quaternions ``(r, 4)``."""
+        """Return frames ``(n, 4)`` chained from known quaternions ``(r, 4)``."""
         frames = np.zeros((self.count, 4))
         frames[:, 0] = 1.0
         frames[self.known] = known
@@ -152,7 +141,7 @@ class FrameGraph(PickledWithoutCaches):
 
     @cached_property
     def _layers(self) -> _Layers:
-        """Breadth first from the known frames; links lead to the layer before."""
+        """Breadth-first layers from the known frames; links lead to the layer before."""
         depth = np.where(self.known, 0, -1)
         source, target = np.concatenate([self.pairs, self.pairs[:, ::-1]]).T
         number = np.arange(len(self.pairs))
@@ -171,14 +160,14 @@ class FrameGraph(PickledWithoutCaches):
 
 
 def connected(count: int, pairs: Index) -> Index:
-    """Return with which others each of ``count`` is connected by pairs ``(h, 2)``: numbers ``(count,)``."""
+    """Return the connected component ``(count,)`` of each of ``count`` nodes, by pairs ``(h, 2)``."""
     places = pairs[:, 0], pairs[:, 1]
     graph = sparse.coo_array((np.ones(len(pairs)), places), shape=(count, count))
     return csgraph.connected_components(graph, directed=False)[1].astype(np.int64)
 
 
 def bridging(count: int, pairs: Index, sound: Mask) -> Mask:
-    """Mark the sound pairs ``(h, 2)`` of ``count``, and of the others a forest that connects what those do not."""
+    """Mark the sound pairs ``(h, 2)`` of ``count`` nodes, and a forest of others that connects what those do not."""
     ends = np.sort(connected(count, pairs[sound])[pairs], axis=1)
     apart = np.flatnonzero(ends[:, 0] != ends[:, 1])
     several, first = np.unique(ends[apart], axis=0, return_index=True)

@@ -8,8 +8,8 @@ Minimises, over the free vertices of a patch,
          + \sum_v w_v^2 |x_v - x_v^*|^2
 
 with ``w_e = 1 / mean length of e`` and one weight for all angles, so that both terms count relative changes
-(Froehlich and Botsch 2011). The last term is ours, and optional: soft constraints of positions.
-Angle residuals are wrapped to (-pi, pi], or a fold that passes half a turn would pull the wrong way round.
+(Froehlich and Botsch 2011). The last term is optional: soft constraints of positions. Angle residuals are wrapped to
+(-pi, pi], so that folds beyond half a turn are pulled the right way.
 """
 
 from __future__ import annotations
@@ -40,24 +40,24 @@ __all__ = [
 
 
 CLOSE = 0.03
-"""Conjugate gradients stop at this fraction of the residual: a step need not be exact, the next one corrects it."""
+"""Relative residual at which conjugate gradients stop; the next Gauss-Newton step corrects the rest."""
 
 MOST = 100
-"""After so many of them the matrix is factored instead."""
+"""Largest number of conjugate gradient steps; beyond it the matrix is factored."""
 
 HOPELESS = 1e150
-"""Squares of larger dense residuals do not fit into double precision, or hardly."""
+"""Largest dense residual whose square fits into double precision."""
 
 
 class SoftConstraint(NamedTuple):
-    """Soft constraints of positions: where free vertices are expected."""
+    """Soft constraints of positions of free vertices."""
 
     positions: Float  # (f, 3) where they are expected, in the unit of the points
     weights: Float  # (f,) weights of the distances from there, per unit; empty for no constraints at all
 
 
 class DenseTerm(Protocol):
-    """One more residual, in which all vertices take part: a volume, say."""
+    """One more residual that depends on all vertices, such as a volume."""
 
     def residual(self, points: Float) -> float:
         """Return the weighted residual at points ``(n, 3)``."""
@@ -71,10 +71,9 @@ UNCONSTRAINED = SoftConstraint(np.zeros((0, 3)), np.zeros(0))
 
 @dataclass(frozen=True, eq=False)
 class ShellProblem:
-    """What to fit: lengths of the patch's free edges, angles of its free hinges, weights of both.
+    """Targets and weights of the patch's free edges and hinges.
 
-    Soft constraints are optional, and add the residuals ``weight * (x - position)`` of free vertices. So is a *dense*
-    term, one residual more, the last.
+    Optional are soft constraints, residuals ``weight * (x - position)`` of free vertices, and a last *dense* residual.
     """
 
     patch: Patch
@@ -87,12 +86,12 @@ class ShellProblem:
 
     @property
     def edges(self) -> NDArray[np.int64]:
-        """The edges ``(e', 2)`` that count."""
+        """Edges ``(e', 2)`` with a residual."""
         return self.patch.equations.edges
 
     @property
     def hinges(self) -> NDArray[np.int64]:
-        """The hinges ``(h', 4)`` that count."""
+        """Hinges ``(h', 4)`` with a residual."""
         return self.patch.equations.hinges
 
     def residuals(self, points: Float) -> Float:
@@ -127,10 +126,7 @@ class ShellProblem:
         return residuals, float(energy)
 
     def normal_equations(self, points: Float, residuals: Float) -> tuple[Float, Float]:
-        """Values ``(N,)`` of ``J^T J`` in the patch's pattern, and the gradient ``J^T r`` ``(3 free,)``.
-
-        Neither knows of the dense term, whose row of J is `dense_row`.
-        """
+        """Values ``(N,)`` of ``J^T J`` in the patch's pattern, and ``J^T r`` ``(3 free,)``, without the dense term."""
         rows = self.patch.equations
         values, gradient = np.empty(len(rows.pattern.rows)), np.empty(3 * len(rows.free))
         shell_equations(
@@ -188,7 +184,7 @@ def fit_shell(
 
 
 class _Fit:
-    """The `LeastSquares` of a problem, which remembers whether conjugate gradients are worth trying again."""
+    """The `LeastSquares` of a problem; stores whether conjugate gradients are worth trying again."""
 
     def __init__(self, problem: ShellProblem) -> None:
         self._problem = problem
@@ -222,10 +218,10 @@ class _Fit:
 def _step(
     pattern: BlockSparsePattern, values: Float, gradient: Float, constrained: bool
 ) -> tuple[Float, bool]:
-    """Solve for a step, by conjugate gradients if `constrained`; also tell whether these are worth trying again.
+    """Solve for a step, by conjugate gradients if `constrained`; return whether these are worth trying again.
 
-    Where every position is constrained the matrix is well conditioned, and a few conjugate gradients are a tenth of the
-    work of a factorisation; without constraints soft bends make it so ill conditioned that they would be many.
+    With all positions constrained the matrix is well conditioned: a few conjugate gradients cost a tenth of a
+    factorisation. Without constraints soft bends make it ill conditioned.
     """
     if constrained:
         step = np.empty_like(gradient)

@@ -1,7 +1,6 @@
-"""The inner loops of `mixseq.shells.fitting`, compiled: residuals, normal equations, conjugate gradients.
+"""Compiled inner loops of `mixseq.shells.fitting`: residuals, normal equations, conjugate gradients.
 
-They release the interpreter's lock and add in a fixed order, so that frames can be solved on any number of threads
-with the same bits.
+They release the interpreter's lock and add in a fixed order: results are the same bits on any number of threads.
 """
 
 from __future__ import annotations
@@ -27,22 +26,10 @@ def shell_residuals(
     soft_weights: Float,
     residuals: Float,
 ) -> float:
-    """Write the residuals of lengths, angles and soft constraints; return the sum of their squares.
+    """Write the residuals ``(e' + h' + 3f,)`` of lengths, angles, soft constraints; return the sum of their squares.
 
-    Parameters
-    ----------
-    x : (n, 3) float64
-        Vertices, in diagonals.
-    edges, hinges : (e', 2), (h', 4) int64
-        Those that count.
-    lengths, angles : (e',), (h',) float64
-        What they should have, in diagonals and radians.
-    weights, bending : (e',) float64, float
-        Weights of lengths, per diagonal, and of angles, per radian.
-    free, positions, soft_weights : (f,) int64, (f, 3) float64, (f,) float64
-        Vertices, where they are expected, and weights of that; no weights for no constraints.
-    residuals : (e' + h' + 3f,) float64
-        Written to.
+    Vertices ``(n, 3)`` and lengths ``(e',)`` are in diagonals, angles ``(h',)`` in radians, weights ``(e',)`` per
+    diagonal, `bending` per radian. Soft weights ``(f,)`` are empty without constraints.
     """
     energy = 0.0
     for k in range(len(edges)):
@@ -76,7 +63,7 @@ def _couple(values: Float, places: Index, block: int, g: Float, p: int, o: int) 
 
 @inlined
 def _fold(values: Float, places: Index, block: int, g: Float, p: int, o: int) -> None:
-    """Add the products of two gradients of one vertex, as where a hinge's faces have all vertices in common."""
+    """Add the products of two gradients of one vertex, as of a hinge whose faces have the same vertices."""
     for j in range(3):
         for i in range(j, 3):
             values[places[block, j] + i] += g[p, i] * g[o, j] + g[o, i] * g[p, j]
@@ -84,7 +71,7 @@ def _fold(values: Float, places: Index, block: int, g: Float, p: int, o: int) ->
 
 @inlined
 def _square(values: Float, places: Index, block: int, g: Float, p: int) -> None:
-    """Add the product of gradient p with itself to a block of the diagonal."""
+    """Add the product of gradient p with itself to a diagonal block."""
     for j in range(3):
         for i in range(j, 3):
             values[places[block, j] + i] += g[p, i] * g[p, j]
@@ -106,20 +93,10 @@ def shell_equations(
     values: Float,
     gradient: Float,
 ) -> None:
-    """Write the lower triangle of ``J^T J`` and the gradient ``J^T r`` of half the energy.
+    """Write the lower triangle ``(N,)`` of ``J^T J`` and the gradient ``J^T r`` ``(3f,)`` of half the energy.
 
-    Parameters
-    ----------
-    x, edges, hinges, weights, bending, soft_weights, residuals
-        As in `shell_residuals`.
-    number : (n,) int64
-        Place of every vertex among the free ones, -1 if fixed.
-    edge_blocks, hinge_blocks : (e',), (h', 6) int64
-        Blocks that couple their vertices, as in `NormalEquations`.
-    places : (f + m, 3) int64
-        Where the values of blocks are, as in `BlockSparsePattern`.
-    values, gradient : (N,), (3f,) float64
-        Written to.
+    `number` ``(n,)`` is the place of every vertex among the free ones, -1 if fixed; blocks ``(e',), (h', 6)`` are as in
+    `NormalEquations`, places ``(f + m, 3)`` as in `BlockSparsePattern`.
     """
     values[:] = 0.0
     gradient[:] = 0.0
@@ -175,22 +152,10 @@ def conjugate_gradients(
     most: int,
     solution: Float,
 ) -> int:
-    """Solve with the 3 x 3 blocks of the diagonal as preconditioner; return the number of steps.
+    """Solve with the inverse diagonal blocks as preconditioner, into `solution` ``(n,)``; return the number of steps.
 
-    -1 if there would be too many, or rounding makes the matrix or the preconditioner indefinite.
-
-    Parameters
-    ----------
-    starts, rows, places : (n + 1,), (N,), (f + m, 3) int64
-        The pattern of the matrix, as in `BlockSparsePattern`.
-    values, right : (N,), (n,) float64
-        Its values, and the right-hand side.
-    tolerance : float
-        Stop when the residual, in the norm of the preconditioner, is down to so much of that of the start, zero.
-    most : int
-        Most steps.
-    solution : (n,) float64
-        Written to.
+    Returns -1 after `most` steps, or where rounding makes the matrix or the preconditioner indefinite. The tolerance is
+    relative to the residual of zero, in the norm of the preconditioner.
     """
     size = len(right)
     inverse = np.empty((size // 3, 6))
@@ -262,7 +227,7 @@ def _multiply(starts: Index, rows: Index, values: Float, p: Float, q: Float) -> 
 
 @inlined
 def _invert_blocks(places: Index, values: Float, inverse: Float) -> bool:
-    """Write upper triangles ``(n, 6)``, row by row, of the inverses of diagonal blocks; say if all are definite."""
+    """Write upper triangles ``(n, 6)``, by rows, of inverse diagonal blocks; return whether all are definite."""
     for v in range(len(inverse)):
         a, b, c = values[places[v, 0]], values[places[v, 0] + 1], values[places[v, 0] + 2]
         d, e, f = values[places[v, 1] + 1], values[places[v, 1] + 2], values[places[v, 2] + 2]

@@ -1,7 +1,7 @@
-r"""Damped Gauss-Newton (Levenberg-Marquardt): the points whose residuals r have the least sum of squares.
+r"""Damped Gauss-Newton (Levenberg-Marquardt): minimise the sum of squared residuals r.
 
-A step s solves :math:`(J^T J + \lambda \, \mathrm{diag}\, J^T J)\, s = -J^T r`. One that does not lower the energy is
-tried again with ten times the damping :math:`\lambda`; one that does what the linear model promised lowers it.
+A step s solves :math:`(J^T J + \lambda \, \mathrm{diag}\, J^T J)\, s = -J^T r`. If it does not lower the energy, it is
+tried again with ten times the damping :math:`\lambda`; if it lowers it as the linear model predicts, damping falls.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from mixseq.shells.block_pattern import BlockSparsePattern
 DampedStep = Callable[[float], Float]
 
 STUCK = 1e12
-"""With this damping no step is worth taking: the energy is not smooth here, or not finite."""
+"""Damping at which the fit stops: the energy is not smooth here, or not finite."""
 
 HELD = 1e-2
-"""Above this damping steps are short because of the damping, which says nothing about convergence."""
+"""Damping above which short steps do not indicate convergence."""
 
 LEVEL = 0.1
-"""A step that lowers the energy by more than to this fraction is not the last: there is a mesh that fits exactly."""
+"""Ratio of energies below which a step is not the last: a mesh fits exactly."""
 
 
 @dataclass(frozen=True)
@@ -68,13 +68,13 @@ class ShellSettings:
                 raise SettingsError(f"{field.name} is {value!r}; a {whole} of 0 or more is expected")
 
     def for_differences(self) -> ShellSettings:
-        """Return settings so accurate that results for nearly the same targets can be subtracted; ours."""
+        """Return settings accurate enough to subtract results for nearly equal targets."""
         return replace(self, tolerance=min(self.tolerance, 1e-10), accuracy=min(self.accuracy, 1e-9))
 
 
 @dataclass(frozen=True)
 class ShellReport:
-    """How a fit went: energy at the end, steps taken, whether it converged."""
+    """Result of a fit: final energy, number of steps, convergence."""
 
     energy: float
     iterations: int
@@ -82,20 +82,20 @@ class ShellReport:
 
 
 class LeastSquares(Protocol):
-    """What is fitted to."""
+    """A nonlinear least-squares problem."""
 
     def residual(self, points: Float) -> tuple[Float, float]:
         """Return the residuals ``(r,)`` at points ``(n, 3)``, and the sum of their squares."""
 
     def linearize(self, points: Float, residuals: Float) -> tuple[Float, DampedStep]:
-        """Return the gradient ``J^T r`` ``(u,)``, and what solves for the step ``(u,)`` with a damping."""
+        """Return the gradient ``J^T r`` ``(u,)``, and a solver for the step ``(u,)`` with a damping."""
 
     def retract(self, points: Float, step: Float) -> Float:
-        """Return the points after a step; those given stay what they are."""
+        """Return new points after a step."""
 
 
 def minimise(problem: LeastSquares, start: Float, settings: ShellSettings) -> tuple[Float, ShellReport]:
-    """Find the points with the least energy near a start: start ``(n, 3)``; result ``(n, 3)``."""
+    """Find the points ``(n, 3)`` of least energy near a start ``(n, 3)``."""
     points = start
     residuals, energy = problem.residual(points)
     if not np.isfinite(energy):
@@ -129,7 +129,7 @@ def minimise(problem: LeastSquares, start: Float, settings: ShellSettings) -> tu
 
 
 def damped(pattern: BlockSparsePattern, values: Float) -> Callable[[float], Float]:
-    """Return what adds a damping to the diagonal of a matrix with values ``(N,)`` in a pattern, which it reuses."""
+    """Return a function that adds a damping to the diagonal of a matrix with values ``(N,)``, into one buffer."""
     diagonal = values[pattern.diagonal]
 
     def with_damping(damping: float) -> Float:

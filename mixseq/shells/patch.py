@@ -1,7 +1,4 @@
-"""A patch of triangles to be rebuilt from lengths and angles, with all that its connectivity tells.
-
-That is also which lengths and angles have a part in which block of its normal equations (`Equations`).
-"""
+"""A patch of triangles to be rebuilt from lengths and angles, and the pattern of its normal equations."""
 
 from __future__ import annotations
 
@@ -22,7 +19,7 @@ from mixseq.topology import Topology
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """Lengths and angles around the free vertices of a patch, and the matrix they make."""
+    """Lengths and angles around the free vertices of a patch, and the pattern of their matrix."""
 
     edges: Index  # (e', 2) edges with a free vertex
     hinges: Index  # (h', 4) hinges with a free vertex
@@ -37,7 +34,7 @@ class NormalEquations:
     def of(
         cls, edges: Index, hinges: Index, free: Index, number: Index, threads: int | None = None
     ) -> NormalEquations:
-        """Find the blocks."""
+        """Find the blocks of edges and hinges."""
         ends, corners = number[edges], number[hinges]
         p, o = np.tril_indices(4, -1)
         first, second = corners[:, p], corners[:, o]
@@ -56,7 +53,7 @@ class NormalEquations:
 
 @dataclass(frozen=True, eq=False)
 class Patch(PickledWithoutCaches):
-    """A hinge-connected patch of triangles in local indices, some of its vertices fixed in space."""
+    """A hinge-connected patch of triangles in local indices, with some vertices fixed in space."""
 
     faces: Index  # (m, 3) triangles
     edges: Index  # (e, 2) edges, in the order of the lengths
@@ -68,7 +65,7 @@ class Patch(PickledWithoutCaches):
 
     @classmethod
     def of_joint(cls, topology: Topology, joint: Joint, fixed: Mask) -> Patch:
-        """Take a joint out of its mesh; `fixed` ``(n,)`` marks the joint's vertices that are given."""
+        """Make the patch of a joint; `fixed` ``(n,)`` marks the joint's given vertices."""
         return cls(
             faces=joint.faces,
             edges=np.searchsorted(joint.vertices, topology.edges[joint.edge_ids]),
@@ -79,12 +76,12 @@ class Patch(PickledWithoutCaches):
         )
 
     def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants`: what the linear initialisation and Gauss-Newton need."""
+        """Implement `PickledWithoutCaches.constants` for the linear initialisation and Gauss-Newton."""
         return self.equations.pattern, self.frame_pattern, self.laplacian_factor
 
     @cached_property
     def free(self) -> Index:
-        """Vertices to solve for."""
+        """Unknown vertices."""
         return np.flatnonzero(~self.fixed)
 
     @cached_property
@@ -96,12 +93,12 @@ class Patch(PickledWithoutCaches):
 
     @cached_property
     def free_edges(self) -> Mask:
-        """Mark the edges ``(e,)`` with a free vertex; the others follow from the fixed positions."""
+        """Mark the edges ``(e,)`` with a free vertex."""
         return np.asarray(~self.fixed[self.edges].all(axis=1))
 
     @cached_property
     def free_hinges(self) -> Mask:
-        """Mark the hinges ``(h,)`` with a free vertex; the others follow from the fixed positions."""
+        """Mark the hinges ``(h,)`` with a free vertex."""
         return np.asarray(~self.fixed[self.hinges].all(axis=1))
 
     @cached_property
@@ -111,7 +108,7 @@ class Patch(PickledWithoutCaches):
 
     @cached_property
     def hinge_frames(self) -> Hinges:
-        """The hinges, as seen from the frames of their faces."""
+        """The hinges in the frames of their faces."""
         return Hinges(self.faces, self.hinges, self.hinge_faces)
 
     @cached_property
@@ -127,23 +124,20 @@ class Patch(PickledWithoutCaches):
 
     @cached_property
     def frame_pattern(self) -> BlockSparsePattern:
-        """Which frames of faces are coupled by hinges; those of fixed faces are none."""
+        """Block pattern of unknown frames of faces, coupled by hinges."""
         count, pairs = int((self.face_number >= 0).sum()), self.face_number[self.hinge_faces]
         return BlockSparsePattern.of(count, pairs, self.threads)
 
     @cached_property
     def face_number(self) -> Index:
-        """Place ``(m,)`` of every face among those whose frame is not known, -1 if it is.
-
-        Known are the frames of fixed faces, or that of the first face if there are none.
-        """
+        """Place ``(m,)`` of every face among those with unknown frames; -1 for fixed faces, or for the first one."""
         known = self.fixed_faces.copy()
         known[0] |= not known.any()
         return np.where(known, -1, np.cumsum(~known) - 1)
 
     @cached_property
     def laplacian(self) -> sparse.csr_array:
-        """Graph Laplacian ``(n, n)``; an edge counts once for each of its faces."""
+        """Graph Laplacian ``(n, n)``; an edge counts once per face."""
         starts = self.faces.reshape(-1)
         ends = np.roll(self.faces, -1, axis=1).reshape(-1)
         size = (len(self.fixed), len(self.fixed))
@@ -158,5 +152,5 @@ class Patch(PickledWithoutCaches):
 
     @cached_property
     def integrated(self) -> Index:
-        """Vertices that a Poisson system finds: the free ones, but for the first where nothing is fixed."""
+        """Unknown vertices of the Poisson system: the free ones, but the first where nothing is fixed."""
         return self.free if self.fixed.any() else self.free[1:]

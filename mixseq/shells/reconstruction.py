@@ -1,13 +1,13 @@
 r"""Rebuild a patch from edge lengths and dihedral angles: linear initialisation, then Gauss-Newton.
 
-The linear initialisation (after Wang, Liu and Tong 2012) knows no pose:
+The linear initialisation (after Wang, Liu and Tong 2012) uses no pose:
 
 1. Frames: minimise :math:`\sum \|F_j - F_i T_{ij}\|^2`, a sparse linear system; faces whose vertices are all fixed
    have known frames (if nothing is fixed the first face gets the identity). Project every frame to a rotation.
 2. Vertices: minimise :math:`\sum_f \sum_{ab \in f} \|x_b - x_a - F_f\, u_{ab}\|^2` over the sides of all faces, where
    ``u`` is the side in the frame; fixed vertices stay (if there are none the first one is the origin).
 
-Where lengths and angles belong to a real mesh the result is that mesh, exactly.
+Where a mesh has these lengths and angles the result is that mesh, exactly.
 """
 
 from __future__ import annotations
@@ -30,19 +30,16 @@ from mixseq.shells.fitting import (
 from mixseq.shells.patch import Patch
 
 NEAR = 0.5
-"""A guess without a larger weighted residual is near the answer."""
+"""Largest weighted residual of a guess from which Gauss-Newton may start."""
 
 
 def linear_initialisation(patch: Patch, lengths: Float, angles: Float, positions: Float) -> Float:
-    """Rebuild a patch from edge lengths and dihedral angles.
-
-    Shapes: lengths ``(e,)``; angles ``(h,)``; positions ``(n, 3)``; result ``(n, 3)``.
-    """
+    """Rebuild a patch ``(n, 3)`` linearly from lengths ``(e,)``, angles ``(h,)`` and fixed positions ``(n, 3)``."""
     return integrate(patch, _sides(patch, lengths, angles, positions), positions)
 
 
 def _sides(patch: Patch, lengths: Float, angles: Float, positions: Float) -> Float:
-    """Return the sides 01, 12, 20 of all faces ``(m, 3, 3)``, in their frames: before vertices are solved for."""
+    """Return the sides 01, 12, 20 of all faces ``(m, 3, 3)``, in their frames, before solving for vertices."""
     local = flat_triangles(lengths[patch.face_edges])
     frames = _frames(patch, local, angles, positions)
     return np.asarray(np.einsum("fij,fkj->fki", frames[:, :, :2], np.roll(local, -1, axis=1) - local))
@@ -87,7 +84,7 @@ def _frames(patch: Patch, local: Float, angles: Float, positions: Float) -> Floa
 
 
 def integrate(patch: Patch, sides: Float, positions: Float) -> Float:
-    """Find the vertices whose sides ``x_b - x_a`` are closest to ``(m, 3, 3)`` given ones."""
+    """Solve for the vertices whose sides ``x_b - x_a`` are closest to ``(m, 3, 3)`` given ones."""
     count = len(patch.fixed)
     right = np.zeros((count, 3))
     np.add.at(right, patch.faces.reshape(-1), -sides.reshape(-1, 3))
@@ -109,31 +106,10 @@ def rebuild(
     guess: Float | None = None,
     soft: SoftConstraint = UNCONSTRAINED,
 ) -> tuple[Float, ShellReport]:
-    """Rebuild a patch from the edge lengths and dihedral angles around its free vertices.
+    """Rebuild a patch ``(n, 3)`` from lengths ``(e',)`` and angles ``(h',)``, in radians, at its free vertices.
 
-    Parameters
-    ----------
-    patch : Patch
-        The joint and which of its vertices are fixed.
-    lengths : (e',) float64
-        Lengths of `Patch.free_edges`.
-    angles : (h',) float64
-        Angles of `Patch.free_hinges`, radians.
-    weights : (e',) float64
-        Weights of the lengths: one over the typical length of every edge.
-    positions : (n, 3) float64
-        Positions of the fixed vertices; the others are not looked at.
-    settings : ShellSettings
-        Weight of the angles, and when to stop.
-    guess : (f, 3) float64, optional
-        Another start for the free vertices.
-    soft : SoftConstraint, optional
-        Soft constraints of the free vertices.
-
-    Returns
-    -------
-    points : (n, 3) float64
-    report : ShellReport
+    Weights ``(e',)`` are inverse typical lengths. Of positions ``(n, 3)`` those of fixed vertices are used. A guess
+    ``(f, 3)`` is an alternative start of the free vertices.
     """
     lengths = sound_lengths(lengths, weights)
     problem = ShellProblem(patch, lengths, angles, weights, settings.bending, soft)
@@ -147,7 +123,7 @@ def rebuild(
 
 
 def _initial(problem: ShellProblem, positions: Float) -> Float:
-    """The linear start; lengths and angles between fixed vertices are those they have."""
+    """Return the linear start; lengths and angles between fixed vertices are their own."""
     patch = problem.patch
     lengths, angles = edge_lengths(positions, patch.edges), dihedral_angles(positions, patch.hinges)
     lengths[patch.free_edges], angles[patch.free_hinges] = problem.lengths, problem.angles

@@ -1,4 +1,4 @@
-r"""A mesh as a shell: vertices from sides of its faces, and steps that make lengths and angles agree.
+r"""A mesh as a shell: vertices from sides of faces, and relaxation steps that reduce errors of lengths and angles.
 
 The energy is that of discrete shells (Froehlich and Botsch 2011), with weights that count relative changes,
 
@@ -6,14 +6,13 @@ The energy is that of discrete shells (Froehlich and Botsch 2011), with weights 
                + \tfrac12 \sum_h \beta^2 \cos^4 \frac{\delta_h}{2}
                  \Bigl( 2 \sin \frac{\theta_h - \theta_h^*}{2} \Bigr)^2 .
 
-The sine is as good as the angle where that is small, and smooth where a hinge is half a turn off. Hinges that are far
-off, by :math:`\delta_h`, when the steps start count less: they are folds, and steps that now and then unfold one make
-vertices leap in time.
+The sine approximates small angles, and is smooth at half a turn. Hinges with a large error :math:`\delta_h` at the
+start count less: they are folds, and steps that unfold them now and then make vertices jump in time.
 
 The energy is lowered by gradients in the metric of one constant matrix, the Laplacian of the mesh with weights
 :math:`1 / \bar l_e^2` (after Liu, Bouaziz and Kavan 2017), in Chebyshev's steps: their lengths are fixed by the range
-of curvatures in that metric, which is found once. A step costs a gradient and a back-substitution, nothing is searched
-for, and the result is as smooth as the start. The same matrix turns sides of faces into vertices (`Shell.integrated`).
+of curvatures in that metric, which is found once. A step costs a gradient and a back-substitution, without a line
+search, and the result is as smooth as the start. The same matrix integrates sides of faces (`Shell.integrated`).
 """
 
 from __future__ import annotations
@@ -34,40 +33,39 @@ from mixseq.shells.solvers import Factor, factored_laplacian
 from mixseq.topology import Topology
 
 ROUNDS = 15
-"""So often the largest curvature is looked for."""
+"""Rounds of power iteration for the largest curvature."""
 
 SAFE = 1.3
-"""It is taken to be so many times larger: it is found from below, and in another shape of the mesh."""
+"""Safety factor of the largest curvature, which is estimated from below, in the reference."""
 
 RANGE = 30.0
-"""Steps lower what has curvatures down to this share of the largest. What is softer is where the start has it. Ours."""
+"""Ratio of largest to least curvature that steps reduce; softer modes stay as in the start."""
 
 SLENDER = 0.25
-"""Hinges of triangles whose height is below this share of their sides count less: noise would turn them."""
+"""Ratio of height to sides below which hinges of a triangle count less: noise would rotate them."""
 
 SHRUNK = 0.7
-"""Triangles with less than this share of their area are turned as if they had that: the smaller they are the larger is
-the curvature, and steps that are too long for it shake vertices. Ours."""
+"""Least share of a triangle's area in its gradient: smaller ones have larger curvatures, and steps shake vertices."""
 
 THIN = 1e-6
-"""Triangles that are less high, relative to their sides, have no area."""
+"""Ratio of height to sides below which a triangle has no area."""
 
 ROUNDED = 2.0**-19
-"""Nor have those that are less high than this, in diagonals: reference frames may be rounded to half of it."""
+"""Height, in diagonals, below which a triangle has no area: reference frames may be rounded to half of it."""
 
 STEP = 1e-4
 """Size of a difference quotient, relative to edges."""
 
 NEAR = 0.5
-"""Where hinges are off by less than a right angle, which is this, an energy of nothing means that they are not off."""
+"""Least `nearness` of hinges, at an error of a right angle, at which zero energy means zero errors."""
 
 EXACT = 1e-8
-"""With no larger weighted residuals, on average, lengths and angles are those of the mesh: nothing is to be done."""
+"""Mean weighted residual below which lengths and angles are those of the mesh, and no steps are taken."""
 
 
 @dataclass(frozen=True)
 class Relaxation:
-    """How lengths and angles that no mesh has are made to agree."""
+    """Settings of relaxation steps."""
 
     bending: float = 0.25  # weight of an angle in radians against a relative length
     steps: int = 10  # so many steps are taken
@@ -80,7 +78,7 @@ class Relaxation:
 
 
 class Relaxed(NamedTuple):
-    """A mesh after some steps."""
+    """A mesh after relaxation steps."""
 
     points: Float  # (V, 3) its vertices
     energy: float  # what is left of the energy, in which hinges that were far off at the start count less
@@ -88,7 +86,7 @@ class Relaxed(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Shell(PickledWithoutCaches):
-    """A mesh whose lengths and angles are to be agreed on."""
+    """A mesh with an energy of lengths and angles."""
 
     topology: Topology  # connectivity
     reference: Float  # (V, 3) some shape of it, in diagonals
@@ -109,7 +107,7 @@ class Shell(PickledWithoutCaches):
 
     @cached_property
     def stretch(self) -> Float:
-        """Weights ``(E,)`` of lengths: one over the typical ones, 0 where there is none to speak of."""
+        """Weights ``(E,)`` of lengths: inverse typical ones, 0 for edges without length."""
         return length_weights(self.typical)
 
     @cached_property
@@ -125,12 +123,12 @@ class Shell(PickledWithoutCaches):
 
     @cached_property
     def thin(self) -> Index:
-        """Faces without area, whose frames say nothing of their sides."""
+        """Faces without area, whose frames do not determine their sides."""
         return np.flatnonzero(self._normals <= np.maximum(THIN * self._longest, ROUNDED) * self._longest)
 
     @cached_property
     def bend(self) -> Float:
-        """Weights ``(H,)`` of angles against each other, at most 1: less where a triangle is `SLENDER`."""
+        """Relative weights ``(H,)`` of angles, at most 1: less where a triangle is `SLENDER`."""
         faces = self.topology.hinge_faces
         edge = np.maximum(self.typical[self.topology.hinge_edges], NO_LENGTH)
         height = self._normals[faces].min(axis=1, initial=np.inf) / edge
@@ -138,23 +136,23 @@ class Shell(PickledWithoutCaches):
 
     @cached_property
     def sound(self) -> Mask:
-        """Mark the hinges ``(H,)`` that say something: those of triangles with area."""
+        """Mark the hinges ``(H,)`` of triangles with area."""
         thin = np.isin(self.topology.hinge_faces, self.thin).any(axis=1)
         return np.asarray((self.bend > THIN) & ~thin)
 
     @cached_property
     def _bend(self) -> Float:
-        """Weights ``(H,)`` of angles, zero where these are noise."""
+        """Weights ``(H,)`` of angles, zero for noise."""
         return np.where(self.sound, self.bending * self.bend, 0.0)
 
     @cached_property
     def _smallest(self) -> Float:
-        """Squares ``(H, 2)`` that normals have at least."""
+        """Least squares ``(H, 2)`` of normals."""
         return np.square(SHRUNK * self._normals[self.topology.hinge_faces])
 
     @cached_property
     def side_weights(self) -> Float:
-        """Weights ``(F, 3)`` of the sides of faces: those of an edge add up to that of its length, squared."""
+        """Weights ``(F, 3)`` of the sides of faces: those of an edge add up to the squared weight of its length."""
         weights = np.square(self.stretch)
         weights = np.where(weights > 0, weights, np.square(1.0 / max(float(self.typical.max()), NO_LENGTH)))
         return np.asarray((weights / self.topology.edge_face_counts)[self.topology.face_edges])
@@ -173,10 +171,7 @@ class Shell(PickledWithoutCaches):
         return factored_laplacian(np.stack([i, j], axis=1), weights, self.tie_weight * self.position_weights)
 
     def integrated(self, sides: Float, tied: Float, expected: Float) -> Float:
-        """Return the vertices ``(V, 3)`` whose sides come closest to given ones.
-
-        Shapes: sides ``(F, 3, 3)``; tied ``(t, 3)``.
-        """
+        """Solve for vertices ``(V, 3)`` from sides ``(F, 3, 3)`` of faces and ties ``(t, 3)``."""
         right = (self.tie_weight * self.position_weights)[:, None] * expected
         kernels.gathered(self._faces, self.side_weights, sides, right)
         np.add.at(right, self.ties[:, 1], self.tie_weight * tied)
@@ -184,7 +179,7 @@ class Shell(PickledWithoutCaches):
         return self.factor.solve(right)
 
     def relaxed(self, start: Float, lengths: Float, angles: Float, steps: int) -> Relaxed:
-        """Make lengths and angles agree: start ``(V, 3)``; lengths, angles ``(E,), (H,)``."""
+        """Relax a start ``(V, 3)`` towards lengths ``(E,)`` and angles ``(H,)``."""
         turns = _turns(angles)
         near = np.where(self.sound, kernels.nearness(start, self.topology.hinges, turns), 1.0)
         bend = near * self._bend
@@ -208,11 +203,11 @@ class Shell(PickledWithoutCaches):
         return Relaxed(x, left) if left < energy else Relaxed(start, energy)
 
     def agree(self, energy: float) -> bool:
-        """Whether lengths and angles with this energy are those of the mesh."""
+        """Whether this energy is zero up to rounding."""
         return energy <= 0.5 * EXACT**2 * (len(self.topology.edges) + len(self.topology.hinges))
 
     def energy(self, x: Float, lengths: Float, angles: Float) -> float:
-        """Return the energy of a mesh ``(V, 3)``, in which all hinges count, also those that are far off."""
+        """Return the energy of a mesh ``(V, 3)``, with the full weight of all hinges."""
         return self._gradient(x, lengths, _turns(angles), self._bend)[1]
 
     def _gradient(self, x: Float, lengths: Float, turns: Float, bend: Float) -> tuple[Float, float]:
@@ -225,7 +220,7 @@ class Shell(PickledWithoutCaches):
 
     @cached_property
     def largest(self) -> float:
-        """The largest curvature of the energy of the reference, in the metric of the matrix, by power iteration."""
+        """Largest curvature of the energy of the reference, in the metric of the matrix, by power iteration."""
         x, topology = self.reference, self.topology
         lengths, turns = edge_lengths(x, topology.edges), _turns(dihedral_angles(x, topology.hinges))
         way, curvature = np.random.default_rng(0).normal(size=x.shape), 0.0

@@ -1,6 +1,6 @@
-"""The inner loops of `mixseq.shells.shell`, compiled: lengths, angles, the energy of both, and all gradients.
+"""Compiled inner loops of `mixseq.shells.shell`: lengths, angles, their energy, and gradients.
 
-Formulas are those of `mixseq.geometry.lengths_angles`, which the tests hold them against.
+Formulas are those of `mixseq.geometry.lengths_angles`; tests compare both.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def length(x: Float, a: int, b: int) -> float:
 
 @inlined
 def length_gradient(x: Float, a: int, b: int, scale: float, g: Float) -> None:
-    """Write the gradient of the length of the edge ab by its two vertices, times a number, to ``g[:2]``."""
+    """Write the gradient of the length of the edge ab by its two vertices, times `scale`, to ``g[:2]``."""
     e = side(x, a, b)
     w = scale / max(math.sqrt(_dot(e, e)), TINY)
     g[1, 0], g[1, 1], g[1, 2] = w * e[0], w * e[1], w * e[2]
@@ -85,7 +85,7 @@ def wrapped(off: float) -> float:
 def _write_gradient(
     e: Vector, p: Vector, q: Vector, n: Vector, m: Vector, scale: float, near: float, far: float, g: Float
 ) -> None:
-    """Write the gradient of an angle, times a number, as `angle_gradient` does."""
+    """Write the gradient of an angle, times `scale`, as `angle_gradient` does."""
     square = max(_dot(e, e), TINY)
     size = scale * math.sqrt(square)
     first, second = -size / max(_dot(n, n), near, TINY), -size / max(_dot(m, m), far, TINY)
@@ -101,20 +101,9 @@ def _write_gradient(
 def angle_gradient(
     x: Float, a: int, b: int, c: int, d: int, scale: float, near: float, far: float, g: Float
 ) -> None:
-    """Write the gradient of the angle of the hinge abcd by its vertices, times a number.
+    """Write the gradient ``(4, 3)`` of the angle of the hinge abcd by its vertices, times `scale`, in radians per unit.
 
-    Parameters
-    ----------
-    x : (n, 3) float64
-        Vertices.
-    a, b, c, d : int
-        The hinge.
-    scale : float
-        The number.
-    near, far : float
-        Squares of its two normals are taken to be these, at least; to the fourth power of the unit of points.
-    g : (4, 3) float64
-        Written to, in radians per unit.
+    `near` and `far` are least squares of its two normals, in the fourth power of the unit of points.
     """
     e, p, q, n, m = _sides_and_normals(x, a, b, c, d)
     _write_gradient(e, p, q, n, m, scale, near, far, g)
@@ -134,16 +123,9 @@ def misfit(
     far: float,
     g: Float,
 ) -> float:
-    """Return one less the cosine of how far the angle of the hinge abcd is off, and write its gradient.
+    """Return 1 - cos of the error of the angle of the hinge abcd, and write its gradient as `angle_gradient` does.
 
-    A hinge of triangles without area has no angle, and is not off.
-
-    Parameters
-    ----------
-    x, a, b, c, d, scale, near, far, g
-        As in `angle_gradient`.
-    cosine, sine : float
-        Of the angle that it should have.
+    `cosine` and `sine` are of the target angle. Hinges of triangles without area have no error.
     """
     e, p, q, n, m = _sides_and_normals(x, a, b, c, d)
     along, across = _opening(e, n, m)
@@ -157,10 +139,7 @@ def misfit(
 
 @compiled
 def lengths_and_angles(x: Float, edges: Index, hinges: Index) -> tuple[Float, Float]:
-    """Return lengths ``(e,)`` in the unit of the points, and angles ``(h,)`` in radians.
-
-    Shapes: x ``(n, 3)``; edges, hinges ``(e, 2), (h, 4)``.
-    """
+    """Return lengths ``(e,)`` in the unit of points ``(n, 3)``, and angles ``(h,)`` in radians."""
     lengths, angles = np.empty(len(edges)), np.empty(len(hinges))
     for k in range(len(edges)):
         lengths[k] = length(x, edges[k, 0], edges[k, 1])
@@ -183,20 +162,8 @@ def energy(
 ) -> float:
     """Return half the sum of squared residuals ``stretch (l - l*)`` and ``2 bend sin((theta - theta*) / 2)``.
 
-    Parameters
-    ----------
-    x : (V, 3) float64
-        Vertices, in diagonals.
-    edges, hinges : (E, 2), (H, 4) int64
-        All edges and hinges.
-    lengths, turns : (E,), (H, 2) float64
-        Lengths l* in diagonals, and cosines and sines of the angles theta*.
-    stretch, bend : (E,), (H,) float64
-        Weights, per diagonal and per radian; those of 0 do not count.
-    smallest : (H, 2) float64
-        Squares that normals have at least.
-    gradient : (V, 3) float64
-        Written to.
+    Vertices ``(V, 3)`` and lengths ``(E,)`` are in diagonals; turns ``(H, 2)`` are cosines and sines of target angles;
+    weights ``(E,), (H,)`` per diagonal and radian; `smallest` ``(H, 2)`` least squares of normals. Writes the gradient.
     """
     total = 0.0
     gradient[:] = 0.0
@@ -227,7 +194,7 @@ def energy(
 
 @compiled
 def nearness(x: Float, hinges: Index, turns: Float) -> Float:
-    """Return how little hinges are off ``(H,)``, ``cos^2`` of half of it: 1 where they are not, 0 by half a turn."""
+    """Return ``cos^2`` of half the error of hinges ``(H,)``: 1 without an error, 0 at half a turn."""
     near, g = np.empty(len(hinges)), np.empty((4, 3))
     for k in range(len(hinges)):
         a, b, c, d = hinges[k, 0], hinges[k, 1], hinges[k, 2], hinges[k, 3]
@@ -237,10 +204,7 @@ def nearness(x: Float, hinges: Index, turns: Float) -> Float:
 
 @compiled
 def gathered(faces: Index, weights: Float, sides: Float, right: Float) -> None:
-    """Add the weighted sides of faces to the right-hand side of a Poisson system.
-
-    Shapes: faces ``(F, 3)``; weights, sides ``(F, 3), (F, 3, 3)``; right ``(V, 3)``.
-    """
+    """Add the weighted sides ``(F, 3, 3)`` of faces to the right-hand side ``(V, 3)`` of a Poisson system."""
     for f in range(len(faces)):
         for k in range(3):
             a, b, w = faces[f, k], faces[f, (k + 1) % 3], weights[f, k]

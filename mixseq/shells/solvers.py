@@ -1,11 +1,10 @@
 """Sparse symmetric positive definite systems: analyse a pattern once, factor its matrices, solve for right-hand sides.
 
-With rslab (``pip install 'mixseq[fast]'``) a pattern is ordered once and matrices are factored by supernodes; without
-it SciPy's SuperLU does the same work several times slower. Both are exact to rounding, and neither depends on the
-number of threads.
+With rslab (``pip install 'mixseq[fast]'``) a pattern is ordered once and matrices are factored by supernodes; SciPy's
+SuperLU does the same work several times slower. Both are exact to rounding, independent of the number of threads.
 
-rslab keeps a pool of threads for every number of threads it was asked for. A forked process has the pools, but not
-their threads, and would wait for them for ever: there it is asked for numbers that its ancestors have not used.
+rslab keeps a pool of threads for every requested number of threads. A forked process has the pools without their
+threads, and would wait for ever: there other numbers are requested than its ancestors used.
 """
 
 from __future__ import annotations
@@ -25,47 +24,44 @@ from mixseq.arrays import Float, Index
 from mixseq.errors import ReconstructionError
 
 ALONE = 30_000
-"""Matrices with fewer rows are factored by one thread: several are factored at the same time."""
+"""Number of rows below which matrices are factored by one thread: several are factored at the same time."""
 
 _MOST = 4
-"""Threads that rslab uses where it may choose."""
+"""Default number of threads of rslab."""
 
 _NEVER = 1 << 62
-"""Work from which rslab solves on the pool that there is one of in a process, and that no forked one can replace."""
+"""Amount of work from which rslab solves on its global pool, which a forked process cannot replace."""
 
 
 class Factor(Protocol):
-    """A factored matrix."""
+    """Interface of factored matrices."""
 
     def solve(self, right: Float) -> Float:
         """Solve for right-hand sides ``(n,)`` or ``(n, k)``."""
 
 
 class Analysis(Protocol):
-    """An analysed pattern."""
+    """Interface of analysed patterns."""
 
     def factor(self, values: Float) -> Factor:
         """Factor the matrix with these values of the lower triangle, in the order of the pattern."""
 
 
 def analyse(starts: Index, rows: Index, threads: int | None = None) -> Analysis:
-    """Analyse the pattern of a symmetric positive definite matrix: starts, rows ``(n + 1,), (N,)``."""
+    """Analyse the pattern of a symmetric positive definite matrix: starts ``(n + 1,)``, rows ``(N,)``."""
     rslab = _rslab()
     return _SuperLUAnalysis(starts, rows) if rslab is None else _RslabAnalysis(rslab, starts, rows, threads)
 
 
 def factorise(matrix: sparse.sparray) -> Factor:
-    """Factor a symmetric positive definite matrix ``(n, n)``, of which both triangles are stored."""
+    """Factor a symmetric positive definite matrix ``(n, n)``, with both triangles stored."""
     lower = sparse.csc_array(sparse.tril(sparse.csc_array(matrix)))
     lower.sort_indices()
     return analyse(lower.indptr.astype(np.int64), lower.indices.astype(np.int64)).factor(lower.data)
 
 
 def factored_laplacian(pairs: Index, weights: Float, position_weights: Float) -> Factor:
-    r"""Factor the matrix of :math:`\sum_k w_k |x_{j_k} - x_{i_k}|^2 + \sum_v h_v |x_v|^2`.
-
-    Shapes: pairs, weights ``(k, 2)``; position_weights ``(n,)``.
-    """
+    r"""Factor :math:`\sum_k w_k |x_{j_k} - x_{i_k}|^2 + \sum_v h_v |x_v|^2`: pairs ``(k, 2)``; h ``(n,)``."""
     (i, j), count = pairs.T, len(position_weights)
     degrees = np.bincount(i, weights, minlength=count) + np.bincount(j, weights, minlength=count)
     places = np.concatenate([i, j]), np.concatenate([j, i])
@@ -82,7 +78,7 @@ def _rslab() -> Any | None:
 
 
 def _import_for_good() -> None:
-    """Import rslab on a thread that does not end: it crashes once the one that imported it has ended."""
+    """Import rslab on a thread that never ends: rslab crashes once its importing thread has ended."""
     done = threading.Event()
 
     def stay() -> None:
@@ -101,21 +97,21 @@ _import_for_good()
 
 
 class _Pools:
-    """How many threads rslab has been asked for in this process, and in those that it was forked from."""
+    """Numbers of threads requested of rslab in this process and its ancestors."""
 
     def __init__(self) -> None:
         self._used: frozenset[int] = frozenset()
         self._lost: frozenset[int] = frozenset()
 
     def size(self, threads: int | None) -> int | None:
-        """Return how many threads to ask for, if `threads` are wanted."""
+        """Return the number of threads to request, for `threads` wanted."""
         if self._lost:
             threads = next(size for size in count(threads or _MOST) if size not in self._lost)
         self._used |= {threads} if threads else set(range(1, _MOST + 1))
         return threads
 
     def lose(self) -> None:
-        """Count those of the process that this one was forked from as lost."""
+        """Mark the pools of the parent process as lost."""
         self._lost |= self._used
 
 
@@ -162,10 +158,10 @@ class _RslabFactor:
 
 
 class _SuperLUAnalysis:
-    """SuperLU keeps no analysis; what is kept is where the values of both triangles come from.
+    """The place of the values of both triangles; SuperLU keeps no analysis.
 
-    In symmetric mode, and with ``relax=1``: without it columns are joined into supernodes that the minimum degree
-    ordering did not mean, which takes ten times as long.
+    In symmetric mode, and with ``relax=1``: else columns are joined into supernodes against the minimum degree
+    ordering, which takes ten times as long.
     """
 
     def __init__(self, starts: Index, rows: Index) -> None:
@@ -173,7 +169,7 @@ class _SuperLUAnalysis:
 
     @cached_property
     def _both(self) -> tuple[Index, sparse.csc_array]:
-        """Which value of the lower triangle each of the matrix's is, and the matrix."""
+        """Index of each matrix value in the lower triangle, and the matrix."""
         size = len(self._starts) - 1
         columns = np.repeat(np.arange(size), np.diff(self._starts))
         number = np.arange(1, len(self._rows) + 1)

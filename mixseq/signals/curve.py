@@ -1,9 +1,8 @@
-r"""Cubic spline curves over time, given by the points they pass through.
+"""Cubic spline curves over time, given by the points they pass through.
 
-A curve has *knots*: times with a value each. It passes through the values and is a cubic B-spline, two times
-continuously differentiable, with not-a-knot ends (its first two pieces are one cubic, and its last two). Through
-two knots it is a line, through three a parabola. Values at knots are easy to read and to edit by hand, and the
-same curve has the same values whatever knots are added to it.
+A curve has *knots*: times with a value each. It is a cubic B-spline through the values, twice continuously
+differentiable, with not-a-knot ends (its first two pieces are one cubic, and its last two). Two knots make a line,
+three a parabola. Values at knots are easy to edit by hand, and are independent of the other knots.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
     from scipy.interpolate import BSpline
 
 CLOSEST = 1e-100
-"""Least time between knots, in seconds: what is divided by it three times is still a number. Ours."""
+"""Least time between knots, in seconds, whose third power is still a divisor in double precision."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Curves with few knots that stay near values."""
+"""Fit curves with few knots to values."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mixseq.arrays import Float
 from mixseq.signals.curve import Curve
 
 Measure = Callable[[Float], Float]
-"""From the deviations ``(T, k)`` of a curve to how large they are ``(T,)``."""
+"""Map of the deviations ``(T, k)`` of a curve to their sizes ``(T,)``."""
 
 
 def largest(weights: Float) -> Measure:
@@ -20,7 +20,7 @@ def largest(weights: Float) -> Measure:
 
 
 def fit_curve(times: Float, values: Float, tolerance: float, measure: Measure) -> Curve:
-    """Find a curve with few knots that stays near values: times ``(T,)``; values ``(T, k)``."""
+    """Fit a curve with few knots to values ``(T, k)`` at times ``(T,)``, within a tolerance."""
     candidates = np.arange(2, len(times) - 2)  # those of the not-a-knot spline through all values
     chosen = np.zeros(0, dtype=np.int64)
     while len(chosen) < len(candidates):
@@ -39,10 +39,7 @@ def fit_curve(times: Float, values: Float, tolerance: float, measure: Measure) -
 
 
 def least_squares_curve(times: Float, values: Float, inner: Float) -> Curve:
-    """Find the curve with given inner knots that is nearest to values.
-
-    Shapes: times ``(T,)``; values ``(T, k)``; inner ``(n,)``.
-    """
+    """Fit a curve with inner knots ``(n,)`` to values ``(T, k)`` at times ``(T,)``, by least squares."""
     first, last = times[0], times[-1]
     if len(times) < 4 or len(inner) >= len(times) - 4:
         return Curve(times, values)

@@ -22,7 +22,7 @@ from mixseq.spaces.base import ShapeSpace
 Decoded = TypeVar("Decoded")
 
 FRAMES = 4
-"""Frames decoded at once; each thread has as many in hand."""
+"""Frames decoded at once, per thread."""
 
 
 class ResidualLayer(Protocol):
@@ -36,7 +36,7 @@ class ResidualLayer(Protocol):
 
 
 class Decodable(ABC):
-    """A motion that can be decoded at any time: vectors of a shape space over time, and what is added to frames."""
+    """A motion that can be decoded at any time: vectors of a shape space over time, and a residual layer."""
 
     header: SequenceHeader
     space: ShapeSpace
@@ -64,7 +64,7 @@ class Decodable(ABC):
 
     @abstractmethod
     def rates(self, times: ArrayLike) -> Float:
-        """Return their derivatives ``(N, D)`` by time, per second."""
+        """Return the derivatives ``(N, D)`` of `curve` by time, per second."""
 
     def __call__(self, time: float) -> Float:
         """Return the vertex positions ``(V, 3)`` at a time in seconds.
@@ -78,7 +78,7 @@ class Decodable(ABC):
         return frame
 
     def velocity(self, time: float) -> Float:
-        """Return the velocities ``(V, 3)`` of the vertices in units per second: the analytic derivative."""
+        """Return the analytic velocities ``(V, 3)`` of the vertices in units per second."""
         frame: Float = next(self.moving_blocks([time]))[1][0]
         return frame
 
@@ -98,11 +98,10 @@ class Decodable(ABC):
         times : (N,) array_like, optional
             Times in seconds, increasing; by default those of the sequence.
         fps : float, optional
-            Frames per second: without `times` the whole sequence is sampled at this rate, from its first time
-            on. With `times` it only says which time line they are on. 23.976 means 24000/1001, see
-            `mixseq.frame_rates`.
+            Frames per second: without `times` the rate at which the sequence is sampled from its first time on; with
+            `times` their time line only. 23.976 means 24000/1001, see `mixseq.frame_rates`.
         progress : callable, optional
-            Told about every frame.
+            Called for every frame.
         frames : iterable of int, optional
             Numbers of the sequence's own frames, increasing, instead of times: ``range(10, 20)``.
         velocities : bool
@@ -137,7 +136,7 @@ class Decodable(ABC):
         return np.asarray(self.times[numbers])
 
     def header_at(self, times: ArrayLike | None = None, fps: float | None = None) -> SequenceHeader:
-        """Return the header of what `sample` returns, without decoding anything."""
+        """Return the header of the result of `sample`, without decoding."""
         if fps is not None and not (np.isfinite(fps) and fps > 0):
             raise SettingsError(f"fps is {fps}; a positive number is expected")
         fps = None if fps is None else exact_rate(fps, self.header.fps)
@@ -152,10 +151,9 @@ class Decodable(ABC):
         progress: Progress = silent,
         workers: Executor | None = None,
     ) -> Iterator[Float]:
-        """Decode frames block by block: yields points ``(B, V, 3)`` with ``B <= size``, for `times` in order.
+        """Decode frames at `times`, in order, in blocks of points ``(B, V, 3)`` with ``B <= size``.
 
-        `workers` say who decodes the blocks, by default as many threads as there are cores. A frame is the same, to
-        the last bit, whoever decodes it and whatever frames are asked for with it.
+        `workers` are by default one thread per core. Frames are the same to the last bit for any blocks and workers.
         """
         return _decoded(_points, self, self.inside(times), size, progress, workers)
 
@@ -166,17 +164,11 @@ class Decodable(ABC):
         progress: Progress = silent,
         workers: Executor | None = None,
     ) -> Iterator[tuple[Float, Float]]:
-        """Decode frames block by block with velocities: yields points and units per second, ``(B, V, 3)`` each."""
+        """Decode frames in blocks of points and velocities, in units per second, ``(B, V, 3)`` each."""
         return _decoded(_moving_points, self, self.inside(times), size, progress, workers)
 
     def inside(self, times: ArrayLike) -> Float:
-        """Return times ``(N,)`` as they are, but for rounding at the ends.
-
-        Raises
-        ------
-        SettingsError
-            If a time is outside the model.
-        """
+        """Return times ``(N,)``, rounded to the ends, or raise `SettingsError` if one is outside the model."""
         wanted = np.atleast_1d(np.asarray(times, dtype=np.float64))
         first, last = self.start, self.end
         slack = 1e-3 / self.header.fps  # times are typed and printed with a few digits
@@ -198,23 +190,7 @@ def _decoded(
     progress: Progress,
     workers: Executor | None,
 ) -> Iterator[Decoded]:
-    """Yield what is decoded of a model at times ``(N,)``, in blocks of so many, in order.
-
-    Parameters
-    ----------
-    decode : callable
-        `_points` or `_moving_points`.
-    model : Decodable
-        The motion.
-    times : (N,) float64
-        Times in seconds, within the model.
-    size : int
-        Frames in a block.
-    progress : callable
-        Told about every block.
-    workers : Executor, optional
-        Who decodes the blocks, by default as many threads as there are cores.
-    """
+    """Yield results of `decode` (`_points` or `_moving_points`) at times ``(N,)`` in blocks of `size` frames."""
     some = (times[start : start + size] for start in range(0, len(times), size))
     work = workers or (on_threads() if len(times) > size else serially)
     model.space.prepared()
@@ -232,7 +208,7 @@ def _points(model: Decodable, times: Float) -> Float:
 
 
 def _moving_points(model: Decodable, times: Float) -> tuple[Float, Float]:
-    """Return the points and their velocities ``(N, V, 3)`` at times ``(N,)``."""
+    """Return points and velocities ``(N, V, 3)`` at times ``(N,)``."""
     points, speeds = model.space.decode_moving(model.curve(times), model.rates(times))
     if model.residual_layer is None:
         return points, speeds

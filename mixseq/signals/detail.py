@@ -1,4 +1,4 @@
-"""Signals of an encoded sequence, with as much detail as is asked for."""
+"""Signals of an encoded sequence, with a given detail."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ OPERATOR_SAMPLES = 256
 """Number of vertices from which the temporal operator is chosen."""
 
 SMALLEST_SCORE = 1e-200
-"""Least size of scores of a mode, in diagonals, when they are rounded."""
+"""Least scale of a mode's scores, in diagonals, for rounding."""
 
 CORRECTION_STEP = 2.0**-24
 """Rounding step of corrections of exact models, which are zero at the frames, in diagonals and radians."""
 
 
 class Between(NamedTuple):
-    """Predictions at frames and between them, through which cubic splines go."""
+    """Predictions at and between frames, interpolated by cubic splines."""
 
     times: Float  # (2T - 1,) frames and the middles between them, in seconds
     rows: Rows  # weights of the frames there
@@ -63,12 +63,12 @@ class Encoded:
 
     @cached_property
     def operator(self) -> Operator:
-        """The temporal operator that predicts the samples best."""
+        """Temporal operator that predicts the samples best."""
         return chosen(self.header.times, self.samples)
 
     @cached_property
     def poses(self) -> Float:
-        """How parts stand to each other at the frames ``(T, pose_dim)``."""
+        """Relative poses of parts at the frames ``(T, pose_dim)``."""
         poses = np.empty((len(self.shapes), self.space.pose_dim))
         for row in range(len(poses) if self.space.pose_dim else 0):  # row by row: shapes may be on disk
             poses[row] = self.shapes[row : row + 1][0, self.pose_columns]
@@ -76,7 +76,7 @@ class Encoded:
 
     @property
     def pose_columns(self) -> slice:
-        """Columns of shapes that say how parts stand to each other."""
+        """Columns of shapes with the relative poses of parts."""
         return slice(self.space.shape_dim - self.space.pose_dim, self.space.shape_dim)
 
     @cached_property
@@ -86,7 +86,7 @@ class Encoded:
 
     @cached_property
     def between(self) -> Between:
-        """What is predicted between the frames."""
+        """Predictions between the frames."""
         times = with_middles(self.header.times)
         quarters = with_middles(times)
         found = self.space.predicted_poses(self.operator, self.poses, self.placement, quarters, self.in_body)
@@ -94,18 +94,18 @@ class Encoded:
 
     @cached_property
     def shape_measure(self) -> Measure:
-        """How far deviations of scores are: root mean square over the vertices, in diagonals."""
+        """Deviation of scores: root mean square over the vertices, in diagonals."""
         root = np.sqrt(self.header.vertex_count)
         return lambda scores: np.asarray(np.linalg.norm(scores, axis=1) / root)
 
     @cached_property
     def placement_measure(self) -> Measure:
-        """How far deviations of the placement are: the largest coordinate, in diagonals."""
+        """Deviation of the placement: the largest coordinate, in diagonals."""
         return largest(self.space.weights[self.space.shape_dim :][: self.space.placement_dim])
 
     @cached_property
     def correction_measure(self) -> Measure:
-        """How far deviations of corrections are: the largest coordinate, in diagonals."""
+        """Deviation of corrections: the largest coordinate, in diagonals."""
         return largest(self.space.weights[self.space.shape_dim + self.space.placement_dim :])
 
 
@@ -137,7 +137,7 @@ def encode(
 
 
 def _encoded(shared: tuple[ShapeSpace, Index], points: FloatArray) -> tuple[Float, Float]:
-    """Vectors and samples of a block of frames; nothing of them depends on other frames."""
+    """Return vectors and samples of a block of frames, each frame independent of others."""
     space, vertices = shared
     samples = points[:, vertices].astype(np.float64)
     return space.encode_apart(points), samples.reshape(len(points), -1)
@@ -145,7 +145,7 @@ def _encoded(shared: tuple[ShapeSpace, Index], points: FloatArray) -> tuple[Floa
 
 @dataclass(frozen=True)
 class Detail:
-    """How detailed signals are."""
+    """Level of detail of signals."""
 
     rank: int | None = None  # number of shape modes; by default all there are
     # How far, in diagonals, the signals may be from the frames (by the measures of Encoded); zero to pass through them
@@ -181,7 +181,7 @@ def build(encoded: Encoded, detail: Detail) -> Model:
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """Makes the curves of a model."""
+    """Curves of a model at a level of detail."""
 
     encoded: Encoded  # the sequence
     pose: PoseMap  # from pose space to weights of the key shapes
@@ -198,7 +198,7 @@ class Signals:
         return time, placement, least_squares_curve(times, self._corrections(time, times, parts), inner)
 
     def within(self, scores: Float, slack: float, step: float) -> tuple[Curve, Curve, Curve]:
-        """Return curves of time, placement and correction that stay within slack of frames and predictions, rounded."""
+        """Return curves of time, placement and correction within slack of frames and predictions, rounded."""
         encoded = self.encoded
         sites, rows, quarters, targets, placed = encoded.between
         # Scores of modes that hardly count are small, but lengths and angles, which weigh little, change with them.
@@ -211,7 +211,7 @@ class Signals:
         return time, placement, _curve(quarters, corrections, slack, encoded.correction_measure, step)
 
     def _corrections(self, time: Curve, times: Float, targets: Float) -> Float:
-        """What blended shapes lack at times ``(N,)`` of the poses of their parts ``(N, ...)``."""
+        """Return the corrections ``(N, C)`` of blended shapes at times ``(N,)`` to part poses ``(N, ...)``."""
         blended = self.pose.weights(time(times)) @ self.key_poses
         return self.encoded.space.corrections(blended, targets)
 
@@ -222,12 +222,12 @@ def _curve(times: Float, values: Float, slack: float, measure: Measure, step: fl
 
 
 def _rounded(values: Float, step: float | Float) -> Float:
-    """Round to multiples of a step, or of one for every column."""
+    """Round to multiples of a step, or of one per column."""
     return np.asarray(np.round(values / step) * step)
 
 
 def _rank(encoded: Encoded, detail: Detail) -> int:
-    """Return the number of modes: as asked for, or so many that all frames are within the slack."""
+    """Return the given number of modes, or the least one with all frames within the slack."""
     scores = encoded.modes.scores
     if detail.rank is not None:
         return min(detail.rank, len(encoded.modes.sizes))

@@ -1,4 +1,4 @@
-"""From a mesh sequence to a model: shape space, encoding, and signals that are as detailed as is asked for."""
+"""Fit models to mesh sequences: shape space, encoding, and signals of a given detail."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ from mixseq.threads import one_blas_thread
 __all__ = ["SPACES", "SpaceName", "fit"]
 
 STAGES = 2 + MAKING
-"""Of the work but for the search of a tolerance: reading frames, making the space, encoding frames."""
+"""Stages of progress, without the search of a tolerance: reading frames, making the space, encoding frames."""
 
 _MARGIN = 10.0
-"""Lengths and angles are fitted to so much more accurately than frames have to be."""
+"""Ratio of the tolerance of frames to that of fits to lengths and angles."""
 
 
 class FitOptions(SpaceOptions, total=False):
@@ -61,34 +61,34 @@ def fit(
     workers: Executor | None = None,
     **settings: Unpack[FitOptions],
 ) -> Model:
-    r"""Turn a mesh sequence into a model: time, pose and shape signals in a shape space.
+    """Turn a mesh sequence into a model: time, pose and shape signals in a shape space.
 
-    The sequence may be larger than memory: give what `mixseq.open_sequence` returns. Its points are read once, and are
-    kept in a temporary file as long as the work lasts, like their vectors. In memory are a few frames at a time, the
-    signals, and matrices of as many rows and columns as there are frames, or coordinates of a shape if these are fewer.
-    The model is the same, to the last bit, as of a `MeshSequence`.
+    The sequence may be larger than memory: give the result of `mixseq.open_sequence`. Its points are read once, and
+    kept with their vectors in a temporary file. In memory are a few frames at a time, the signals, and square matrices
+    of the number of frames, or of coordinates of a shape if these are fewer. The model is the same, to the last bit, as
+    of a `MeshSequence`.
 
     Without `exact`, `tolerance`, `rank` or `knots` the model is lossless to the eye: no vertex of any frame is off by
     more than 0.0005 of the diagonal, half a pixel where the mesh fills a picture of 1000 pixels.
 
-    Between frames that are far apart, as poses of a set are, lengths and angles are made to agree in the anchored
-    placement, so that no face is torn half-way; not if `rank` or `knots` are given.
+    Between distant frames, such as poses of a set, lengths and angles are made to agree in the anchored placement, so
+    that no face is torn half-way; not if `rank` or `knots` are given.
 
     Parameters
     ----------
     sequence : MeshSequence or SequenceReader
         The animation.
     exact : bool
-        Keep everything: the frames are reproduced but for some 1e-11 of the diagonal, to which key shapes are rounded.
-        The model is decoded at all frames to make sure that no vertex is off by more than 1e-8 of the diagonal.
+        Reproduce the frames to some 1e-11 of the diagonal, the rounding of key shapes. The model is decoded at all
+        frames to verify that no vertex is off by more than 1e-8 of the diagonal.
     tolerance : float, optional
         Largest distance of a vertex from the original, as a fraction of the bounding box's diagonal in the first
-        frame. The model is decoded at all frames to make sure; number of modes and knots follow.
+        frame, verified at all frames; number of modes and knots follow.
     rank : int, optional
-        Number of shape modes; where parts are stays exact.
+        Number of shape modes; placements of parts stay exact.
     placement : {"anchored", "free"}
-        How parts are placed: where their poses say (default), or where lengths and angles say, with six numbers for
-        every body (the paper's).
+        How parts are placed: by their poses (default), or by lengths and angles, with six numbers for every body (the
+        paper's).
     parts : int or (F,) int, optional
         Number of parts, or the part of every triangle; found from the motion if not given.
     joint_width : int
@@ -97,9 +97,9 @@ def fit(
         The shape space: S_m, vertex positions, deformation gradients, LRI coordinates, or edge lengths and dihedral
         angles. Only S_m has a use for `placement`, `parts`, `joint_width` and `segmentation`.
     progress : callable, optional
-        Told about every stage.
+        Called for every stage.
     workers : Executor, optional
-        Who works on blocks of frames, see `mixseq.mapping`; by default as many threads as there are cores.
+        Executor for blocks of frames, see `mixseq.mapping`; by default one thread per core.
 
     Other Parameters
     ----------------
@@ -108,10 +108,10 @@ def fit(
     projection, volume, shell : optional
         Of the edge space, see `mixseq.spaces.EdgeSettings`.
     knots : int or (n,) array_like, optional
-        Inner knots of all curves: how many, evenly spread, or their times in seconds. By default one at (almost)
+        Inner knots of all curves: their number, evenly spread, or their times in seconds. By default one at (almost)
         every frame, or as few as `tolerance` allows.
     pose : {"modes", "keys"}
-        What key shapes are: mean and modes (default), or frames of the sequence; see `mixseq.signals.pose`.
+        Key shapes: mean and modes (default), or frames of the sequence; see `mixseq.signals.pose`.
 
     Returns
     -------
@@ -121,13 +121,13 @@ def fit(
     ------
     SettingsError
         If a setting is out of range, two contradict each other, or the space has no use for one; or if the sequence is
-        so far from the origin, beside its size, that double precision has no digits for the tolerance.
+        so far from the origin, relative to its size, that double precision has no digits for the tolerance.
     ReconstructionError
         If not even the most accurate model keeps the tolerance, for another reason.
     SegmentationError
         If given parts do not fit the mesh.
     FormatError, InvalidSequenceError
-        If a sequence that is read turns out to be damaged or unsound, or too small or too large for doubles.
+        If a sequence being read is damaged or unsound, or too small or too large for doubles.
     OutputError
         If there is no room for a temporary file.
 

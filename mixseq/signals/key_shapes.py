@@ -1,4 +1,4 @@
-"""Frames of a sequence as its key shapes: which, and what weights they have at a point of pose space."""
+"""Frames of a sequence as key shapes: their choice, and their weights in pose space."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mixseq.signals.pose import PoseMap
 
 
 def choose_keys(scores: Float) -> Index:
-    """Choose frames as key shapes for points of pose space: scores ``(T, r)``; result ``(r + 1,)``."""
+    """Choose frames ``(r + 1,)`` as key shapes for points of pose space ``(T, r)``."""
     size = np.abs(scores).max(initial=0.0) or 1.0
     corners = np.concatenate([np.full((1, len(scores)), size), scores.T])
     pivots = linalg.qr(corners, mode="r", pivoting=True)[1]
@@ -18,7 +18,7 @@ def choose_keys(scores: Float) -> Index:
 
 
 def key_map(keys: Float) -> PoseMap:
-    """Make the pose map of key shapes that lie at points of pose space: keys ``(K, r)``."""
+    """Make the pose map of key shapes at points of pose space ``(K, r)``."""
     corners = np.concatenate(
         [np.ones((1, len(keys))), keys.T]
     )  # weights w of a point c: corners @ w = (1, c)

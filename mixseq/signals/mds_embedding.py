@@ -1,4 +1,4 @@
-r"""The plane that shows most of a sequence: classical multidimensional scaling of its frames.
+r"""The main plane of a sequence: classical multidimensional scaling of its frames.
 
 Let :math:`c_t` be the frames in pose space, :math:`C` their deviations from the mean ``(T, k)``, and :math:`u_1, u_2`
 the first two principal components of their shapes, unit vectors of the shape space. With the singular values
@@ -7,7 +7,7 @@ the first two principal components of their shapes, unit vectors of the shape sp
 .. math:: u_i = \sum_t d_{ti}\, (s_t - \bar s) / \sigma_i, \qquad p_i = C^T d_i / \sigma_i,
 
 the place of a shape in the plane is its product with :math:`u_1` and :math:`u_2`. A step of :math:`p_i` in pose space
-is the step :math:`u_i` of the shape: by one diagonal along the axis i, and no other shape changes less for it.
+is the step :math:`u_i` of the shape: the smallest change by one diagonal along the axis i.
 """
 
 from __future__ import annotations
@@ -21,40 +21,21 @@ from mixseq.errors import SettingsError
 from mixseq.signals.pose import PoseMap
 
 NEGLIGIBLE = 1e-12
-"""Frames that spread by less than this fraction of the largest spread do not spread: rounding errors."""
+"""Ratio to the largest spread of frames below which a spread is a rounding error."""
 
 FLAT = 1e-4
-"""Steps along an axis are made of frames that spread along it: by more than this, in diagonals, and more than this
-fraction of the largest spread. Else they would be rounding errors, made large. Ours."""
+"""Least spread of frames along an axis, in diagonals and relative to the largest, from which steps are computed."""
 
 
 class Plane(NamedTuple):
-    """A plane through a pose space.
+    """A plane through a pose space."""
 
-    Attributes
-    ----------
-    origin : (K,) float64
-        Mean weights of the key shapes.
-    axes : (K, 2) float64
-        ``(weights - origin) @ axes`` are the coordinates of a shape in the plane. Columns are zero where the
-        frames span less than a plane.
-    directions : (k, 2) float64
-        The smallest steps in pose space that move a shape by one along every axis. Columns are zero where the frames
-        spread too little to tell one.
-    """
-
-    origin: Float
-    axes: Float
-    directions: Float
+    origin: Float  # (K,) mean weights of the key shapes
+    axes: Float  # (K, 2) ``(weights - origin) @ axes`` are coordinates in the plane; zero without a spread
+    directions: Float  # (k, 2) least steps in pose space by one along each axis; zero without a spread
 
     def checked(self, shapes: int, coordinates: int) -> Plane:
-        """Return the plane, if it can be one of a model with so many key shapes and coordinates of pose space.
-
-        Raises
-        ------
-        SettingsError
-            If it is of other key shapes.
-        """
+        """Return the plane if it fits numbers of key shapes and pose coordinates; else raise `SettingsError`."""
         if (len(self.origin), len(self.directions)) != (shapes, coordinates):
             raise SettingsError(
                 f"the plane is of {len(self.origin)} key shapes and {len(self.directions)} coordinates of pose "
@@ -65,10 +46,7 @@ class Plane(NamedTuple):
 
 
 def plane_of(points: Float, pose: PoseMap, shapes: Float, metric: Float) -> Plane:
-    """Find the plane of the first two principal components of blended shapes.
-
-    Shapes: points ``(T, k)``; shapes ``(K, S)``; metric ``(S,)``.
-    """
+    """Find the main plane of blended shapes: points ``(T, k)``; shapes ``(K, S)``; metric ``(S,)``."""
     weights = pose.weights(points)
     origin = weights.mean(axis=0)
     centred = shapes - shapes.mean(axis=0)  # weights that add up to zero do not see the mean
@@ -90,10 +68,7 @@ def plane_of(points: Float, pose: PoseMap, shapes: Float, metric: Float) -> Plan
 
 
 def _of_many(spread: Float, gram: Float) -> tuple[Float, Float]:
-    """Return what `eigh` of the frames' products does, as many as there are key shapes, without a matrix of T x T.
-
-    With ``gram = L L^T`` it is that of ``(spread L)^T (spread L)``, ``(K, K)``.
-    """
+    """Return `eigh` of ``(spread L)^T (spread L)`` ``(K, K)`` with ``gram = L L^T``, without a T x T matrix."""
     squares, axes = np.linalg.eigh(gram)
     placed = spread @ (axes * np.sqrt(np.maximum(squares, 0.0)))
     sizes, vectors = np.linalg.eigh(placed.T @ placed)

@@ -1,4 +1,4 @@
-r"""A model: a shape space and three signals in it, which can be asked for any time.
+r"""A model: a shape space and three signals in it, continuous in time.
 
 .. math:: s(t) = \sum_j \varphi_j(c(t))\, P_j, \qquad \sum_j \varphi_j = 1
 
@@ -6,7 +6,7 @@ r"""A model: a shape space and three signals in it, which can be asked for any t
 - **pose**: the affine map :math:`\varphi` from pose space to weights of key shapes (`mixseq.signals.pose`),
 - **shape**: the key shapes :math:`P_j`, points of the shape space.
 
-Where the parts of the shape are in the world is no matter of shape: the **placement** is a curve of its own.
+The **placement** of bodies in the world is a curve of its own.
 """
 
 from __future__ import annotations
@@ -52,13 +52,13 @@ class Model(Decodable, PickledWithoutCaches):
     shapes : (K, S) float64
         The shape signal: key shapes without their placement, ``S = space.shape_dim``.
     placement : Curve
-        Where the bodies are: a curve of `ShapeSpace.placement_dim` coordinates.
+        Poses of the bodies: a curve of `ShapeSpace.placement_dim` coordinates.
     correction : Curve, optional
-        What blended shapes lack between frames, and at frames in a model of few modes: a curve of
-        `ShapeSpace.correction_dim` coordinates; by default nothing.
+        Corrections of blended shapes between frames, and at frames in a model of few modes: a curve of
+        `ShapeSpace.correction_dim` coordinates; by default none.
     residual_layer : ResidualLayer, optional
-        Displacements that the signals alone do not reproduce: with them a compressed sequence is within its bound.
-        They belong to this motion: `dataclasses.replace` keeps them, `with_motion` does not.
+        Displacements added to decoded frames, which keep a compressed sequence within its bound. They belong to this
+        motion: `dataclasses.replace` keeps them, `with_motion` does not.
 
     Raises
     ------
@@ -124,10 +124,9 @@ class Model(Decodable, PickledWithoutCaches):
         time, placement, correction : Curve
             Its signals.
         header : SequenceHeader, optional
-            Tells the times of its frames, if they are others.
+            Header with the times of its frames, if they change.
         residual_layer : ResidualLayer, optional
-            What is added to its frames. That of this model is not: at other times, or added to another motion, it
-            would do harm.
+            Residual layer of the new motion; that of this model is dropped, as it belongs to this motion.
         """
         return replace(
             self,
@@ -150,24 +149,12 @@ class Model(Decodable, PickledWithoutCaches):
 
     @property
     def decomposition(self) -> Decomposition:
-        """Parts and joints of the mesh.
-
-        Raises
-        ------
-        SettingsError
-            If the shape space has none.
-        """
+        """Parts and joints of the mesh; raises `SettingsError` if the shape space has none."""
         return self.mixed.decomposition
 
     @property
     def mixed(self) -> MixedSpace:
-        """The space, if it is the mixed shape space.
-
-        Raises
-        ------
-        SettingsError
-            If it is another one, which has no parts.
-        """
+        """The space, if it is the mixed shape space; else raises `SettingsError`."""
         from mixseq.spaces.mixed import as_mixed  # heavy, and compressed models have another space
 
         return as_mixed(self.space)
@@ -193,7 +180,7 @@ class Model(Decodable, PickledWithoutCaches):
         return np.concatenate([shapes, *others], axis=1)
 
     def _blended(self, weights: Float) -> Float:
-        """Return sums of key shapes ``(N, S)``, one by one: a frame is the same whatever is asked with it."""
+        """Return sums of key shapes ``(N, S)``, row by row: a frame is independent of others."""
         blended = np.empty((len(weights), self.shapes.shape[1]))
         with one_blas_thread():
             for row, weight in zip(blended, weights, strict=True):
@@ -207,7 +194,7 @@ class Model(Decodable, PickledWithoutCaches):
 
     @property
     def key_frames(self) -> NDArray[np.int64]:
-        """Frames ``(K,)`` that are a key shape and nothing else, -1 for key shapes that are no frame."""
+        """Frames ``(K,)`` that equal one key shape, -1 for key shapes that are no frame."""
         weights = self.pose.weights(self.time(self.times))
         frames = np.full(len(self.shapes), -1, dtype=np.int64)
         keys = weights.argmax(axis=1)  # nothing else can be the only one
@@ -221,7 +208,7 @@ class Model(Decodable, PickledWithoutCaches):
         return frames
 
     def embedding(self, times: ArrayLike, plane: Plane | None = None) -> Float:
-        """Return where the model is ``(N, 2)`` in the plane that shows most of its motion, in diagonals.
+        """Return the coordinates ``(N, 2)`` of the model in its main plane, in diagonals.
 
         The plane of the first two principal components of the frames (classical multidimensional scaling of
         their distances in the shape space), fixed for the model; drawn, it is the default picture of the time
@@ -244,7 +231,7 @@ class Model(Decodable, PickledWithoutCaches):
         return np.asarray((weights - origin) @ axes)
 
     def known(self, plane: Plane) -> Plane:
-        """Return a plane as it is, if it can be one of this model; raises what `Plane.checked` does."""
+        """Return a plane that fits this model; raises what `Plane.checked` does."""
         return plane.checked(len(self.shapes), self.time.dim)
 
     @cached_property

@@ -1,4 +1,4 @@
-r"""Principal components of the vectors of a sequence, all of them: the modes of its shapes.
+r"""Principal components of the vectors of a sequence: the modes of its shapes.
 
 The centred, weighted vectors are :math:`Y = U \Sigma V^T`, ``(T, D)``. Scores are :math:`U \Sigma`, coordinates of the
 frames; the shape signal has the mean plus one standard deviation along every mode.
@@ -9,8 +9,8 @@ U or V, whichever is smaller, are eigenvectors of a Gram matrix:
   deviations are :math:`U^T X / \sqrt T`;
 - :math:`Y^T Y`, where there are more. The scores are :math:`Y V`, and the deviations the columns of V over the weights.
 
-Either way an orthogonal matrix is applied and taken back, so that the modes reproduce the vectors to rounding, however
-small singular values are. Only blocks of the vectors are in memory.
+Either way an orthogonal matrix is applied and inverted, so that the modes reproduce the vectors to rounding, for
+singular values of any size. Only blocks of the vectors are in memory.
 """
 
 from __future__ import annotations
@@ -25,14 +25,13 @@ from mixseq.disk_array import LargeArray, column_blocks
 from mixseq.signals.pose import PoseMap
 
 NEGLIGIBLE = 1e-15
-"""Modes below this fraction of the largest are rounding errors."""
+"""Ratio to the largest mode below which modes are rounding errors."""
 
 FAINTEST = 1e-9
-"""What weighs less than this fraction of the heaviest coordinate is given so much weight where frames outnumber
-coordinates: weights are divided by. Ours."""
+"""Least weight of a coordinate relative to the largest, where frames outnumber coordinates and weights are divisors."""
 
 Deviations = Callable[[int], Iterator[tuple[slice, Float]]]
-"""One standard deviation along each of the first so many modes, in blocks of coordinates: which, and ``(r, C)``."""
+"""One standard deviation along each of the first r modes, in blocks of coordinates: a slice, and ``(r, C)``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +54,7 @@ class Modes:
         return PoseMap(np.eye(rank + 1)[0], np.hstack([-steps.sum(axis=1, keepdims=True), steps]))
 
     def key_shapes(self) -> Float:
-        """Return the key shapes ``(1 + r, D)`` of `pose_map`: the mean, and it plus one deviation along every mode."""
+        """Return the key shapes ``(1 + r, D)`` of `pose_map`: the mean, and the mean plus one deviation per mode."""
         rank = len(self.sizes)
         shapes = np.empty((1 + rank, len(self.mean)))
         shapes[0] = self.mean
@@ -65,10 +64,7 @@ class Modes:
 
 
 def principal_modes(vectors: LargeArray, metric: Float) -> Modes:
-    """Find all modes of vectors, at most as many as there are coordinates, and one fewer than frames.
-
-    Shapes: vectors ``(T, D)``; metric ``(D,)``.
-    """
+    """Find all modes of vectors ``(T, D)`` in a metric ``(D,)``, at most D, and one fewer than frames."""
     count, dim = vectors.shape
     return _of_frames(vectors, metric) if count <= dim else _of_coordinates(vectors, metric)
 
@@ -129,6 +125,6 @@ def _of_coordinates(vectors: LargeArray, metric: Float) -> Modes:
 
 
 def _largest_first(sizes: Float) -> Index:
-    """Return which modes there are, the largest first; what is left out is rounding errors."""
+    """Return the modes above rounding errors, largest first."""
     there = sizes > NEGLIGIBLE * sizes.max(initial=0.0)
     return np.flatnonzero(there)[np.argsort(-sizes[there], kind="stable")]

@@ -2,9 +2,9 @@ r"""The pose signal: from a point of pose space to the affine weights of key sha
 
 .. math:: \varphi(c) = \varphi_0 + c\,\Phi, \qquad \sum_j \varphi_j(c) = 1 \text{ for every } c
 
-so every point of pose space is a shape, :math:`\sum_j \varphi_j(c)\,P_j`. Pose space has the coordinates of a
-principal component analysis of the sequence: distances in it are distances between shapes, its first two
-coordinates draw the sequence in the plane. Two forms of the same thing:
+Every point of pose space is a shape, :math:`\sum_j \varphi_j(c)\,P_j`. Pose space has the coordinates of a principal
+component analysis of the sequence: distances in it are distances between shapes, its first two coordinates draw the
+sequence in the plane. There are two equivalent forms:
 
 modes
     the first key shape is the mean, every other one is the mean plus one standard deviation along a mode;
@@ -58,7 +58,7 @@ class PoseMap:
 
     @cached_property
     def identity(self) -> str:
-        """A name of the pose space: key shapes of models that share it can be exchanged."""
+        """Identifier of the pose space: key shapes of models with the same one can be exchanged."""
         digest = blake2b(digest_size=16)
         for array in (self.offset, self.matrix):
             digest.update(np.ascontiguousarray(array).data)
@@ -74,7 +74,7 @@ class PoseMap:
         return self.offset + self.rates(coordinates)
 
     def rates(self, velocities: Float) -> Float:
-        """Return how the weights ``(N, K)`` change where points move with velocities ``(N, k)``."""
+        """Return the rates ``(N, K)`` of the weights at velocities ``(N, k)`` of points."""
         # Row by row: products of many rows are summed in another order than those of one.
         rates = np.empty((len(velocities), len(self.offset)))
         for row, velocity in zip(rates, velocities, strict=True):
@@ -88,10 +88,7 @@ class PoseMap:
 
 
 def straight_modes(scores: Float, mean: Float, directions: Float) -> tuple[PoseMap, Float]:
-    """Make the pose signal and the key shapes of vectors ``mean + scores @ directions``.
-
-    Shapes: scores ``(T, r)``; mean ``(D,)``; directions ``(r, D)``; result ``(1 + r, D)``.
-    """
+    """Make the pose signal and key shapes ``(1 + r, D)`` of ``mean + scores @ directions``: scores ``(T, r)``."""
     sizes = np.sqrt(np.square(scores).mean(axis=0))
     sizes = np.where(sizes > 0, sizes, 1.0)
     steps = np.diag(1 / sizes)

@@ -1,6 +1,6 @@
-"""Promises, of a tolerance and of exact models: no vertex of any decoded frame is off by more, measured.
+"""Signals within a tolerance, and exact models: the error of all decoded frames is measured.
 
-For a tolerance the coarsest signals are searched for that keep it. Where not even the finest do, nothing is promised.
+For a tolerance the coarsest signals that keep it are searched for. If not even the finest do, an error is raised.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ LOSSLESS_TO_THE_EYE = 5e-4
 """Default tolerance in diagonals: half a pixel, where a mesh fills a picture of 1000 pixels."""
 
 EXACT = 1e-8
-"""What an exact model may be off by in diagonals: rounding. Near the origin it is off by some 1e-15."""
+"""Tolerance of exact models in diagonals, for rounding; near the origin the error is some 1e-15."""
 
 EXACT_STEP = 2.0**-38
-"""Step to which signals of exact models are rounded, in diagonals: frames are off by some 1e-11."""
+"""Rounding step of signals of exact models, in diagonals: frames are off by some 1e-11."""
 
 STEPS = 64
-"""Signals of other models are rounded to the tolerance over this, or less where that is what is too coarse."""
+"""Ratio of the tolerance to the rounding step of signals; the step is refined where it is too coarse."""
 
 ENOUGH = 0.6
-"""A model is not made coarser if its error is above this fraction of the tolerance."""
+"""Ratio of error to tolerance above which a model is not made coarser."""
 
 ROUNDS = 7
-"""At most so many models are tried before the finest of them."""
+"""Largest number of models that are tried before the finest one."""
 
 
 def within(
@@ -46,8 +46,8 @@ def within(
 ) -> Model:
     """Find signals that reproduce a sequence to a tolerance.
 
-    Slack of the signals and error of the decoded frames grow together, though not evenly; so the slack is scaled
-    with the error that was measured, and bisected once it was both too small and too large.
+    Slack of the signals and error of the frames grow together, unevenly: the slack is scaled by the measured error, and
+    bisected once it was both too small and too large.
     """
     low, high, slack = 0.0, np.inf, tolerance / 4
     best: Model | None = None
@@ -78,7 +78,7 @@ def within(
 
 
 def _digest(model: Model) -> bytes:
-    """Tell models of one sequence from each other, by their curves over time."""
+    """Hash the curves of a model, to compare models of one sequence."""
     digest = blake2b()
     for curve in model.curves:
         digest.update(curve.times.data)
@@ -93,7 +93,7 @@ def made_sure(
     workers: Executor | None = None,
     progress: Progress = silent,
 ) -> Model:
-    """Return a model that keeps a promise at all frames."""
+    """Return a model after verifying the tolerance `promise` at all frames."""
     error = largest_error(model, sequence, workers=workers)
     progress(1, 1, "checking")
     if error <= promise:

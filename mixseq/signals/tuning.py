@@ -28,20 +28,20 @@ MAX_TRIAL_VERTICES = 2_000_000
 """Largest number of vertices of all frames that are left out."""
 
 MIN_TRIAL_FRAMES = 3
-"""Number of frames that are left out, however large the mesh is."""
+"""Least number of frames that are left out, for meshes of any size."""
 
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Shares of lengths and angles to choose from."""
 
 SUFFICIENT_GAIN = 0.8
-"""Fraction of the largest gain that is enough: the smallest share with it is taken."""
+"""Fraction of the largest gain that suffices: the smallest share with it is taken."""
 
 ERROR_FLOOR = 1e-12
 """Errors below this, in diagonals or radians, are rounding."""
 
 
 def tuned(encoded: Encoded, frames: LargeArray) -> Encoded:
-    """Choose how parts are predicted between frames, and the share of lengths and angles: frames ``(T, V, 3)``."""
+    """Choose how parts are predicted between frames ``(T, V, 3)``, and the share of lengths and angles."""
     space = encoded.space
     if not isinstance(space, MixedSpace) or space.placement == "free" or len(frames) < 4:
         return encoded
@@ -79,12 +79,12 @@ class Trial:
         )
 
     def better_in_body(self) -> bool:
-        """Whether positions, lengths and angles are on the whole better if parts are predicted in bodies, too."""
+        """Whether predictions in bodies improve positions, lengths and angles on the whole."""
         world, body = (self._errors(self.space.posed(self._vectors(way))) for way in (False, True))
         return bool(np.log(np.maximum(body, ERROR_FLOOR) / np.maximum(world, ERROR_FLOOR)).sum() < 0.0)
 
     def best_share(self, in_body: bool) -> float:
-        """Return the share of lengths and angles that makes the larger of their two errors smallest, nearly."""
+        """Return the share of lengths and angles that nearly minimises the larger of their two errors."""
         blocks = self.space.split(self._vectors(in_body))
         posed = self.space.posed(self.space.join(blocks))
         plain = np.maximum(self._errors(posed)[1:], ERROR_FLOOR)
@@ -102,7 +102,7 @@ class Trial:
 
     @cached_property
     def _shapes(self) -> Float:
-        """Shapes ``(n, S)`` of the frames, from the others; summed frame by frame, for the sake of memory."""
+        """Shapes ``(n, S)`` of the frames, from the others, frame by frame to save memory."""
         shapes = np.zeros((len(self.frames), self.space.shape_dim))
         for number, (frames, weights) in enumerate(zip(self.rows.frames, self.rows.weights, strict=True)):
             for frame, weight in zip(frames, weights, strict=True):

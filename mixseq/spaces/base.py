@@ -20,32 +20,30 @@ if TYPE_CHECKING:
     from mixseq.shells.gauss_newton import ShellReport
 
 Carry = Callable[[Float], Float]
-"""From shapes ``(K, S)`` in one space to the same shapes in another one."""
+"""Map of shapes ``(K, S)`` of one space to the same shapes of another space."""
 
 DIFFERENCE = 1e-4
-"""Step of difference quotients, relative to the size of a vector's metric."""
+"""Step of difference quotients, relative to the size of a vector in the metric."""
 
 
 class ShapeSpace(PickledWithoutCaches, ABC):
-    """A space of vectors, each of which is a shape of one mesh, that may be added and scaled.
+    """A linear space of vectors ``(D,)``, each a shape of one mesh.
 
-    For every space and all frames x of the sequence it was made for ``decode(encode(x)) = x``, and an affine
-    combination of vectors (weights that add up to one) is a vector of the space.
+    ``decode(encode(x)) = x`` for all frames x of its sequence. Affine combinations of vectors are vectors of the space.
 
-    A vector is ``[shape | placement | correction]``. The *placement* says where the shape, or each of its bodies, is:
-    first a quaternion for everything that has a rotation, then a centre for everything that has a place. It has no part
-    in distances between shapes. *Corrections* are zero in every encoded frame; between frames they make up for what
-    blended shapes lack.
+    A vector is ``[shape | placement | correction]``. A *placement* poses the shape, or each of its bodies: quaternions,
+    then centres. It does not count in distances between shapes. *Corrections* are zero in encoded frames; between
+    frames they are added to blended part poses.
     """
 
     name: str
-    """Name of the space, as `mixseq.fit` knows it."""
+    """Name of the space in `mixseq.fit`."""
 
     scale: float
-    """Length of the unit of the space, in the units of the sequence."""
+    """Unit of length of the space, in the units of the sequence."""
 
     vertex_count: int
-    """Number V of vertices of the mesh."""
+    """Number V of vertices."""
 
     @property
     @abstractmethod
@@ -55,56 +53,56 @@ class ShapeSpace(PickledWithoutCaches, ABC):
     @property
     @abstractmethod
     def weights(self) -> Float:
-        """Weights ``(D,)`` of the coordinates: a change by one moves vertices by so many diagonals."""
+        """Metric ``(D,)``: vertex displacement in diagonals per unit of each coordinate."""
 
     @property
     def shape_dim(self) -> int:
-        """How many numbers S of a vector are its shape: all but placement and correction."""
+        """Length S of the shape in a vector."""
         return self.dim - self.placement_dim - self.correction_dim
 
     @property
     def correction_dim(self) -> int:
-        """How many numbers C at the end of a vector are its correction."""
+        """Length C of the correction at the end of a vector."""
         return 0
 
     @property
     def pose_dim(self) -> int:
-        """How many numbers at the end of a shape say how parts stand to each other."""
+        """Length of the relative part poses at the end of a shape."""
         return 0
 
     @property
     def shape_weights(self) -> Float:
-        """Weights ``(S,)`` of a shape."""
+        """Metric ``(S,)`` of shapes."""
         return self.weights[: self.shape_dim]
 
     @property
     def coarseness(self) -> Float:
-        """How much coarser than positions numbers ``(S,)`` of a shape may be rounded: powers of two."""
+        """Rounding steps ``(S,)`` of a shape over that of positions: powers of two."""
         return np.ones(self.shape_dim)
 
     @property
     def embedding_weights(self) -> Float:
-        """Weights ``(S,)`` of the same where poses are to be told apart: embeddings, and what is similar."""
+        """Metric ``(S,)`` of shapes for embeddings and similarity of poses."""
         return self.shape_weights
 
     @property
     def rotation_count(self) -> int:
-        """How many quaternions a placement begins with."""
+        """Number of quaternions of a placement."""
         return 0
 
     @property
     def centre_count(self) -> int:
-        """How many centres a placement ends with."""
+        """Number of centres of a placement."""
         return 0
 
     @property
     def decomposed(self) -> Decomposition | None:
-        """Parts and joints of the mesh, if the space knows any."""
+        """Parts and joints of the mesh, None in spaces without parts."""
         return None
 
     @property
     def placement_dim(self) -> int:
-        """How many numbers P of a vector, after its shape, are its placement."""
+        """Length P of the placement in a vector."""
         return 4 * self.rotation_count + 3 * self.centre_count
 
     def poses(self, placements: Float) -> Poses:
@@ -122,68 +120,46 @@ class ShapeSpace(PickledWithoutCaches, ABC):
     def predicted_poses(
         self, operator: Operator, poses: Float, placements: Float, times: Float, in_body: bool
     ) -> tuple[Float, Float]:
-        """Predict how parts stand, and placements, between frames.
+        """Predict part poses relative to bodies ``(N, ...)``, for `corrections`, and placements ``(N, P)``.
 
-        Parameters
-        ----------
-        operator : Operator
-            The temporal operator of the sequence.
-        poses, placements : (T, pose_dim), (T, P) float64
-            How parts stand, and placements, at the frames.
-        times : (N,) float64
-            When.
-        in_body : bool
-            Whether parts are predicted as seen from their bodies, too.
-
-        Returns
-        -------
-        targets : (N, ...) float64
-            Poses of the parts as seen from their bodies, which `corrections` takes.
-        placements : (N, P) float64
-            Here rotations are chained and centres are weighted sums, see `mixseq.prediction`; there are no parts.
+        Poses ``(T, pose_dim)`` and placements ``(T, P)`` are those of the frames; ``in_body`` adds predictions in body
+        axes. Here rotations are chained, centres are weighted sums (`mixseq.prediction`), and there are no parts.
         """
         placed = self.placements(predicted_alone(operator.at(times), self.poses(placements)))
         return np.zeros((len(times), 0)), placed
 
     def held(self, points: Float, vertices: Index, placements: Float) -> Float:
-        """Return points ``(T, n, 3)`` of vertices ``(n,)`` as seen from placements ``(T, P)``; here as they are."""
+        """Return points ``(T, n, 3)`` of vertices ``(n,)`` in the axes of placements ``(T, P)``; here unchanged."""
         return points
 
     def signs(self, poses: Float, before: Float) -> Float:
-        """Return factors ``(pose_dim,)`` that keep the shape, with which it goes on from another one: 1 or -1.
-
-        Poses are ``(pose_dim,)``, at the end of shapes. A quaternion and its negative are the same rotation.
-        """
+        """Return the signs ``(pose_dim,)``, 1 or -1, that bring quaternions of poses nearest to those before."""
         return np.ones(self.pose_dim)
 
     def corrections(self, poses: Float, targets: Float) -> Float:
-        """Return the corrections ``(N, C)`` that shapes with poses ``(N, pose_dim)`` need to have targets."""
+        """Return corrections ``(N, C)`` from poses ``(N, pose_dim)`` of shapes to target poses."""
         return np.zeros((len(poses), 0))
 
     def with_shape(self, points: Float) -> tuple[ShapeSpace, Carry]:
-        """Return a space that has all shapes of this one and another one ``(V, 3)``, and how shapes get there.
-
-        Here that is this space: it has all shapes of the mesh.
-        """
+        """Return a space that contains this one and a shape ``(V, 3)``, and the map to it; here this space."""
         return self, unchanged
 
     def joined(self, other: ShapeSpace) -> tuple[ShapeSpace, Carry | None, Carry | None]:
-        """Return a space for the shapes of this one and of another one of the same mesh, and how they get there.
+        """Return a space that contains this one and another one of the mesh, and the maps of both; here this space.
 
-        Nothing tells how shapes get there if frames must be decoded and encoded again. Here it is this space.
+        A map is None where frames must be decoded and encoded again.
         """
         return self, unchanged, unchanged if other is self else None
 
     def encode(self, points: FloatArray, previous: Float | None = None) -> Float:
-        """Turn frames into vectors.
+        """Encode frames as vectors.
 
         Parameters
         ----------
         points : (T, V, 3) or (V, 3) float
             Vertex positions in the units of the sequence: consecutive frames, or one pose.
         previous : (D,) float64, optional
-            Vector of the frame before the first one, where a sequence is encoded block by block: angles go on
-            from there without jumps. By default the first frame stays near the reference of the space.
+            Vector of the frame before the first one, from which angles continue without jumps; by default a reference.
 
         Returns
         -------
@@ -192,13 +168,13 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         Raises
         ------
         SettingsError
-            If the points are no numbers, not finite, or not those of the mesh.
+            If the points are not numeric, not finite, or not those of the mesh.
         """
         frames = self._checked_points(points)
         return self.unwrap(self.encode_apart(frames), previous) if len(frames) else np.zeros((0, self.dim))
 
     def _checked_points(self, points: FloatArray) -> FloatArray:
-        """Return frames ``(T, V, 3)``, if these are of the mesh."""
+        """Return points as frames ``(T, V, 3)``, or raise `SettingsError`."""
         frames = np.asarray(points)
         if frames.dtype.kind not in "fiu":
             raise SettingsError(f"points are {frames.dtype}; real numbers are expected")
@@ -215,39 +191,29 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         return frames
 
     def checked(self, vectors: Any) -> Any:
-        """Return vectors ``(T, D)`` if they are of this space.
-
-        Raises
-        ------
-        SettingsError
-            If they are not.
-        """
+        """Return vectors ``(T, D)`` of this space, or raise `SettingsError`."""
         if np.ndim(vectors) != 2 or np.shape(vectors)[1] != self.dim:
             raise SettingsError(f"vectors have shape {np.shape(vectors)}; (T, {self.dim}) is expected")
         return vectors
 
     @abstractmethod
     def encode_apart(self, points: FloatArray) -> Float:
-        """Turn frames ``(T, V, 3)`` into vectors ``(T, D)``, each by itself: `unwrap` makes them a sequence."""
+        """Encode frames ``(T, V, 3)`` as vectors ``(T, D)``, each independently; `unwrap` makes them continuous."""
 
     def unwrap(self, vectors: Float, previous: Float | None = None) -> Float:
-        """Let vectors ``(T, D)`` of `encode_apart` go on from frame to frame, and from the one before, as in `encode`.
-
-        Frames can be encoded in any order, which is most of the work, and be put in order afterwards. Here nothing
-        jumps.
-        """
+        """Make vectors ``(T, D)`` of `encode_apart` continuous, after a previous one if given; here unchanged."""
         return vectors
 
     @abstractmethod
     def decode(self, vectors: Float, progress: Progress = silent) -> Float:
-        """Turn vectors ``(T, D)`` into vertex positions ``(T, V, 3)`` in the units of the sequence.
+        """Decode vectors ``(T, D)`` to vertex positions ``(T, V, 3)`` in the units of the sequence.
 
         Parameters
         ----------
         vectors : (T, D) float64
             Vectors.
         progress : callable, optional
-            Told about every frame.
+            Called for every frame.
 
         Raises
         ------
@@ -260,50 +226,24 @@ class ShapeSpace(PickledWithoutCaches, ABC):
     def decode_with_reports(
         self, vectors: Float, progress: Progress = silent
     ) -> tuple[Float, list[list[ShellReport]]]:
-        """Decode vectors as `decode` does, and tell how every fit to lengths and angles went, frame by frame.
-
-        Spaces that fit nothing have no reports.
-        """
+        """Decode vectors, and return the reports of all fits, frame by frame; empty in spaces without fits."""
         return self.decode(vectors, progress), [[] for _ in vectors]
 
     def shape_difference(self, vector: Float, before: Float, after: Float) -> Float:
-        """Return what a change of a frame is in the shape coordinates, its placement left as it is.
+        """Return the change ``(S,)`` of a vector's shape from decoded points to edited ones ``(V, 3)``.
 
-        Parameters
-        ----------
-        vector : (D,) float64
-            Vector of the frame.
-        before, after : (V, 3) float64
-            The decoded frame and what became of it, in the units of the sequence.
-
-        Returns
-        -------
-        (S,) float64
-            Added to the shape of the vector, it decodes to `after`, but for the placement. Zeros if nothing was
-            changed.
+        Added to the shape it decodes to the edited points, except for the placement. It is zero if nothing was changed.
         """
         # Rotation vectors with more turns, or fewer, differ by something else: those of the vector count.
         encoded = self.encode(np.stack([before, after]), vector)[:, : self.shape_dim]
         return np.asarray(encoded[1] - encoded[0])
 
     def decode_for_differences(self, vectors: Float) -> Float:
-        """Do what `decode` does, so accurately that the points of nearly the same vectors can be subtracted."""
+        """Decode as `decode` does, accurately enough to subtract points of nearly equal vectors."""
         return self.decode(vectors)
 
     def decode_moving(self, vectors: Float, rates: Float) -> tuple[Float, Float]:
-        """Turn vectors that change into points that move.
-
-        Parameters
-        ----------
-        vectors, rates : (T, D) float64
-            Vectors, and their derivatives by time.
-
-        Returns
-        -------
-        points, velocities : (T, V, 3) float64
-            Positions, and the derivative of `decode` in the direction of the rates. Spaces that know no
-            derivative return central differences along that direction.
-        """
+        """Decode vectors and rates ``(T, D)`` to points and velocities ``(T, V, 3)``; here by central differences."""
         here = self.decode(vectors)
         size = np.abs(rates * self.weights).max(axis=1, initial=0.0)
         step = np.divide(DIFFERENCE, size, out=np.zeros_like(size), where=size > 0)
@@ -314,5 +254,5 @@ class ShapeSpace(PickledWithoutCaches, ABC):
 
 
 def unchanged(shapes: Float) -> Float:
-    """Return shapes as they are: they are the same vectors in the other space."""
+    """Return shapes unchanged: the `Carry` between spaces with the same vectors."""
     return shapes

@@ -15,18 +15,18 @@ from mixseq.spaces.base import Carry, ShapeSpace, unchanged
 from mixseq.threads import one_blas_thread
 
 NEGLIGIBLE = 1e-9
-"""Basis vectors below this share of a shape are rounding errors."""
+"""Size of basis vectors relative to a shape below which they are rounding errors."""
 
 MOST_BLOCKS = 128
-"""Bases that fall into more pieces than a compressed sequence has parts are taken as one."""
+"""Largest number of independent blocks of a basis; a basis with more is treated as one block."""
 
 
 @dataclass(frozen=True, eq=False)
 class BasisSpace(ShapeSpace):
     r"""Vectors are coefficients :math:`c_k \in R^3` of a spatial basis: :math:`x(v) = \sum_k b_k(v)\, c_k`.
 
-    Compressed sequences are of this space: the basis are principal components of trajectories. Skinning is of it, too,
-    with basis vectors that are a weight, or a weight times a coordinate; so blends are those of linear blend skinning.
+    Compressed sequences use principal components of trajectories. Linear blend skinning has basis vectors that are a
+    weight, or a weight times a coordinate.
     """
 
     basis: Float  # (K, V) the basis vectors, none of them zero everywhere
@@ -58,7 +58,7 @@ class BasisSpace(ShapeSpace):
 
     @cached_property
     def _blocks(self) -> list[tuple[Index | slice, Index | slice, Float]]:
-        """Vertices and vectors that have nothing to do with others, and the basis ``(n, k)`` of these at those."""
+        """Vertices and basis vectors of independent blocks, with the basis ``(n, k)`` of each."""
         whole: list[tuple[Index | slice, Index | slice, Float]] = [(slice(None), slice(None), self.basis.T)]
         if self.basis.all(axis=1).any():
             return whole
@@ -82,7 +82,7 @@ class BasisSpace(ShapeSpace):
         return np.asarray(np.linalg.pinv(products, hermitian=True) / np.outer(norms, norms))
 
     def with_shape(self, points: Float) -> tuple[ShapeSpace, Carry]:
-        """Implement `ShapeSpace.with_shape`: what the basis does not span becomes vectors, one for x, y and z each."""
+        """Implement `ShapeSpace.with_shape`: add what the basis does not span, one vector each for x, y and z."""
         rest = points - self.decode(self.encode(points[None]))[0]
         norms = np.linalg.norm(rest, axis=0)
         new = (rest / np.where(norms > 0, norms, 1.0)).T[norms > NEGLIGIBLE * np.linalg.norm(points)]
@@ -90,7 +90,7 @@ class BasisSpace(ShapeSpace):
         return wider, lambda shapes: np.pad(shapes, [(0, 0), (0, 3 * len(new))])
 
     def joined(self, other: ShapeSpace) -> tuple[ShapeSpace, Carry | None, Carry | None]:
-        """Implement `ShapeSpace.joined`: two bases become one, orthonormal; a space of another kind has all shapes."""
+        """Implement `ShapeSpace.joined`: merge two bases into an orthonormal one; other spaces have all shapes."""
         if not isinstance(other, BasisSpace):
             return other, None, unchanged
         if self.scale == other.scale and np.array_equal(self.basis, other.basis):
@@ -107,7 +107,7 @@ class BasisSpace(ShapeSpace):
             return both, self._changed(both), other._changed(both)
 
     def _changed(self, new: BasisSpace) -> Carry:
-        """How shapes get to a space whose basis is orthonormal, and spans that of this one."""
+        """Return the map of shapes to a space whose orthonormal basis spans this one."""
         change = (new.basis @ self.basis.T) * (self.scale / new.scale)
 
         def carry(shapes: Float) -> Float:
@@ -117,7 +117,7 @@ class BasisSpace(ShapeSpace):
         return carry
 
     def encode_apart(self, points: FloatArray) -> Float:
-        """Implement `ShapeSpace.encode_apart`: the coefficients nearest to the frames, in the least-squares sense."""
+        """Implement `ShapeSpace.encode_apart` by linear least squares."""
         vectors = np.empty((len(points), self.dim))
         with one_blas_thread():
             for row, frame in zip(vectors, points, strict=True):
@@ -142,7 +142,7 @@ class BasisSpace(ShapeSpace):
 
 
 def _pieces(used: Mask) -> Index:
-    """Number the pieces ``(K,)`` of basis vectors, of which `used` ``(K, V)`` tells the vertices they share."""
+    """Number the connected blocks ``(K,)`` of basis vectors with support `used` ``(K, V)``."""
     lowest = np.arange(len(used), dtype=np.int32)
     while True:
         of_vertices = np.full(used.shape[1], len(used), dtype=np.int32)

@@ -1,22 +1,21 @@
 r"""The space of deformation gradients S_f (Sumner and Popović 2004, with their linear reconstruction P_f).
 
-The deformation gradient of a face is the matrix that takes its reference triangle to the frame's. Both are completed
-by a fourth vertex along the normal, so with the columns ``D = [e_1, e_2, n / sqrt |n|]`` of a triangle with sides
-``e_1, e_2`` and ``n = e_1 x e_2``
+The deformation gradient of a face maps its reference triangle to that of the frame. Both are completed by a fourth
+vertex along the normal, so with the columns ``D = [e_1, e_2, n / sqrt |n|]`` of a triangle with sides ``e_1, e_2`` and
+``n = e_1 x e_2``
 
 .. math:: J_f = D_f \, \bar D_f^{-1} .
 
-1. A linear blend of the matrices J is a linear blend of vertices, no more: sides are linear in J, and P_f is linear.
-   What interpolation in S_f means (the paper's Figure 1; Kircher and Garland 2008) is the polar decomposition
-   ``J = R S`` (Sumner et al. 2005, Section 3), of which the rotation is stored as a rotation vector, the shortest one
-   in the first frame and without jumps along a sequence, and the symmetric stretch S as its six numbers.
-2. P_f: the vertices whose gradients are closest, :math:`\min_x \sum_f \bar A_f |\nabla x - J_f|^2`, weighted by the
-   areas of the reference (Botsch et al. 2006; Sumner and Popović do not weigh). That is a Poisson system, constant and
-   factored once. Gradients tell nothing of where a piece is: the centre of each is stored beside them.
+1. Linear blends of J are linear blends of vertices. Interpolation in S_f (the paper's Figure 1; Kircher and Garland
+   2008) therefore blends the polar decomposition ``J = R S`` (Sumner et al. 2005, Section 3): the rotation as a vector,
+   the shortest one in the first frame and continuous in time, and the six numbers of the symmetric stretch S.
+2. P_f minimises :math:`\min_x \sum_f \bar A_f |\nabla x - J_f|^2`, weighted by the areas of the reference (Botsch et
+   al. 2006; Sumner and Popović do not weigh). That is a constant Poisson system, factored once. Gradients do not
+   determine positions: the centre of each piece is stored beside them.
 
 A vector is ``[rotation vectors (F, 3) | stretches (F, 6) | centres]``. The normal makes ``det J >= 0``: reflections
-are rotations of the surface. Every frame comes back, so affine maps do. Their blends are blends of matrices where the
-normal is stretched as the matrix would: uniform scales on any mesh, and stretches along the axes of a box's faces.
+are rotations of the surface. Affine maps of the reference are reproduced; their blends are blends of matrices for
+uniform scales on any mesh, and for stretches along the axes of a box's faces.
 """
 
 from __future__ import annotations
@@ -40,10 +39,10 @@ from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
 
 UPPER = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
-"""Rows and columns of the six numbers of a symmetric matrix: its diagonal first."""
+"""Rows and columns of the six numbers of a symmetric matrix, its diagonal first."""
 
 FULL = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
-"""Which of the six an entry of the matrix is."""
+"""Index of each matrix entry among the six numbers."""
 
 
 class Gradients(NamedTuple):
@@ -56,27 +55,16 @@ class Gradients(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class GradientSpace(ShapeSpace):
-    """Deformation gradients of all faces from a reference.
-
-    Attributes
-    ----------
-    topology : Topology
-        Connectivity of the mesh.
-    scale : float
-        Length of the unit of the space, in the units of the sequence: the diagonal of the first frame.
-    reference : (V, 3) float64
-        The first frame, in the space's unit: gradients are from it. For faces without area, which nothing can be
-        a gradient from, triangles with one stand in.
-    """
+    """Deformation gradients of all faces from a reference."""
 
     topology: Topology
-    scale: float
-    reference: Float
+    scale: float  # unit of length, in the units of the sequence: the diagonal of the first frame
+    reference: Float  # (V, 3) the first frame in diagonals; faces without area are replaced by others
     name = "gradient"
 
     @cached_property
     def pieces(self) -> Pieces:
-        """The pieces of the mesh."""
+        """The hinge-connected pieces of the mesh."""
         return Pieces.of(self.topology, self.reference)
 
     @cached_property
@@ -96,7 +84,7 @@ class GradientSpace(ShapeSpace):
 
     @cached_property
     def inverses(self) -> Float:
-        """Their inverses ``(F, 3, 3)``."""
+        """Inverses ``(F, 3, 3)`` of the reference triangles."""
         return np.asarray(np.linalg.inv(self.triangles))
 
     @cached_property
@@ -126,19 +114,19 @@ class GradientSpace(ShapeSpace):
 
     @property
     def dim(self) -> int:
-        """Length D of a vector: nine numbers for every face, three for every piece."""
+        """Length D of a vector: nine numbers per face, three per piece."""
         return 9 * len(self.topology.faces) + self.placement_dim
 
     @property
     def centre_count(self) -> int:
-        """One for every piece; gradients tell how pieces are turned."""
+        """One for every piece; gradients contain the rotations."""
         return len(self.pieces)
 
     @property
     def weights(self) -> Float:
-        """The metric ``(D,)``: what turns or stretches a face moves its corners by its size.
+        """Metric ``(D,)``: rotations and stretches of a face weigh the root mean square of its sides.
 
-        The size is the root mean square of its sides. A number off the diagonal of a stretch is there twice.
+        Off-diagonal numbers of a stretch count twice.
         """
         sizes = np.sqrt(np.square(self.sides).sum(axis=1).mean(axis=1))
         stretches = np.outer(sizes, [1.0, 1.0, 1.0, np.sqrt(2), np.sqrt(2), np.sqrt(2)])
@@ -183,7 +171,7 @@ class GradientSpace(ShapeSpace):
         return completed(x[self.pieces.row_vertices], self.faces, self.edges)
 
     def split(self, vectors: Float) -> Gradients:
-        """Return the blocks of vectors ``(T, D)``; it raises what `checked` does."""
+        """Return the blocks of vectors ``(T, D)``; raises what `checked` does."""
         count, faces = len(vectors), len(self.topology.faces)
         turns, stretches, centres = np.split(self.checked(vectors), [3 * faces, 9 * faces], axis=1)
         return Gradients(

@@ -1,22 +1,22 @@
 r"""Linear rotation-invariant coordinates (Lipman, Sorkine, Levin and Cohen-Or 2005).
 
 Every vertex i has an orthonormal frame ``F_i``, whose columns are the direction of one of its edges within the tangent
-plane, the direction across it, and the normal. What does not change under rigid motions is how the frames at the two
-ends of an edge differ, and where each sees the other end,
+plane, the direction across it, and the normal. Rigid motions change neither the rotation between the frames at the two
+ends of an edge nor the edge in the axes of each,
 
 .. math:: M_{ij} = F_i^T F_j, \qquad u_{ij} = F_i^T (x_j - x_i), \qquad u_{ji} = F_j^T (x_i - x_j) .
 
-The paper writes the same as coefficients: the discrete second form and the connection are the entries of M, the first
-form and the normal offsets those of u. Numbers blend linearly, as there; a blended M need not be a rotation.
+In the paper's terms the discrete second form and the connection are the entries of M, the first form and the normal
+offsets those of u. All blend linearly, as there; a blended M need not be a rotation.
 
 A mesh is rebuilt by two sparse linear least-squares problems:
 
 1. frames: :math:`\min_F \sum_{ij} \|F_j - F_i M_{ij}\|^2 + \|F_i - F_j M_{ij}^T\|^2`, one frame of every piece fixed.
-   Each is then projected to a rotation, which is ours: frames that disagree would be too short, and shrink the mesh;
+   Each is then projected to a rotation (not in the paper): inconsistent frames would be too short and shrink the mesh;
 2. vertices: :math:`\min_x \sum_{ij} |x_j - x_i - F_i u_{ij}|^2 + |x_i - x_j - F_j u_{ji}|^2`, one vertex fixed.
 
-Where the coordinates belong to a real mesh the result is that mesh, exactly. A vector is ``[M (E, 3, 3) |
-u (E, 2, 3) | poses]``, the poses of the pieces as in `PosedSpace`.
+Coordinates of a mesh are reconstructed exactly. A vector is ``[M (E, 3, 3) | u (E, 2, 3) | poses]``, the poses of the
+pieces as in `PosedSpace`.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ from mixseq.spaces.posed import PosedSpace
 from mixseq.spaces.robust_triangles import FLAT, across, unit, vertex_normals
 
 PER_EDGE = 15
-"""Numbers of an edge: nine of the connection, three from either end."""
+"""Numbers per edge: nine of the connection, three from either end."""
 
 
 @dataclass(frozen=True, eq=False)
 class LRISpace(PosedSpace):
-    """Differences of vertex frames along edges, and edges as the frames see them; for attributes see `PosedSpace`."""
+    """Rotations between vertex frames along edges, and edges in the axes of frames; for attributes see `PosedSpace`."""
 
     name = "lri"
 
@@ -50,7 +50,7 @@ class LRISpace(PosedSpace):
 
     @cached_property
     def edges(self) -> Index:
-        """Edges ``(E, 2)`` as pairs of rows i < j, without those that triangles with repeated corners have."""
+        """Edges ``(E, 2)`` as pairs of rows i < j, without those of triangles with repeated corners."""
         piece = np.empty(len(self.topology.edges), dtype=np.int64)
         piece[self.topology.face_edges] = self.topology.component_of_face[:, None]
         rows = self.pieces.rows_of(piece[:, None], self.topology.edges)
@@ -58,9 +58,9 @@ class LRISpace(PosedSpace):
 
     @cached_property
     def towards(self) -> Index:
-        """The half-edge ``(N,)`` that gives a vertex its first direction: the longest in the reference's tangent plane.
+        """Half-edge ``(N,)`` of each vertex that is longest in the reference's tangent plane, -1 without an edge.
 
-        Half-edge e goes along edge e, half-edge E + e back. Vertices without an edge have -1.
+        Half-edge e goes along edge e, half-edge E + e back.
         """
         rows = self.pieces.shapes
         starts, lengths, _ = self._tangents(rows, vertex_normals(rows, self.faces, self.edges))
@@ -69,19 +69,19 @@ class LRISpace(PosedSpace):
 
     @cached_property
     def integration(self) -> Integration:
-        """The system of the vertices."""
+        """The Poisson system of the vertices."""
         return Integration(self.edges, np.ones(len(self.edges)), len(self.pieces.row_vertices))
 
     @cached_property
     def number(self) -> Index:
-        """Place ``(N,)`` of every frame among those that are solved for, -1 of those that are fixed."""
+        """Place ``(N,)`` of every frame among the unknown ones, -1 if fixed."""
         number = np.full(len(self.pieces.row_vertices), -1, dtype=np.int64)
         number[self.integration.solved] = np.arange(len(self.integration.solved))
         return number
 
     @cached_property
     def pattern(self) -> BlockSparsePattern:
-        """Which frames are coupled by edges."""
+        """Block pattern of frames coupled by edges."""
         return BlockSparsePattern.of(len(self.integration.solved), self.number[self.edges])
 
     def constants(self) -> tuple[object, ...]:
@@ -90,14 +90,14 @@ class LRISpace(PosedSpace):
 
     @property
     def shape_dim(self) -> int:
-        """Fifteen numbers for every edge."""
+        """Fifteen numbers per edge."""
         return PER_EDGE * len(self.edges)
 
     @property
     def shape_metric(self) -> Float:
-        """The metric ``(S,)``: turning a frame moves the other end of an edge by its length.
+        """Metric ``(S,)``: rotating a frame moves the other end of an edge by its length.
 
-        A turn by one radian changes M by the square root of two; an edge is there twice.
+        A rotation by one radian changes M by the square root of two; every edge counts twice.
         """
         i, j = self.edges.T
         lengths = np.linalg.norm(self.pieces.shapes[j] - self.pieces.shapes[i], axis=1)
@@ -106,8 +106,8 @@ class LRISpace(PosedSpace):
     def frames(self, rows: Float) -> Float:
         """Return the frames ``(N, 3, 3)`` of vertices ``(N, 3)``, piece after piece; axes are the columns.
 
-        Where the direction that the reference chose has no length, the first of those at least half as long as the
-        longest takes its place. What then is left open is chosen from the axes of the world.
+        Where the direction `towards` has no length, the first one of at least half the largest length replaces it, or
+        an axis of the world.
         """
         normals = vertex_normals(rows, self.faces, self.edges)
         starts, lengths, tangents = self._tangents(rows, normals)
@@ -150,7 +150,7 @@ class LRISpace(PosedSpace):
         return self.integration.vertices((ahead - back) / 2)
 
     def _solved_frames(self, connections: Float) -> Float:
-        """Find the frames ``(N, 3, 3)`` that differ by connections ``(E, 3, 3)`` as well as possible."""
+        """Solve for frames ``(N, 3, 3)`` with connections ``(E, 3, 3)`` in the least-squares sense."""
         result = np.tile(np.eye(3), (len(self.number), 1, 1))
         solved = self.integration.solved
         if not solved.size:
@@ -183,7 +183,7 @@ class LRISpace(PosedSpace):
         return result
 
     def _tangents(self, rows: Float, normals: Float) -> tuple[Index, Float, Float]:
-        """Return where half-edges start ``(2E,)``; their lengths ``(2E,)`` and themselves within the tangent plane."""
+        """Return start vertices, tangential lengths ``(2E,)`` and tangential directions of half-edges."""
         starts, ends = np.concatenate([self.edges, self.edges[:, ::-1]]).T
         edges = rows[ends] - rows[starts]
         normal = normals[starts]

@@ -1,4 +1,4 @@
-"""The shape space of a sequence, by its name: what of the frames each space is made of."""
+"""Make the shape space of a sequence by its name."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ from mixseq.spaces.vertex import VertexSpace
 from mixseq.topology import Topology
 
 MAKING = 3
-"""Stages of the work, each of which counts as much as all frames."""
+"""Number of stages; each counts as much progress as one pass over all frames."""
 
 
 @dataclass(frozen=True, eq=False)
 class MixedSettings:
-    """How the mixed space is made.
+    """Settings of the mixed space.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class MixedSettings:
     segmentation : {"motion", "silhouettes", "spanning-tree"} or settings of one of these
         How parts are found.
     purpose : {"sequence", "reduced", "blends"}
-        What the space is for, see `mixseq.spaces.mixed_space`.
+        Use of the space, see `mixseq.spaces.mixed_space`.
     """
 
     placement: PlacementName = "anchored"
@@ -68,14 +68,14 @@ class MixedSettings:
 
 @dataclass(frozen=True)
 class NoSettings:
-    """How spaces are made that leave nothing to choose."""
+    """Empty settings of spaces without options."""
 
 
 SpaceSettings = MixedSettings | EdgeSettings | NoSettings
 
 
 class SpaceOptions(TypedDict, total=False):
-    """Settings of spaces by name, but for those that are parameters of `mixseq.fit` themselves."""
+    """Settings of spaces by name, except the parameters of `mixseq.fit` itself."""
 
     segmentation: Segmentation
     projection: ProjectionName
@@ -84,7 +84,7 @@ class SpaceOptions(TypedDict, total=False):
 
 
 def space_settings(name: SpaceName, **given: Any) -> SpaceSettings:
-    """Make the settings of a space of what users chose, by the names of the settings."""
+    """Make the settings of a space from the options by name."""
     _check_name(name)
     known = _defaults(name)
     for setting, value in given.items():
@@ -112,7 +112,7 @@ _SETTINGS: dict[SpaceName, type[SpaceSettings]] = {
 
 
 def _defaults(name: SpaceName) -> dict[str, Any]:
-    """Return what users may choose by name, and what it is if they do not."""
+    """Return the options of a space by name, with their defaults."""
     found = {field.name: field.default for field in fields(_SETTINGS[name])}
     found.pop("purpose", None)  # follows from what the space is for
     return found
@@ -163,7 +163,7 @@ def make_space(
 def part_of_faces(
     frames: FrameStore | MeshSequence, settings: MixedSettings, topology: Topology
 ) -> NDArray[np.int64]:
-    """Return the part ``(F,)`` of every triangle in the mixed space: given, or found."""
+    """Return the part ``(F,)`` of every triangle in the mixed space, given or found."""
     points, parts = frames.points, settings.parts
     if not (parts is None or isinstance(parts, int | np.integer)):
         return segment_by_labels(parts, topology)
@@ -175,7 +175,7 @@ def part_of_faces(
 def _mixed(
     frames: FrameStore | MeshSequence, settings: MixedSettings, workers: Executor, stages: Stages
 ) -> MixedSpace:
-    """Find the parts, grow the joints between them, register the parts."""
+    """Find parts, grow joints between them, and register the parts."""
     header, points = frames.header, frames.points
     stages.at(0)(0, 1, "finding parts")
     topology = Topology(header.faces, header.vertex_count)

@@ -1,4 +1,4 @@
-"""How much lengths, angles and turns weigh against each other: by how far they move vertices."""
+"""Weights of lengths, angles and rotations in the metric: how far they move vertices."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from mixseq.mapping import Executor
 from mixseq.progress import Progress
 
 ANGLE = 0.3
-"""Weight of a radian against the length of its hinge's edge, in the metric of all spaces that have both."""
+"""Weight of a radian relative to the length of the hinge's edge, in the metrics of all spaces with both."""
 
 SMALLEST = 1e-3
-"""Radius of a part that has none, in diagonals."""
+"""Least radius of gyration of a part, in diagonals."""
 
 
 def radii_of_gyration(shapes: Float, parts: Sequence[Index]) -> Float:

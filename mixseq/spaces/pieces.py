@@ -1,4 +1,4 @@
-"""The pieces a mesh falls into where triangles are connected across edges, and how they stand in a frame."""
+"""The pieces of a mesh, connected by triangles across edges, and their poses in a frame."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from mixseq.spaces.registered import registered
 from mixseq.topology import Topology
 
 THIN = 1e-3
-"""A piece is a line if it is less than this part of its length across; the value is ours."""
+"""Ratio of width to length below which a piece is a line."""
 
 WIDTH = 0.1
-"""Width of what stands for a line, relative to its length; the value is ours."""
+"""Width given to lines, relative to their length."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """Hinge-connected pieces: lengths and angles say nothing about how one stands to another.
+    """Hinge-connected pieces, whose relative poses lengths and angles do not determine.
 
-    Vertices that no face uses are pieces of their own, after all others. Pieces may share vertices, but no edges;
+    Vertices without faces are pieces of their own, after all others. Pieces may share vertices, but no edges;
     arrays of *rows* hold the vertices of all pieces, piece after piece.
     """
 
@@ -34,7 +34,7 @@ class Pieces:
 
     @classmethod
     def of(cls, topology: Topology, reference: FloatArray) -> Pieces:
-        """Find the pieces of a mesh, with the reference ``(V, 3)`` that tells how they stand."""
+        """Find the pieces of a mesh; poses are relative to the reference ``(V, 3)``."""
         owner = topology.component_of_face
         order = np.argsort(owner, kind="stable")
         faces = np.split(order, np.cumsum(np.bincount(owner))[:-1])
@@ -50,16 +50,16 @@ class Pieces:
 
     @cached_property
     def row_vertices(self) -> Index:
-        """The vertex ``(N,)`` of every row."""
+        """Vertex ``(N,)`` of every row."""
         return np.concatenate(self.vertices)
 
     @cached_property
     def owner(self) -> Index:
-        """The piece ``(N,)`` of every row."""
+        """Piece ``(N,)`` of every row."""
         return np.repeat(np.arange(len(self)), [len(each) for each in self.vertices])
 
     def rows_of(self, pieces: Index, vertices: Index) -> Index:
-        """Return the rows of vertices in the pieces that hold them; arrays of any shapes that broadcast."""
+        """Return the rows of vertices in given pieces; arrays broadcast."""
         count = int(self.row_vertices.max(initial=-1)) + 1
         # Rows ascend by piece, then by vertex.
         rows = np.searchsorted(self.owner * count + self.row_vertices, pieces * count + vertices)
@@ -78,15 +78,12 @@ class Pieces:
 
     @cached_property
     def radii(self) -> Float:
-        """Radii of gyration ``(p,)`` in the reference, small numbers for pieces without one."""
+        """Radii of gyration ``(p,)`` in the reference, at least a small number."""
         return radii_of_gyration(self.shapes, self.vertices)
 
     @cached_property
     def steady(self) -> Float:
-        """What frames are registered to ``(N, 3)``: the shapes, but those of lines and points with some width.
-
-        Nothing would tell how a piece is turned about a line, in frames where it is none.
-        """
+        """Shapes ``(N, 3)`` for registration, with width added to lines and points to fix their rotation."""
         return np.concatenate([_with_width(self.shapes[each]) for each in self.slices])
 
     def poses(self, x: FloatArray) -> tuple[Float, Float]:
@@ -95,15 +92,12 @@ class Pieces:
         return rotations, centres
 
     def place(self, rows: Float, rotations: Float, centres: Float) -> Float:
-        """Move pieces rigidly to where poses say; the inverse of `poses`.
-
-        Shapes: rows ``(N, 3)``; rotations, centres ``(p, 3, 3), (p, 3)``; result ``(V, 3)``.
-        """
+        """Move rows ``(N, 3)`` by rotations ``(p, 3, 3)`` and centres ``(p, 3)`` to ``(V, 3)``; inverts `poses`."""
         upright, _, _ = self._registered(self._own_rows, rows)
         return self.merged(np.einsum("nij,nj->ni", rotations[self.owner], upright) + centres[self.owner])
 
     def centred(self, rows: Float, centres: Float) -> Float:
-        """Move pieces, rows ``(N, 3)``, to centres ``(p, 3)`` without turning them; the result is ``(V, 3)``."""
+        """Translate pieces, rows ``(N, 3)``, to centres ``(p, 3)``; returns vertices ``(V, 3)``."""
         return self.merged(rows + (centres - self._means(rows))[self.owner])
 
     def centres(self, x: Float) -> Float:
@@ -111,7 +105,7 @@ class Pieces:
         return self._means(x[self.row_vertices])
 
     def merged(self, rows: Float) -> Float:
-        """Return vertices ``(V, 3)`` from the rows ``(N, 3)`` of pieces in place; the mean where several share one."""
+        """Return vertices ``(V, 3)`` of posed rows ``(N, 3)``; the mean where several share one."""
         counts = np.bincount(self.row_vertices)
         sums = [np.bincount(self.row_vertices, column) for column in rows.T]
         return np.stack(sums, axis=1) / counts[:, None]
@@ -121,7 +115,7 @@ class Pieces:
         return [np.arange(each.start, each.stop) for each in self.slices]
 
     def _registered(self, vertices: Sequence[Index], x: FloatArray) -> tuple[Float, Float, Float]:
-        """Register pieces twice: what is a line in a frame comes out near the identity first, then exactly."""
+        """Register pieces twice: lines in a frame first near the identity, then exactly."""
         upright, rotations, centres = registered(self.steady, vertices, x)
         upright, further, _ = registered(self.steady, self._own_rows, upright)
         return upright, rotations @ further, centres
@@ -133,9 +127,9 @@ class Pieces:
 
 
 def _with_width(shape: Float) -> Float:
-    """Give width to a centred shape ``(n, 3)`` that is a line or a point; others stay as they are.
+    """Add width to a centred shape ``(n, 3)`` that is a line or a point; return others unchanged.
 
-    Offsets have neither a mean nor a moment along the line, so that a line that moves rigidly has just that pose.
+    Offsets have neither a mean nor a moment along the line, so that a rigidly moving line has exactly that pose.
     """
     _, sizes, axes = np.linalg.svd(shape, full_matrices=False)
     if len(shape) < 3 or sizes[1] > THIN * sizes[0]:

@@ -1,6 +1,6 @@
 r"""Vertices from their differences: the sparse Poisson systems at the end of linear reconstructions.
 
-Given what the sides ``ij`` of a mesh should be, the vertices are those that come closest,
+Given the sides ``ij`` of a mesh, the vertices are
 
 .. math:: \min_x \sum_{ij} w_{ij} \, | x_j - x_i - s_{ij} |^2 ,
 
@@ -28,7 +28,7 @@ from mixseq.shells.solvers import Factor, factorise
 
 @dataclass(frozen=True, eq=False)
 class Integration(PickledWithoutCaches):
-    """The sides whose differences are known."""
+    """The Poisson system of given sides."""
 
     # (S, 2) pairs i, j of vertices; a pair may be there more than once, or name one vertex twice.
     sides: Index
@@ -55,7 +55,7 @@ class Integration(PickledWithoutCaches):
 
     @cached_property
     def solved(self) -> Index:
-        """Vertices that are solved for: all but the first of every component."""
+        """Unknown vertices: all but the first of every component."""
         i, j = self.sides.T
         graph = sparse.coo_array((np.ones(len(i)), (i, j)), shape=(self.count, self.count))
         component = csgraph.connected_components(graph, directed=False)[1]
@@ -63,12 +63,12 @@ class Integration(PickledWithoutCaches):
 
     @cached_property
     def factor(self) -> Factor:
-        """Factor of the Laplacian of the vertices that are solved for."""
+        """Factor of the Laplacian of the unknown vertices."""
         laplacian = sparse.csr_array(self.weighted @ self.incidence)
         return factorise(laplacian[self.solved][:, self.solved])
 
     def vertices(self, differences: Float) -> Float:
-        """Find the vertices ``(n, 3)`` whose sides ``x_j - x_i`` are closest to differences ``(S, 3)``."""
+        """Solve for the vertices ``(n, 3)`` with sides ``x_j - x_i`` closest to differences ``(S, 3)``."""
         if differences.shape != (len(self.sides), 3):
             raise SettingsError(
                 f"differences have shape {differences.shape}; one for each side is expected, ({len(self.sides)}, 3)"

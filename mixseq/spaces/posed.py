@@ -1,8 +1,8 @@
-r"""Shape spaces that know nothing of where a mesh is: their vectors end with the poses of its pieces.
+r"""Shape spaces of rigid-motion invariants: vectors end with the poses of pieces.
 
-A vector is ``[shape | quaternions | centres]``: numbers that a rigid motion does not change, and a pose for every
-hinge-connected piece, its rotation from the reference and its centre (the paper's :math:`\mathbb{R}^6`, Section 2.2).
-The paper orients a mesh by its first face; all vertices of a piece together are less easily misled.
+A vector is ``[shape | quaternions | centres]``: invariants of rigid motions, and a pose of every hinge-connected piece,
+its rotation from the reference and its centre (the paper's :math:`\mathbb{R}^6`, Section 2.2). The paper orients a mesh
+by its first face; all vertices of a piece together are more robust.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from mixseq.topology import Topology
 
 @dataclass(frozen=True, eq=False)
 class PosedSpace(ShapeSpace):
-    """A space whose shapes are up to a rigid motion of every piece."""
+    """A space whose shapes are invariant under a rigid motion of every piece."""
 
     topology: Topology  # connectivity of the mesh
     # Length of the unit of the space, in the units of the sequence: the diagonal of the first frame.
@@ -55,14 +55,14 @@ class PosedSpace(ShapeSpace):
 
     @abstractmethod
     def shape_of(self, x: Float) -> Float:
-        """Return the shape ``(S,)`` of a frame ``(V, 3)`` in diagonals; rigid motions do not change it."""
+        """Return the shape ``(S,)`` of a frame ``(V, 3)`` in diagonals, invariant under rigid motions."""
 
     @abstractmethod
     def rebuilt(self, shape: Float) -> Float:
-        """Return the rows ``(N, 3)`` of all pieces with a shape ``(S,)``, each piece anywhere; see `Pieces`."""
+        """Return rows ``(N, 3)`` of all pieces with a shape ``(S,)``, each in any pose; see `Pieces`."""
 
     def unwrap_shapes(self, shapes: Float, previous: Float | None) -> Float:
-        """Let shapes ``(T, S)`` go on from frame to frame; without the one before, from the reference."""
+        """Make shapes ``(T, S)`` continuous in time, after the previous one, or else the reference."""
         return shapes
 
     @property
@@ -82,7 +82,7 @@ class PosedSpace(ShapeSpace):
 
     @property
     def weights(self) -> Float:
-        """The metric ``(D,)``: a quaternion moves vertices by twice the radius of gyration of its piece."""
+        """Metric ``(D,)``: a quaternion moves vertices by twice the radius of gyration of its piece."""
         turns = np.repeat(2.0 * self.pieces.radii, 4)
         return np.concatenate([self.shape_metric, turns, np.ones(3 * len(self.pieces))])
 
@@ -116,13 +116,10 @@ class PosedSpace(ShapeSpace):
         return points
 
     def placed(self, rows: Float, turns: Float, centres: Float) -> Float:
-        """Put pieces ``(N, 3)`` in diagonals where poses say; the result ``(V, 3)`` is in units of the sequence."""
+        """Pose pieces ``(N, 3)`` in diagonals; returns vertices ``(V, 3)`` in units of the sequence."""
         return self.pieces.place(rows, rotations_of(turns), centres) * self.scale
 
     def split(self, vectors: Float) -> tuple[Float, Float, Float]:
-        """Return shapes ``(T, S)``, quaternions ``(T, p, 4)`` and centres ``(T, p, 3)`` of vectors ``(T, D)``.
-
-        It raises what `checked` does.
-        """
+        """Return shapes ``(T, S)``, quaternions ``(T, p, 4)``, centres ``(T, p, 3)``; raises what `checked` does."""
         shapes = self.checked(vectors)[:, : self.shape_dim]
         return shapes, *self.poses(vectors[:, self.shape_dim :])

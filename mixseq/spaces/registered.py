@@ -1,4 +1,4 @@
-"""The parts of frames, registered to their mean shapes."""
+"""Registration of parts of frames to their mean shapes."""
 
 from __future__ import annotations
 
@@ -13,10 +13,7 @@ from mixseq.geometry.rigid import aligning_rotations
 
 @compiled
 def centred_parts(x: Float, vertices: Index, ends: Index, shapes: Float) -> tuple[Float, Float, Float]:
-    """Return part vertices ``(N, 3)`` about their centres, these ``(p, 3)``, and products with shapes ``(p, 3, 3)``.
-
-    Shapes: x ``(V, 3)``; vertices, ends ``(N,), (p,)``.
-    """
+    """Return centred part vertices ``(N, 3)``, centres ``(p, 3)``, and products with shapes ``(p, 3, 3)``."""
     moved = np.empty((len(vertices), 3))
     centres, covariances = np.zeros((len(ends), 3)), np.zeros((len(ends), 3, 3))
     start = 0
@@ -38,7 +35,7 @@ def centred_parts(x: Float, vertices: Index, ends: Index, shapes: Float) -> tupl
 
 @compiled
 def turned_back(moved: Float, ends: Index, rotations: Float) -> Float:
-    """Return part vertices ``(N, 3)``, turned by the inverse rotations of their parts: rotations ``(p, 3, 3)``."""
+    """Return part vertices ``(N, 3)`` rotated by the inverse rotations of parts ``(p, 3, 3)``."""
     result = np.empty((len(moved), 3))
     start = 0
     for part in range(len(ends)):
@@ -51,9 +48,9 @@ def turned_back(moved: Float, ends: Index, rotations: Float) -> Float:
 
 
 def registered(shapes: Float, parts: Sequence[Index], x: FloatArray) -> tuple[Float, Float, Float]:
-    """Register parts, vertices of a frame ``(V, 3)``, to their mean shapes ``(N, 3)``, part by part.
+    """Register parts of a frame ``(V, 3)`` to their mean shapes ``(N, 3)``, part by part.
 
-    Returns the vertices as aligned to the shapes ``(N, 3)``, rotations ``(p, 3, 3)`` and centres ``(p, 3)``.
+    Returns vertices aligned to the shapes ``(N, 3)``, rotations ``(p, 3, 3)`` and centres ``(p, 3)``.
     """
     from mixseq.spaces.registered import centred_parts, turned_back
 

@@ -1,12 +1,12 @@
-r"""Normals of faces and vertices, and triangles as invertible matrices, also where triangles have no area.
+r"""Normals of faces and vertices, and triangles as invertible matrices, also for triangles without area.
 
-All follow a rigid motion of the vertices, but for normals of vertices that lie on one line: nothing tells how these are
-turned about it. As matrices triangles are two sides, and a fourth vertex along the normal (Sumner and Popović 2004),
+All follow a rigid motion of the vertices, except normals of vertices on one line, whose rotation about it is undefined.
+As matrices triangles are two sides, and a fourth vertex along the normal (Sumner and Popović 2004),
 
 .. math:: D = [e_1, e_2, n / \sqrt{|n|}], \qquad n = e_1 \times e_2 .
 
-The root makes the fourth vertex grow as the triangle does. Triangles without area, for which the papers have nothing,
-get a fourth vertex too, and stand-ins with area where an inverse is needed; both are ours.
+The root scales the fourth vertex with the triangle. Triangles without area get a fourth vertex too, and are replaced
+by triangles with area where an inverse is needed.
 """
 
 from __future__ import annotations
@@ -16,30 +16,30 @@ import numpy as np
 from mixseq.arrays import Float, Index
 
 FLAT = 1e-4
-"""A triangle has no area if its height is less than this part of its longest side; the value is ours.
+"""Ratio of height to longest side below which a triangle has no area.
 
-Single precision leaves normals of flatter triangles to chance, and linear systems with them ill-conditioned.
+Single precision makes normals of flatter triangles random, and linear systems with them ill-conditioned.
 """
 
 CANCELLED = 1e-6
-"""A vertex has no normal if those of its faces add up to less than this part of their lengths; the value is ours."""
+"""Ratio of the sum of face normals to the sum of their lengths below which a vertex has no normal."""
 
 
 def unit(vectors: Float) -> Float:
-    """Return vectors ``(..., 3)`` of length 1; those without a length are zero."""
+    """Return vectors ``(..., 3)`` scaled to length 1; zero vectors stay zero."""
     lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.asarray(np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0))
 
 
 def across(directions: Float) -> Float:
-    """Return a unit vector perpendicular to each of the directions ``(n, 3)``, the same one for the opposite."""
+    """Return a unit vector perpendicular to each direction ``(n, 3)``, the same one for its opposite."""
     least = np.abs(directions).argmin(axis=1)
     axis = np.eye(3)[least]
     return unit(axis - unit(directions) * np.sum(axis * unit(directions), axis=1, keepdims=True))
 
 
 def face_normals(x: Float, faces: Index) -> Float:
-    """Return normals ``(F, 3)`` of faces, twice as long as their areas; zero for faces without area, see `FLAT`."""
+    """Return normals ``(F, 3)`` of faces, twice as long as their areas; zero without area, see `FLAT`."""
     corners = x[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     longest = np.square(np.roll(corners, -1, axis=1) - corners).sum(axis=2).max(axis=1)
@@ -48,12 +48,9 @@ def face_normals(x: Float, faces: Index) -> Float:
 
 
 def vertex_normals(x: Float, faces: Index, edges: Index) -> Float:
-    """Return unit normals ``(n, 3)`` of vertices.
+    """Return unit normals ``(n, 3)`` of vertices: area-weighted sums over faces ``(F, 3)``.
 
-    They are the sums of the normals of the faces, weighted by area. A vertex without a normal takes the mean of its
-    neighbours'; if no vertex that it is connected to has one it is zero.
-
-    Shapes: faces ``(F, 3)``; edges ``(E, 2)``.
+    Without one, the mean of neighbours along edges ``(E, 2)``; zero if no connected vertex has a normal.
     """
     of_faces = face_normals(x, faces)
     sums = _gathered(len(x), faces.reshape(-1), np.repeat(of_faces, 3, axis=0))
@@ -74,17 +71,15 @@ def vertex_normals(x: Float, faces: Index, edges: Index) -> Float:
 
 
 def _gathered(count: int, places: Index, vectors: Float) -> Float:
-    """Add vectors ``(m, 3)`` at their places ``(m,)``."""
+    """Sum vectors ``(m, 3)`` at their places ``(m,)``."""
     sums = [np.bincount(places, column, minlength=count) for column in vectors.T]
     return np.stack(sums, axis=1).astype(np.float64)  # without any places they are integers
 
 
 def completed(rows: Float, faces: Index, edges: Index) -> Float:
-    """Return matrices D ``(F, 3, 3)`` of faces: sides 01 and 02, and fourth vertices, in columns.
+    """Return matrices D ``(F, 3, 3)`` of faces of rows ``(n, 3)``: sides 01, 02 and fourth vertices, in columns.
 
-    The fourth vertex of a face without area is across its longest side, as the normals of its vertices say.
-
-    Shapes: rows ``(n, 3)``; faces ``(F, 3)``; edges ``(E, 2)``.
+    The fourth vertex of a face without area is across its longest side, by the normals of its vertices.
     """
     corners = rows[faces]
     normals = face_normals(rows, faces)
@@ -102,9 +97,9 @@ def completed(rows: Float, faces: Index, edges: Index) -> Float:
 
 
 def with_area(triangles: Float) -> Float:
-    """Put equilateral triangles on the longest sides of those that have no area, with the same fourth direction.
+    """Replace D ``(F, 3, 3)`` of triangles without area by equilateral ones on their longest sides.
 
-    Triangles are given as D ``(F, 3, 3)``. Those that are points get the size that the others have on average.
+    Fourth directions stay. Triangles that are points get the mean size of the others.
     """
     first, second, fourth = (triangles[:, :, column] for column in range(3))
     corners = np.stack([np.zeros_like(first), first, second], axis=1)
@@ -128,7 +123,7 @@ def with_area(triangles: Float) -> Float:
 
 
 def _longest(corners: Float) -> tuple[Index, Float, Float]:
-    """Return the longest sides ``(F,)`` of triangles ``(F, 3, 3)``, directions ``(F, 3)`` and lengths ``(F,)``."""
+    """Return longest sides ``(F,)`` of triangles ``(F, 3, 3)``, their directions ``(F, 3)`` and lengths ``(F,)``."""
     sides = np.roll(corners, -1, axis=1) - corners
     lengths = np.linalg.norm(sides, axis=2)
     longest = lengths.argmax(axis=1)

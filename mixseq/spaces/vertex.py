@@ -13,18 +13,10 @@ from mixseq.spaces.base import ShapeSpace
 
 @dataclass(frozen=True)
 class VertexSpace(ShapeSpace):
-    """Vectors are vertex positions in diagonals. Blends shrink what turns; what is not articulated, it suits.
-
-    Attributes
-    ----------
-    vertex_count : int
-        Number V of vertices.
-    scale : float
-        Length of the unit of the space, in the units of the sequence: the diagonal of the first frame.
-    """
+    """Vectors are vertex positions in diagonals, for meshes without articulation: blends shrink rotating parts."""
 
     vertex_count: int
-    scale: float
+    scale: float  # unit of length, in the units of the sequence: the diagonal of the first frame
     name = "vertex"
 
     @property
@@ -34,7 +26,7 @@ class VertexSpace(ShapeSpace):
 
     @property
     def weights(self) -> Float:
-        """Ones: coordinates are in diagonals already."""
+        """Ones: coordinates are in diagonals."""
         return np.ones(self.dim)
 
     def encode_apart(self, points: FloatArray) -> Float:

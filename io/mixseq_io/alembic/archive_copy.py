@@ -1,7 +1,6 @@
-"""A copy of an archive, object by object and property by property, but for the points of some meshes.
+"""Copy an archive object by object and property by property, except for the points of some meshes.
 
-What an object is, a camera, curves, a transform, follows from the names and types of its properties. So these are
-copied as they are stored, with their metadata and the times of their samples. Instances stay instances.
+Properties, copied with metadata and sample times, determine an object's kind. Instances stay instances.
 
 Specification: https://docs.alembic.io/reference/index.html (``Abc``)
 """
@@ -19,23 +18,23 @@ from mixseq_io.alembic.library import Abc, AbcCoreAbstract, selector, stored_arr
 from mixseq_io.alembic.samples import sample_times, samples_within, time_sampling
 
 _SCHEMA = ".geom"
-"""What all kinds of meshes have their properties in."""
+"""Compound property of all kinds of meshes."""
 
 _OF_POINTS = frozenset(["P", ".velocities", "N", ".selfBnds", ".childBnds"])
-"""What a mesh with other points has of its own: the points, and what depends on them."""
+"""Properties replaced on meshes with new points: the points, and what depends on them."""
 
 _OF_CHILDREN = frozenset([".childBnds"])
 _OF_THE_ARCHIVE = re.compile(r"\.childBnds|statistics|\d+\.samples")
-"""What the top object tells of all others; of a copy with other points it would be wrong."""
+"""Properties of the top object that summarise the archive, such as bounds; wrong with other points."""
 
 
 Kept = tuple[range, int]
-"""Which samples of a property are copied, and the number of the new archive's time sampling for them."""
+"""Samples of a property that are copied, and the index of their time sampling in the new archive."""
 
 
 @dataclass(frozen=True, eq=False)
 class Copied:
-    """What became of the objects of an archive."""
+    """Result of copying an archive's objects."""
 
     schemas: dict[str, Any] = field(default_factory=dict)
     moving: dict[str, tuple[float, float]] = field(default_factory=dict)
@@ -43,7 +42,7 @@ class Copied:
 
 
 def copy_archive(source: Any, target: Any, moved: Collection[str], frames: Float, room: int) -> Copied:
-    """Copy all objects of an archive, with the samples that some frames need: frames ``(T,)``."""
+    """Copy all objects of an archive, with the samples needed for frames at times ``(T,)`` in s."""
     window = float(frames[0]), float(frames[-1])
     return _Copier(target, moved, window, room).copy(source.getTop())
 
@@ -88,7 +87,7 @@ class _Copier:
         return new
 
     def _property(self, path: str, header: Any, source: Any, target: Any, stale: Collection[str]) -> Any:
-        """Copy a property of an object, without what is `stale` in it; return the new one."""
+        """Copy a property of an object without its `stale` children; return the new one."""
         stored = source.getProperty(header.getName())
         if not header.isCompound():
             self._samples(path, header, stored, target, {})
@@ -115,7 +114,7 @@ class _Copier:
     def _samples(
         self, path: str, header: Any, stored: Any, target: Any, changing: Mapping[int, Kept]
     ) -> None:
-        """Copy a property's samples: of a constant one those that are kept of what is `changing` beside it."""
+        """Copy a property's samples; of a constant one, those kept of the `changing` properties beside it."""
         kind = Abc.OArrayProperty if header.isArray() else Abc.OScalarProperty
         constant, count = stored.isConstant(), stored.getNumSamples()
         kept, sampling = (changing.get(count) if constant else None) or self._kept(stored)
@@ -145,13 +144,7 @@ class _Copier:
 
 
 def _at_or_above(paths: Collection[str]) -> set[str]:
-    """Return paths and the paths of all that they are in.
-
-    Examples
-    --------
-    >>> sorted(_at_or_above(["/rig/body/body"]))
-    ['/rig', '/rig/body', '/rig/body/body']
-    """
+    """Return paths and all their ancestors."""
     return {
         "/".join(names[:end])
         for names in (path.split("/") for path in paths)

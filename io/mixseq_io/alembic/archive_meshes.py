@@ -1,7 +1,4 @@
-"""Which meshes an archive has, and which of them are meant.
-
-An archive is a tree of objects; what an object is follows from the schema that its metadata names. Instances appear in
-the tree as what they stand for.
+"""Meshes of an archive, and the choice of those to read; instances appear as the objects they stand for.
 
 Specification: https://docs.alembic.io/reference/index.html (``AbcGeom``)
 """
@@ -20,29 +17,17 @@ from mixseq_io.choosing import SceneObject, chosen, listed, moving
 
 _MOST_OBJECTS = 1_000_000
 LAID_OVER = "mixseq_laid_over"
-"""Metadata of meshes that we laid over an archive: frames are at the times of their points, whatever moves above them,
-and velocities are rates of the points in the space of the mesh."""
+"""Metadata of meshes laid over an archive: frames at their points' times only, velocities as rates in mesh space."""
 
 _DEEPEST = 200
-"""Deeper than any scene; instances of what they lie in would nest without end."""
+"""Largest depth of objects; instances of their own ancestors would nest without end."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A mesh, not yet read.
+    """Unread mesh: its object, place, schema, and transforms above, the nearest first.
 
-    Parameters
-    ----------
-    node : IObject
-        The object.
-    place : SceneObject
-        Its full name, its name, and what it is in.
-    schema : IPolyMeshSchema or ISubDSchema
-        What it consists of.
-    above : tuple of IXformSchema
-        The transforms above it, the nearest first.
-    hidden, flickers : bool
-        Whether it, or something above it, is hidden at all times, or at some.
+    `hidden` and `flickers`: it or an ancestor is hidden at all times, or at some.
     """
 
     node: Any
@@ -54,12 +39,12 @@ class Mesh:
 
     @property
     def path(self) -> str:
-        """Its full name."""
+        """Full name."""
         return self.place.path
 
     @property
     def name(self) -> str:
-        """Its own name."""
+        """Own name."""
         return self.place.name
 
     @property
@@ -69,12 +54,12 @@ class Mesh:
 
     @property
     def laid_over(self) -> bool:
-        """Whether we laid its points over an archive."""
+        """Whether mixseq laid its points over an archive."""
         return bool(self.node.getMetaData().get(LAID_OVER))
 
     @property
     def moves(self) -> bool:
-        """Whether its points have several samples, be they equal, or a transform above it changes."""
+        """Whether its points have several samples, even equal ones, or a transform above changes."""
         sampled = self.schema.getPositionsProperty().getNumSamples() > 1
         return sampled or not all(each.isConstant() for each in self.above)
 
@@ -104,7 +89,7 @@ def choose_meshes(path: Path, archive: Any, prim: str | None) -> list[Mesh]:
 
 
 def find_meshes(path: Path, archive: Any) -> tuple[list[Mesh], Counter[str]]:
-    """Return all meshes that have points, and how many objects of other kinds there are."""
+    """Return all meshes with points, and the number of objects by other kind."""
     meshes: list[Mesh] = []
     others: Counter[str] = Counter()
     top = SceneObject("/", ())

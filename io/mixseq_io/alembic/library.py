@@ -1,7 +1,4 @@
-"""The library that reads and writes Alembic, alembic3d: its archives, errors and arrays.
-
-`alembic3d` is the official Python binding under a name of its own; its arrays come from `imath`, which is part of
-the package.
+"""Access to alembic3d, the packaged official binding of Alembic: archives, errors, and arrays of its `imath`.
 
 Specification: https://docs.alembic.io/python/alembic.html, https://docs.alembic.io/reference/index.html
 """
@@ -40,10 +37,10 @@ __all__ = [
 ]
 
 ERRORS: tuple[type[Exception], ...] = (RuntimeError, ValueError, TypeError, LookupError, ArithmeticError)
-"""What the library raises about damaged files: its own errors, and those of converting what it read."""
+"""Exceptions of the library for damaged files, and of converting their values."""
 
 _CHANNELS = {imath.C3fArray: "rgb", imath.C4fArray: "rgba"}
-"""Arrays of colours, of which NumPy sees only a channel without copying number by number."""
+"""Colour arrays, of which NumPy accesses single channels without copying number by number."""
 
 _HEADER = 16
 """Bytes of an Ogawa header: "Ogawa", 255 once the file is complete, version (2), where the root group is (8)."""
@@ -65,21 +62,18 @@ def open_archive(path: Path) -> Any:
 
 
 def selector(sampled: Any, sample: int) -> Any:
-    """Return what selects a sample of a property or schema by its number.
-
-    It selects by the sample's time: Python calls the constructor for times with numbers, too.
-    """
+    """Return the selector of a sample by its time, since the constructor takes numbers for times in Python."""
     time = sampled.getTimeSampling().getSampleTime(sample)
     return Abc.ISampleSelector(time, Abc.ISampleSelector.TimeIndexType.kNearIndex)
 
 
 def length(array: Any, sample: int) -> int:
-    """Return the length of an array property's sample without reading it."""
+    """Return the length of an array sample without reading it."""
     return int(array.getDimension(selector(array, sample)).numPoints())
 
 
 def values(array: Any, sample: int, room: int) -> NDArray[Any]:
-    """Return a sample of an array property."""
+    """Return an array sample; `room` is the file's size in bytes."""
     stored = stored_array(array, sample, room)
     channels = _CHANNELS.get(type(stored))
     if channels:
@@ -88,7 +82,7 @@ def values(array: Any, sample: int, room: int) -> NDArray[Any]:
 
 
 def stored_array(array: Any, sample: int, room: int) -> Any:
-    """Return what `values` does as an array of imath."""
+    """Return an array sample as an array of imath; see `values`."""
     count = length(array, sample)
     if count * array.getDataType().getNumBytes() > room:
         raise FormatError(f"an array claims {count} values, more than the file can hold; it is damaged")
@@ -96,7 +90,7 @@ def stored_array(array: Any, sample: int, room: int) -> Any:
 
 
 def array_of(kind: Any, rows: ArrayLike) -> Any:
-    """Return an array of imath, such as ``V3fArray``, with the given rows."""
+    """Return an array of imath, such as ``V3fArray``, with given rows ``(n, k)``."""
     content = np.asarray(rows)
     filled = kind(len(content))
     if kind in _CHANNELS:

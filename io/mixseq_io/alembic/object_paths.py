@@ -1,8 +1,7 @@
-"""Where the meshes of a sequence are in an archive of its own.
+"""Paths of a sequence's meshes in a stand-alone archive.
 
-They stay where they were in the file that the sequence came from, so that what refers to them by path finds them, such
-as the cache modifiers of other programs. Meshes without such paths are below a transform of their name, because tools
-name what they import by the transforms.
+Original paths are kept, so that references such as cache modifiers of other programs find the meshes. Other meshes are
+below a transform of their name, because tools name imports by transforms.
 """
 
 from __future__ import annotations
@@ -14,13 +13,13 @@ from mixseq.sequence import SequenceHeader
 from mixseq_io.scene_meshes import SceneMesh
 
 Place = tuple[str, ...]
-"""Names from the root down to a mesh: all but the last are transforms."""
+"""Names from the root to a mesh; all but the last are transforms."""
 
 
 def object_places(header: SequenceHeader, scene_meshes: Sequence[SceneMesh]) -> list[Place]:
-    """Return the places of all meshes of a sequence: ``/<name>/<object>/<object>``, or those they have.
+    """Return the places of all meshes: ``/<name>/<object>/<object>``, or their own paths.
 
-    Paths are kept if all meshes have one with a transform, and what they have in common is named as the sequence is.
+    Those are kept if all meshes have one with a transform, and their common ancestor is named as the sequence.
     """
     kept = [tuple(each.path.split("/")[1:]) for each in scene_meshes if each.path.startswith("/")]
     if len(kept) == len(scene_meshes) and _can_be(kept) and _common_name(kept) in ("", header.name):
@@ -40,30 +39,18 @@ def _can_be(places: Sequence[Place]) -> bool:
 
 
 def _common_name(places: Sequence[Place]) -> str:
-    """Return the name by which a reader calls the sequence: of its only mesh, or of what is above all.
-
-    Examples
-    --------
-    >>> _common_name([("man", "body", "body")]), _common_name([("man", "body", "body"), ("man", "hat")])
-    ('body', 'man')
-    """
+    """Return the sequence's name for a reader: that of its only mesh, or of the common ancestor."""
     shared = list(takewhile(lambda names: len(set(names)) == 1, zip(*places, strict=False)))
     return shared[-1][0] if shared else ""
 
 
 def valid_name(name: str) -> str:
-    """Return a name that an object can have: any but an empty one, without slashes."""
+    """Return a valid object name: without slashes and not empty."""
     return name.replace("/", "_") or "mesh"
 
 
 def unique_names(names: Iterable[str]) -> list[str]:
-    """Return valid names, those that occur again with a number.
-
-    Examples
-    --------
-    >>> unique_names(["a", "a/b", "a", "a_2"])
-    ['a', 'a_b', 'a_2', 'a_2_2']
-    """
+    """Return valid names, repeated ones with a number: "a", "a_2"."""
     taken: dict[str, None] = {}
     numbers: dict[str, int] = {}
     for name in map(valid_name, names):

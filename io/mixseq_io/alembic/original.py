@@ -1,4 +1,4 @@
-"""Alembic, writing: the archive that is copied with new points, and its meshes that a sequence fits."""
+"""Alembic, writing: the original archive that is copied with new points, and its meshes matched with a sequence's."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from mixseq_io.scene_meshes import SceneMesh
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A mesh of the sequence and the mesh of the archive whose points it takes the place of."""
+    """Mesh of the sequence matched with a mesh of the archive, whose points it replaces."""
 
     scene_mesh: SceneMesh
     mesh: Mesh
@@ -37,7 +37,7 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class Original:
-    """An archive that a sequence fits."""
+    """Archive that fits a sequence."""
 
     path: Path
     archive: Any
@@ -50,7 +50,7 @@ class Original:
 
 
 def open_original(path: Path, header: SequenceHeader) -> Original:
-    """Open an archive in which meshes may get other points."""
+    """Open an archive whose meshes may get new points."""
     with reading(path, "Alembic", *ERRORS), naming(path):
         archive = open_archive(path)
         meshes, _ = find_meshes(path, archive)
@@ -70,7 +70,7 @@ def open_original(path: Path, header: SequenceHeader) -> Original:
 
 
 def _fitted(path: Path, header: SequenceHeader, scene_mesh: SceneMesh, mesh: Mesh) -> Fit | None:
-    """Lay a mesh of the sequence over one of the archive; None if it has other vertices or faces."""
+    """Match a mesh of the sequence with one of the archive; None if vertices or faces differ."""
     if length(mesh.schema.getPositionsProperty(), 0) != scene_mesh.vertex_count:
         return None
     placing = Placing.at(mesh.above, header.times, header.fps)
@@ -92,7 +92,7 @@ def _polygons(path: Path, scene_mesh: SceneMesh, mesh: Mesh, mirrored: bool) -> 
 
 
 def _difference(path: Path, scene_mesh: SceneMesh, mesh: Mesh) -> str:
-    """Return what is the first difference to the only mesh that could have been meant."""
+    """Return the first difference from the only candidate mesh, in words."""
     count = length(mesh.schema.getPositionsProperty(), 0)
     if count != scene_mesh.vertex_count:
         return f"{mesh.path} has {count} vertices, the sequence {scene_mesh.vertex_count}"

@@ -1,8 +1,7 @@
 """Alembic, writing: an archive copied with new points in some of its meshes.
 
-Paths, transforms, cameras, curves, other meshes, and what else is on the meshes stay. The points are in the spaces of
-the meshes, below the transforms of the archive, and tell that frames are at their times only. Normals are computed
-anew where the archive has some.
+Points are in mesh space, below the archive's transforms, marked so that frames are at their times only. Existing
+normals are recomputed; all other contents stay.
 """
 
 from __future__ import annotations
@@ -28,12 +27,12 @@ from mixseq_io.originals import warn_of_other_times
 _CORNERS = AbcGeom.GeometryScope.kFacevaryingScope
 
 _GROWTH = 2
-"""How many times the size of an archive its copy has at most: an instance that moves becomes an object of its own."""
+"""Largest ratio of a copy's size to the archive's; moving instances become separate objects."""
 
 
 @dataclass(frozen=True, eq=False)
 class MovedMesh:
-    """A mesh of the copy whose points are written."""
+    """Mesh of the copy whose points are written."""
 
     fit: Fit
     positions: Any
@@ -43,7 +42,7 @@ class MovedMesh:
 
     @classmethod
     def make(cls, fit: Fit, schema: Any, sampling: int, velocities: bool) -> MovedMesh:
-        """Make the properties in the copied schema; `write` adds the samples."""
+        """Create the properties in the copied schema; `write` adds the samples."""
         stored, place = fit.mesh.schema, (sampling,)
         header = stored.getPositionsProperty().getHeader()
         positions = Abc.OArrayProperty(schema, "P", header.getDataType(), header.getMetaData(), *place)
@@ -54,15 +53,7 @@ class MovedMesh:
         return cls(fit, positions, bounds, speeds, normals)
 
     def write(self, first: int, points: FloatArray, velocities: FloatArray | None) -> None:
-        """Add samples for a block of frames.
-
-        Parameters
-        ----------
-        first : int
-            The first of them.
-        points, velocities : (B, V, 3) float32
-            The frames of the whole sequence.
-        """
+        """Add samples of a block of frames, from frame `first` on: points, velocities ``(B, V, 3)`` of the sequence."""
         vertices, placing = self.fit.scene_mesh.vertices, self.fit.placing
         for row, world in enumerate(points[:, vertices]):
             own = placing.own_points(world, first + row)
@@ -91,7 +82,7 @@ class MovedMesh:
 
 
 def _bounds(points: FloatArray) -> Any:
-    """Return the box of points; the library's empty one, if there are none."""
+    """Return the bounding box of points ``(n, 3)``; the library's empty box without any."""
     if not len(points):
         return imath.Box3d()
     return imath.Box3d(
@@ -100,7 +91,7 @@ def _bounds(points: FloatArray) -> Any:
 
 
 def largest_size(original: Original, header: SequenceHeader, velocities: bool) -> int:
-    """Return how many bytes the copy takes at most."""
+    """Return the largest possible size of the copy in bytes."""
     vertices = sum(fit.scene_mesh.vertex_count for fit in original.fits)
     normals = sum(fit.corners.size for fit in original.fits)
     per_frame = 12 * (vertices * (2 if velocities else 1) + normals) + PER_SAMPLE * len(original.fits)
@@ -116,24 +107,10 @@ def lay_over(
     velocities: bool,
     sources: ArrayLike | None = None,
 ) -> list[MovedMesh]:
-    """Copy an archive, and return the meshes of the copy whose points are to be written.
+    """Copy an archive into an empty one, and return the copy's meshes whose points are to be written.
 
-    Parameters
-    ----------
-    archive : OArchive
-        An empty archive.
-    path : Path
-        Where it will be, for warnings.
-    original : Original
-        What is copied.
-    header : SequenceHeader
-        The sequence.
-    sampling : int
-        The archive's number of its times.
-    velocities : bool
-        Whether it has velocities.
-    sources : (T,) array-like, optional
-        Times of the archive that the frames show, in seconds.
+    `sampling` is the index of the frames' time sampling, `sources` ``(T,)`` are the archive's times in seconds that the
+    frames show, `path` is for warnings.
     """
     moved = {fit.mesh.path for fit in original.fits}
     copied = copy_archive(original.archive, archive, moved, header.times, original.room)

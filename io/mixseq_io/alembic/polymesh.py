@@ -1,7 +1,7 @@
-"""The faces of a PolyMesh or SubD, and what is on them: texture coordinates, colours, hard edges and face sets.
+"""Faces of a PolyMesh or SubD, and its surface: texture coordinates, colours, hard edges and face sets.
 
-Alembic lists the corners of a face clockwise seen from outside; applications write them from the last to the first.
-Values on a mesh come per face, vertex or corner (its "scope"), with or without indices.
+Alembic lists a face's corners clockwise seen from outside; applications write them from the last to the first. Values
+come per face, vertex or corner (their "scope"), with or without indices.
 
 Specification: https://docs.alembic.io/reference/index.html (``IPolyMeshSchema``, ``IGeomParam``, ``IFaceSet``)
 """
@@ -28,7 +28,7 @@ from mixseq_io.colours import with_alpha
 from mixseq_io.scene_meshes import SceneMesh, material_of_the_rest
 
 COLOURS = "Cd"
-"""What colours are called among the parameters of any kind that a mesh may have."""
+"""Name of colours among a mesh's geometry parameters."""
 
 _COLOUR_KINDS = (AbcGeom.IC3fGeomParam, AbcGeom.IC4fGeomParam)
 _SCHEMES = {"catmull-clark": "catmullClark", "": "catmullClark", "loop": "loop", "bilinear": "bilinear"}
@@ -36,22 +36,9 @@ _SCHEMES = {"catmull-clark": "catmullClark", "": "catmullClark", "loop": "loop",
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """A mesh to be read.
+    """Mesh to be read from a file of `room` bytes; its vertices in the sequence, and frame times ``(T,)`` in s.
 
-    Parameters
-    ----------
-    path : Path
-        The file, for warnings.
-    room : int
-        Its size in bytes.
-    mesh : Mesh
-        The mesh.
-    vertices : slice
-        Its vertices in the sequence.
-    mirrored : bool
-        Whether the transforms above it turn left into right.
-    frames : (T,) float
-        Times of the frames in seconds, for messages.
+    `mirrored`: the transforms above it mirror. Path and times are for messages.
     """
 
     path: Path
@@ -86,7 +73,7 @@ def read_scene_mesh(source: Source) -> SceneMesh:
 
 
 def stored_polygons(source: Source) -> tuple[Polygons, Index]:
-    """Return the polygons as the file has them, and its corner for each of theirs in our direction."""
+    """Return the polygons as stored, and the stored corner of each corner in mixseq's order."""
     schema = source.mesh.schema
     stored = Polygons(
         _constant(source, schema.getFaceCountsProperty()), _constant(source, schema.getFaceIndicesProperty())
@@ -97,7 +84,7 @@ def stored_polygons(source: Source) -> tuple[Polygons, Index]:
 
 
 def _constant(source: Source, array: Any) -> NDArray[np.int32]:
-    """Return an array that must not change; some exporters repeat it at every sample."""
+    """Return an array that must be constant; some exporters repeat it at every sample."""
     time = _change(array)
     if time is not None:
         index = int(np.searchsorted(source.frames, time))
@@ -109,7 +96,7 @@ def _constant(source: Source, array: Any) -> NDArray[np.int32]:
 
 
 def _change(array: Any) -> float | None:
-    """Return the time of the first sample of an array that differs from the one before all, None if none does."""
+    """Return the time in s of an array's first changed sample, None if it is constant."""
     if array.isConstant():
         return None
     first = array.getKey(selector(array, 0))
@@ -130,7 +117,7 @@ def _texture_coordinates(source: Source, polygons: Polygons) -> CornerValues | N
 
 
 def _colours(source: Source, polygons: Polygons) -> CornerValues | None:
-    """Return the colours ``Cd``, or the first that there are."""
+    """Return the colours ``Cd``, or the first colour parameter."""
     others = source.mesh.schema.getArbGeomParams()
     kinds = {
         each.getName(): kind
@@ -163,7 +150,7 @@ def _warn_of_changes(source: Source, parameter: Any, what: str) -> None:
 
 
 def _corner_values(source: Source, parameter: Any, polygons: Polygons, what: str) -> CornerValues | None:
-    """Return the first sample of a geometry parameter, whatever its scope, at the corners in the file's order."""
+    """Return a geometry parameter's first sample at the corners, in stored order, for any scope."""
     if not parameter.valid() or not parameter.getNumSamples():
         return None
     rows = values(parameter.getValueProperty(), 0, source.room)
@@ -192,7 +179,7 @@ def _corner_values(source: Source, parameter: Any, polygons: Polygons, what: str
 
 
 def _face_sets(source: Source, polygon_count: int) -> tuple[FaceSet, ...]:
-    """Return the mesh's own material on the faces that no face set gives another, and the face sets."""
+    """Return the mesh's material on faces without a face set's material, and the face sets."""
     sets = []
     for name in source.mesh.schema.getFaceSetNames():
         node = source.mesh.schema.getFaceSet(name)
@@ -208,7 +195,7 @@ def _face_sets(source: Source, polygon_count: int) -> tuple[FaceSet, ...]:
 
 
 def _scheme(source: Source) -> str:
-    """Return how a SubD is subdivided; an unknown scheme is taken as Catmull and Clark's, the default."""
+    """Return a SubD's scheme; unknown ones count as Catmull-Clark, the default."""
     scheme = source.mesh.schema.getSubdivisionSchemeProperty()
     named = scheme.getValue() if scheme.valid() and scheme.getNumSamples() else ""
     if named not in (*_SCHEMES, *_SCHEMES.values()):

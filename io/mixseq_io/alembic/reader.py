@@ -1,8 +1,8 @@
-"""Alembic, reading: the points of the meshes of an archive over time, in world space (.abc).
+"""Alembic, reading: points of an archive's meshes over time, in world space (.abc).
 
-Frames are all times at which the points, or a transform above them, have a sample; what has none there is interpolated
-linearly. Where we laid points over an archive, frames are at their times only. Points are float32, which is Alembic's
-precision. Alembic has no units and no up axis: tools take it for Y up.
+Frames are at all samples of the points and of the transforms above, others interpolated linearly; at the points' times
+only where mixseq laid them over an archive. Points are float32, as in Alembic, which has no units and no up axis: tools
+assume Y up.
 
 Specification: https://docs.alembic.io/reference/index.html
 """
@@ -67,7 +67,7 @@ def open_alembic(path: Path, prim: str | None = None) -> SequenceReader:
 
 @dataclass(frozen=True, eq=False)
 class _AnimatedMesh:
-    """One of the meshes: which samples its points are between, and the transforms above it."""
+    """Mesh with the samples around each frame, and the transforms above it."""
 
     source: Source
     samples: SampleWeights
@@ -75,7 +75,7 @@ class _AnimatedMesh:
     placing: Placing | None = None  # of a mesh laid over an archive whose transforms move
 
     def place(self, frame: int) -> str:
-        """Name a frame in a message."""
+        """Return a frame's name for messages."""
         return f"the frame at {self.source.frames[frame]:g} s (index {frame}) of {self.source.mesh.path}"
 
 
@@ -87,7 +87,7 @@ class _AlembicReader(SequenceReader):
         self._meshes = animated_meshes
 
     def close(self) -> None:
-        """Let the archive go: it is closed when the last of its objects is."""
+        """Release the archive; it closes with the last of its objects."""
         super().close()
         self._meshes = []
 
@@ -109,7 +109,7 @@ class _AlembicReader(SequenceReader):
 
 
 def _frames(meshes: list[Mesh]) -> Float:
-    """Return the times at which something changes; if nothing does, those of the samples that are there."""
+    """Return the times in s at which anything changes; without changes, those of the samples."""
     laid_over = [mesh for mesh in meshes if mesh.laid_over]
     points = [mesh.schema.getPositionsProperty() for mesh in laid_over or meshes]
     if laid_over:
@@ -142,7 +142,7 @@ def _animated_meshes(
 
 
 def _sampled(animated: _AnimatedMesh, array: Any, frame: int, what: str) -> NDArray[np.float32]:
-    """Return an array property in a frame, between two samples if the frame is."""
+    """Return an array property at a frame, interpolated between samples if needed."""
     count = animated.source.vertices.stop - animated.source.vertices.start
     sample, weight = animated.samples.at(frame)
     rows = [
@@ -184,7 +184,7 @@ def _world_velocities(animated: _AnimatedMesh, frame: int) -> NDArray[np.float32
 
 
 def _have_velocities(path: Path, animated_meshes: list[_AnimatedMesh]) -> bool:
-    """Whether the velocities of all meshes can be read; warn of those that cannot."""
+    """Whether velocities of all meshes can be read; warn of others."""
     having = [
         animated
         for animated in animated_meshes

@@ -1,9 +1,8 @@
-"""Samples of properties and transforms, and what is between them at the times of frames.
+"""Samples of properties and transforms, interpolated at the times of frames.
 
-Every Alembic property has samples of its own, at times in seconds: uniform, in cycles (several per shutter), or one by
-one. Frames are the times at which something of the chosen meshes changes; what has no sample there is interpolated.
-Between two samples of a transform its translation, its stretch and the angle of its rotation run linearly, as in
-Blender. Matrices act on rows: p' = p M.
+Alembic properties have their own samples, at times in seconds: uniform, cyclic (several per shutter), or arbitrary.
+Between two samples of a transform, translation, stretch and rotation angle are interpolated linearly, as in Blender.
+Matrices act on row vectors: p' = p M.
 
 Specification: https://docs.alembic.io/reference/index.html (``TimeSampling``, ``IXformSchema``)
 """
@@ -26,14 +25,14 @@ from mixseq.sequence import DEFAULT_FPS
 from mixseq_io.alembic.library import AbcCoreAbstract, selector
 
 SAME_TIME = 0.999e-6
-"""Times closer than this count once, in seconds."""
+"""Distance in seconds below which times are equal."""
 
 _MOST_SAMPLES = 1_000_000
 _USUAL_RATES = (24, 25, 30, 48, 50, 60, *NTSC_RATES, 100, 120, 240)
 
 
 def sample_times(sampled: Any) -> Float:
-    """Return the times ``(N,)`` in seconds of a property's or schema's samples."""
+    """Return the sample times ``(N,)`` in seconds of a property or schema."""
     count, sampling = sampled.getNumSamples(), sampled.getTimeSampling()
     if count > _MOST_SAMPLES:
         raise FormatError(f"a property claims {count} samples; the file is damaged")
@@ -48,7 +47,7 @@ def sample_times(sampled: Any) -> Float:
 
 
 def samples_within(times: Float, window: tuple[float, float]) -> slice:
-    """Return which samples tell what is at any time from one to another; all, if all are before or after.
+    """Return the slice of samples that determine values within a window of time; all, if all are before or after.
 
     Examples
     --------
@@ -64,7 +63,7 @@ def samples_within(times: Float, window: tuple[float, float]) -> slice:
 
 
 def time_sampling(times: Float, step: float) -> Any:
-    """Return a uniform sampling if times ``(N,)`` are even, of that step if it is theirs, else one of all of them."""
+    """Return a uniform sampling for even times ``(N,)``, with `step` if it fits, else one of all times."""
     if len(times) > 1:
         mean = float(times[-1] - times[0]) / (len(times) - 1)
         step = step if np.isclose(mean, step, rtol=1e-9, atol=0) else mean
@@ -78,7 +77,7 @@ def time_sampling(times: Float, step: float) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class SampleWeights:
-    """Which two samples every frame is between, and how much each of them counts."""
+    """Pair of samples around every frame, and the weight of the second."""
 
     before: NDArray[np.int64]
     weight: Float
@@ -89,19 +88,12 @@ class SampleWeights:
 
     @property
     def exact(self) -> bool:
-        """Whether every frame has a sample of its own."""
+        """Whether every frame coincides with a sample."""
         return not self.weight.any() and bool((np.diff(self.before) > 0).all())
 
 
 def locate(own: Float, frames: Float) -> SampleWeights:
-    """Find the samples, at the times `own`, that frames lie between.
-
-    Examples
-    --------
-    >>> between = locate(np.array([1.0, 2.0]), np.array([0.0, 1.0, 1.25, 2.0, 3.0]))
-    >>> between.before.tolist(), between.weight.tolist()
-    ([0, 0, 0, 1, 1], [0.0, 0.0, 0.25, 0.0, 0.0])
-    """
+    """Return the samples, at the times `own` ``(N,)``, around frames ``(T,)``."""
     before = np.clip(np.searchsorted(own, frames + SAME_TIME, side="right") - 1, 0, len(own) - 1)
     after = np.minimum(before + 1, len(own) - 1)
     since, step = frames - own[before], own[after] - own[before]
@@ -110,14 +102,12 @@ def locate(own: Float, frames: Float) -> SampleWeights:
 
 
 def frame_rate(times: Float, declared: str) -> float:
-    """Return the frames per second of a time line: times ``(T,)``.
+    """Return the frame rate of times ``(T,)``: as declared, of even steps, or a usual rate whose grid they lie on.
 
     Examples
     --------
-    >>> frame_rate(np.array([0.0, 1 / 29.97, 2 / 29.97]), "")
-    29.97
-    >>> frame_rate(np.array([0.0, 1 / 24, 4 / 24]), "")
-    24.0
+    >>> frame_rate(np.array([0.0, 1 / 29.97, 2 / 29.97]), ""), frame_rate(np.array([0.0, 1 / 24, 4 / 24]), "")
+    (29.97, 24.0)
     """
     step = (times[-1] - times[0]) / max(len(times) - 1, 1)
     even = len(times) > 1 and np.allclose(np.diff(times), step, rtol=0, atol=1e-6 * step + 1e-9)
@@ -138,14 +128,14 @@ def frame_rate(times: Float, declared: str) -> float:
 
 
 def _plain(rate: float, tolerance: float) -> float:
-    """Return the number that was meant, if it went through a reciprocal or a text: 29.97 or 30000/1001."""
+    """Return the rate before rounding by a reciprocal or a text: 29.97 or 30000/1001."""
     simple = float(Fraction(rate).limit_denominator(1001))
     return simple if np.isclose(simple, rate, rtol=tolerance, atol=0) else float(f"{rate:.12g}")
 
 
 @dataclass(frozen=True, eq=False)
 class Transforms:
-    """The transforms above a mesh, which take it to the world in every frame."""
+    """Transforms from a mesh to the world in every frame."""
 
     above: tuple[tuple[Any, SampleWeights], ...]
 
@@ -153,7 +143,7 @@ class Transforms:
     def at(
         cls, above: tuple[Any, ...], frames: Float, window: tuple[float, float] | None = None
     ) -> Transforms:
-        """Find the samples of transforms that frames lie between, of all or of those within a window of time."""
+        """Return the samples of transforms around frames ``(T,)``, of all samples or those within a window of time."""
         found = []
         for schema in above:
             times = _times(schema)
@@ -190,22 +180,13 @@ def _local(schema: Any, before: int, weight: float) -> tuple[Float, bool]:
 
 
 def determinant(matrix: Float) -> float:
-    """Return the determinant of a matrix's upper part; negative if it turns left into right."""
+    """Return the determinant of a matrix's ``(3, 3)`` part, negative for mirroring."""
     with np.errstate(all="ignore"):
         return float(np.linalg.det(matrix[:3, :3]))
 
 
 def mixed(first: Float, second: Float, weight: float) -> Float:
-    """Interpolate two affine matrices ``(4, 4)``.
-
-    Examples
-    --------
-    A quarter turn about z, halfway, does not shrink.
-
-    >>> quarter = np.array([[0.0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
-    >>> mixed(np.eye(4), quarter, 0.5)[0, :2].round(6).tolist()
-    [0.707107, 0.707107]
-    """
+    """Interpolate affine matrices ``(4, 4)`` by translation, stretch and rotation; rotations do not shrink halfway."""
     if not (np.isfinite(first).all() and np.isfinite(second).all()):
         return np.full((4, 4), np.nan)  # the reader names the frame and the vertex
     blend = (1 - weight) * first + weight * second
@@ -217,10 +198,10 @@ def mixed(first: Float, second: Float, weight: float) -> Float:
 
 
 def moved(points: FloatArray, matrix: Float) -> NDArray[np.float32]:
-    """Apply a matrix to points ``(V, 3)``, or only its upper part ``(3, 3)`` to vectors."""
+    """Transform points ``(V, 3)`` by a matrix ``(4, 4)``, or vectors by its part ``(3, 3)``."""
     if np.array_equal(matrix, np.eye(len(matrix))):
         return np.asarray(points, dtype=np.float32)
-    with np.errstate(all="ignore"):  # what overflows is reported by the reader, with its vertex
+    with np.errstate(all="ignore"):  # overflow is reported by the reader, with its vertex
         world = points.astype(np.float64) @ matrix[:3, :3]
         if len(matrix) == 4:
             world += matrix[3, :3]

@@ -1,4 +1,4 @@
-"""One mesh of an Alembic file as it is written: the object, its face sets, and a sample for every frame."""
+"""Mesh of a written Alembic file: the object, its face sets, and a sample per frame."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ _WITH_ALPHA = (AbcGeom.OC4fGeomParam, AbcGeom.OC4fGeomParamSample, imath.C4fArra
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """A mesh to be written."""
+    """Mesh to be written."""
 
     scene_mesh: SceneMesh
     place: Place
 
     @property
     def subdivided(self) -> bool:
-        """Whether it becomes a SubD, which has no normals."""
+        """Whether the mesh becomes a SubD, which has no normals."""
         return self.scene_mesh.subdivision != "none"
 
     def make(self, parent: Any, sampling: int) -> MadeMesh:
-        """Make the object and its face sets, without samples."""
+        """Create the object and its face sets, without samples."""
         mesh = (AbcGeom.OSubD if self.subdivided else AbcGeom.OPolyMesh)(parent, self.place[-1], sampling)
         sets = self.scene_mesh.face_sets
         together = np.concatenate([each.polygons for each in sets]) if sets else np.zeros(0)
@@ -56,7 +56,7 @@ class Target:
         return MadeMesh(self, mesh)
 
     def _add_colours(self, schema: Any, colours: CornerValues) -> None:
-        """Add colours, without alpha where all are opaque; they do not change, and have a sample of their own."""
+        """Add constant colours in a sample of their own, without alpha if all are opaque."""
         opaque = bool((colours.values[:, 3] == 1).all())
         parameter, sample, kind = _OPAQUE if opaque else _WITH_ALPHA
         values = array_of(kind, colours.values)  # held until they are set
@@ -65,7 +65,7 @@ class Target:
         made.set(sample(values, indices, _CORNERS))
 
     def sample(self, positions: Any, complete: bool) -> Any:
-        """Return a sample of points; a complete one has everything that does not change."""
+        """Return a sample of points; a `complete` one includes constant properties."""
         sample = AbcGeom.OSubDSchemaSample() if self.subdivided else AbcGeom.OPolyMeshSchemaSample()
         sample.setPositions(positions)
         if complete:
@@ -78,7 +78,7 @@ class Target:
         return sample
 
     def add_normals(self, sample: Any, rows: FloatArray) -> Any:
-        """Add normals of points ``(V, 3)``, if there are hard edges; return what must stay until the sample is set."""
+        """Add normals of points ``(V, 3)`` for hard edges; return objects to keep alive until the sample is set."""
         if self.scene_mesh.hard_edges is None or self.subdivided:
             return None
         shared = shared_normals(rows[None], self.scene_mesh.polygons, self.scene_mesh.hard_edges)[0]
@@ -113,7 +113,7 @@ class Target:
         return None if hard_edges is None else array_of(imath.UnsignedIntArray, hard_edges[self._order])
 
     def largest_size(self, frames: int, moving: bool) -> int:
-        """Return how many bytes it takes in the file at most."""
+        """Return the largest possible size in the file in bytes."""
         scene_mesh = self.scene_mesh
         normals = 0 if scene_mesh.hard_edges is None else int(scene_mesh.hard_edges.max(initial=-1)) + 1
         uvs = 0 if scene_mesh.uvs is None else len(scene_mesh.uvs.values)
@@ -134,21 +134,13 @@ class Target:
 
 @dataclass(frozen=True, eq=False)
 class MadeMesh:
-    """A mesh in the file, which gets its samples."""
+    """Mesh in the file that samples are added to."""
 
     target: Target
     mesh: Any
 
     def write(self, first: int, points: FloatArray, velocities: FloatArray | None) -> None:
-        """Add samples for a block of frames.
-
-        Parameters
-        ----------
-        first : int
-            The first of them.
-        points, velocities : (B, V, 3) float32
-            The frames of the whole sequence.
-        """
+        """Add samples of a block of frames, from frame `first` on: points, velocities ``(B, V, 3)`` of the sequence."""
         schema, vertices = self.mesh.getSchema(), self.target.scene_mesh.vertices
         for frame, rows in enumerate(points[:, vertices]):
             # A sample only points to its arrays: they must stay until it is set.
@@ -163,13 +155,13 @@ class MadeMesh:
 
 
 def make_targets(header: SequenceHeader) -> list[Target]:
-    """Return what is to be written of a sequence that stands alone."""
+    """Return the meshes to write of a stand-alone sequence."""
     scene_meshes = split(header)
     return list(map(Target, scene_meshes, object_places(header, scene_meshes)))
 
 
 def make_meshes(top: Any, targets: Sequence[Target], sampling: int) -> list[MadeMesh]:
-    """Make all meshes below transforms that do nothing."""
+    """Create all meshes below identity transforms."""
     made: dict[Place, Any] = {(): top}
     for target in targets:
         for end in range(1, len(target.place)):
@@ -180,6 +172,6 @@ def make_meshes(top: Any, targets: Sequence[Target], sampling: int) -> list[Made
 
 
 PER_SAMPLE = 300
-"""Bytes of keys, sizes, places and bounds of one frame."""
+"""Size in bytes of a frame's keys, sizes, places and bounds."""
 PER_OBJECT = 8000
-"""Bytes of names and headers."""
+"""Size in bytes of an object's names and headers."""

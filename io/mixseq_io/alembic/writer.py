@@ -1,9 +1,8 @@
 """Alembic, writing: Ogawa files (.abc).
 
-A sequence that was read from an archive is written as a copy of it with new points (`overlay`). Other sequences are
-written alone (`targets`), with one mesh per object: those to be subdivided are SubDs, the others PolyMeshes; points are
-float32. Texture coordinates are at the corners, with indices; normals at the corners, frame by frame, where there are
-hard edges. Materials of face sets are assigned as Alembic assigns them.
+Sequences from an archive become a copy of it with new points (`overlay`), others a stand-alone archive (`targets`) with
+a mesh per object, SubDs if subdivided, else PolyMeshes. Points are float32. Texture coordinates are at corners with
+indices, normals at corners per frame where there are hard edges; face sets have assigned materials.
 
 Specification: https://docs.alembic.io/reference/index.html
 """
@@ -57,11 +56,11 @@ def write_alembic(
     header, blocks, velocities
         See `mixseq_io.write_blocks`.
     flatten : bool
-        Write the sequence alone. By default, everything else of the archive that it came from is taken along.
+        Write the sequence alone. By default, everything else of its original archive is kept.
     onto : path-like, optional
-        The archive whose cameras, transforms and other objects are taken along, in place of that one.
+        The archive whose cameras, transforms and other objects are kept, in place of the original.
     sources : (T,) array-like, optional
-        Times of the archive that the frames show, in seconds, for a warning if these are not their own.
+        Times of the archive that the frames show, in seconds, for a warning if they differ from the frames' own.
     """
     if flatten and onto is not None:
         raise SettingsError("flatten writes the sequence alone, onto lays it over a file; give one of them")
@@ -106,7 +105,7 @@ def _write(
     velocities: bool,
     sources: ArrayLike | None,
 ) -> None:
-    """Write everything. The library completes the file when the last of its objects is gone, at the return."""
+    """Write everything; the library completes the file when its last object is released, at the return."""
     with _writing(path):
         archive = Abc.CreateArchiveWithInfo(str(temporary), header.fps, f"mixseq {__version__}", "")
         sampling = archive.addTimeSampling(time_sampling(header.times, 1 / header.fps))
@@ -125,9 +124,9 @@ def _write(
 
 
 def _check_room(path: Path, size: int) -> None:
-    """Refuse to begin what the disk has no room for.
+    """Raise an error if the file would exceed the free disk space.
 
-    The library ends the whole process, with a C++ exception in a destructor, if a disk fills while it writes.
+    The library ends the process, by a C++ exception in a destructor, if a disk fills while it writes.
     """
     with path.open("wb") as file:
         if hasattr(os, "posix_fallocate"):  # counts quotas and limits, too
@@ -138,7 +137,7 @@ def _check_room(path: Path, size: int) -> None:
 
 
 def _losses(header: SequenceHeader, targets: Sequence[Target]) -> list[str]:
-    """Return what Alembic has no place for."""
+    """Return the contents that Alembic cannot hold."""
     lost = lost_scale(header, moving=False)
     if any(each.subdivided and each.scene_mesh.hard_edges is not None for each in targets):
         lost.append("hard edges of subdivided meshes")

@@ -1,1 +1,1 @@
-"""Compressed models as files have them, of whatever kind these are: a text, and streams of bytes with an index."""
+"""Compressed models in files of any kind: a text, and streams of bytes with an index."""

@@ -1,7 +1,7 @@
-"""Pack times and surfaces into few bytes without loss: what compressed models have besides mesh and signals.
+"""Lossless packing of times and surfaces of compressed models.
 
-Numbers come in runs that change little, so their first differences are stored, byte by byte: the first bytes of all
-numbers, then the second bytes, and so on. Most of those are zeros, which zlib takes well.
+First differences of numbers are stored bytewise: the first bytes of all numbers, then the second bytes, and so on.
+Most are zeros, which zlib compresses well.
 
 Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``).
 """
@@ -28,26 +28,20 @@ Mesh = tuple[Polygons, int]
 """Polygons, and the number of vertices."""
 
 _HARD_EDGES = "hard_edges"
-"""The array of coded hard edges; `creases` are numbers of normals. Frozen: breaks old files."""
+"""Array of coded hard edges; `creases` are indices of normals. Frozen: breaks old files."""
 
 
 def pack_times(times: NDArray[np.float64], fps: float) -> bytes:
-    """Return how times ``(T,)`` differ from ``times[0] + n / fps``, empty if they do not.
+    """Return the packed deviations of times ``(T,)`` from ``times[0] + n / fps``, empty if there are none.
 
-    What is stored are differences of the numbers' bits, taken as integers: nothing is rounded.
+    Differences of the numbers' bits, taken as integers, are stored, so that nothing is rounded.
     """
     apart = _bits(times) - _bits(_regular(float(times[0]), len(times), fps))
     return zlib.compress(_shuffled(np.diff(apart, prepend=0)), 9) if apart.any() else b""
 
 
 def unpack_times(packed: bytes, first: float, count: int, fps: float) -> NDArray[np.float64]:
-    """Return the times ``(T,)`` that `pack_times` was given.
-
-    Raises
-    ------
-    FormatError
-        If it was another number of times.
-    """
+    """Return the times ``(T,)`` that `pack_times` was given; raise `FormatError` for another number of times."""
     regular = _regular(first, count, fps)
     if not packed:
         return regular
@@ -70,7 +64,7 @@ def _bits(times: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def _decompressed(packed: bytes, most: int, what: str) -> bytes:
-    """Undo `zlib.compress`, and stop after `most` bytes."""
+    """Undo `zlib.compress`, up to `most` bytes."""
     try:
         return zlib.decompressobj().decompress(packed, most)
     except zlib.error as error:
@@ -78,11 +72,11 @@ def _decompressed(packed: bytes, most: int, what: str) -> bytes:
 
 
 def pack_surface(surface: Surface, mesh: Mesh) -> bytes:
-    """Return everything a surface has, empty if it has nothing.
+    """Return a packed surface, empty if it has nothing.
 
-    A JSON list of the arrays' names, types and shapes (texts are in it as they are), a zero byte, the arrays' bytes;
+    A JSON list of the arrays' names, types and shapes (with all texts), a zero byte, the arrays' bytes;
     all of it compressed by zlib. Hard edges are coded by `mixseq.coding.bitstream.hard_edges`, if they can be. Colours
-    that vertices have, and not corners, are in the order of the vertices, without indices.
+    per vertex are in the order of the vertices, without indices.
     """
     listed: list[list[Any]] = []
     data = []
@@ -100,7 +94,7 @@ def pack_surface(surface: Surface, mesh: Mesh) -> bytes:
 
 
 def _arrays_on(surface: Surface, mesh: Mesh) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a surface; those that follow from the mesh it is on are shorter, or left out."""
+    """Return the arrays of a surface, shortened or omitted where they follow from the mesh."""
     polygons, vertex_count = mesh
     corners, colours = polygons.indices, surface.colours
     of_vertices = colours is not None and colours.one_per_vertex(corners)
@@ -118,19 +112,13 @@ def _arrays_on(surface: Surface, mesh: Mesh) -> dict[str, NDArray[Any]]:
 
 
 def unpack_surface(packed: bytes, folder: Path, mesh: Mesh) -> Surface:
-    """Return the surface on a mesh that `pack_surface` was given; `folder` as in `surface_of_arrays`.
-
-    Raises
-    ------
-    FormatError, InvalidSequenceError
-        If it is damaged.
-    """
+    """Return the surface packed by `pack_surface`; raise `FormatError` or `InvalidSequenceError` if it is damaged."""
     if not packed:
         return Surface()
     try:
         limit = max_memory()
         whole = _decompressed(packed, limit, "the surface is")
-        if len(whole) == limit:  # it goes on, how far nobody knows
+        if len(whole) == limit:  # it continues to an unknown length
             raise FormatError(
                 f"the surface takes more than {gigabytes(limit)} of memory, the limit (--max-memory)"
             )
@@ -164,12 +152,12 @@ def _arrays(listed: list[list[Any]], data: bytes) -> dict[str, NDArray[Any]]:
 
 
 def _differences(array: NDArray[Any]) -> NDArray[Any]:
-    """First differences of integers, which wrap around; floats as they are."""
+    """Return first differences of integers, with wrap-around; floats unchanged."""
     return np.diff(array, prepend=array.dtype.type(0)) if array.dtype.kind == "i" else array
 
 
 def _shuffled(array: NDArray[Any]) -> bytes:
-    """The first bytes of all numbers, then their second bytes, and so on."""
+    """Return the first bytes of all numbers, then their second bytes, and so on."""
     little = array.astype(array.dtype.newbyteorder("<"))
     return little.view(np.uint8).reshape(len(array), array.dtype.itemsize).T.tobytes()
 

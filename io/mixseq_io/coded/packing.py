@@ -1,4 +1,4 @@
-"""Lay a compressed sequence out as files have it, a text and streams; see `mixseq_io.coded.reading`."""
+"""Layout of a compressed sequence as a text and streams; see `mixseq_io.coded.reading`."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from mixseq_io.coded.lossless import pack_surface, pack_times
 from mixseq_io.coded.stream_index import HEAD, MAGIC, Container, pack_leb128
 
 _HDF5, _INDEX = 1200, 64
-"""Bytes that HDF5 and the attributes take at most, and the index for 64 frames."""
+"""Largest size in bytes of HDF5 and the attributes, and of the index for 64 frames."""
 
 
 def pack(coded: CompressedSequence) -> Container:
-    """Lay an index and the streams of a compressed sequence one after the other."""
+    """Concatenate an index and the streams of a compressed sequence."""
     text = _json(coded)
     of_chunks = [stream for chunk in coded.chunks for stream in (chunk.coefficients, chunk.residuals)]
     streams = [*_ground(coded.header, coded.parameters.uv_steps), *coded.basis, *of_chunks]
@@ -48,15 +48,10 @@ def room_for_signals(
     order: OrderName = "keep",
     container: int = _HDF5,
 ) -> int:
-    """Return how many bytes of a file of some size are left for basis, coefficients and residual layer.
+    """Return the bytes left for basis, coefficients and residual layer in a file of some size.
 
-    Texture coordinates and order are told as to `mixseq.compress`; `container` are the bytes that text and file take,
-    by default of HDF5.
-
-    Raises
-    ------
-    SettingsError
-        If there are none, or `uv_error` is out of range, or there is no such `order`.
+    Texture coordinates and order are options of `mixseq.compress`; `container` is the size of text and file format, by
+    default HDF5. Raises `SettingsError` if nothing is left, `uv_error` is out of range, or the order is unknown.
     """
     header = cheapest_numbering(header, order).of_header(header)
     ground = _ground(*with_quantised_uvs(header, uv_error, uvs))

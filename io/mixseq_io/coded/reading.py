@@ -1,11 +1,8 @@
-"""Make a compressed sequence of what a file has: a text that says what the streams mean, and the streams.
+"""Read a compressed sequence from a text that describes the streams, and the streams.
 
-The text is JSON: parameters, name, fps, up_axis, metres_per_unit, counts, first time. The index (`stream_index`) says
-how long every stream is and what its CRC-32 is, so damage is known by stream.
-
-Streams are in this order: connectivity, surface, times, texture coordinates if there are any; spatial basis, group by
-group; coefficients and residual layer of the first chunk, of the second, and so on. Specification:
-``docs/file-format.md``.
+The text is JSON: parameters, name, fps, up_axis, metres_per_unit, counts, first time. The index (`stream_index`) has
+the length and CRC-32 of every stream. Their order is: connectivity, surface, times, texture coordinates if any; spatial
+basis by group; coefficients and residual layer chunk by chunk. Specification: ``docs/file-format.md``.
 
 Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1*``).
 """
@@ -36,20 +33,14 @@ from mixseq_io.coded.stream_index import Container, Stream, StreamIndex, facts_o
 from mixseq_io.memory import check_memory
 
 _OF_ELEMENT, _OF_CORNER = 64, 256
-"""Bytes that decoding takes for each vertex, corner and frame, and more for each corner if something may be on it."""
+"""Memory in bytes that decoding takes per vertex, corner and frame, and extra per corner with a surface."""
 
 _DECODED = 16
-"""Bytes that decoding takes for each number of a basis and its coefficients."""
+"""Memory in bytes that decoding takes per number of a basis and its coefficients."""
 
 
 def sequence_of(path: Path, container: Container) -> CompressedSequence:
-    """Make a compressed sequence of what is in a file, and check every byte of it.
-
-    Raises
-    ------
-    FormatError
-        If it is damaged; the message names the stream and its frames.
-    """
+    """Return the compressed sequence of a file, checked; raise `FormatError` with the damaged stream and its frames."""
     index = read_index(path, container)
 
     def sound(stream: Stream) -> bytes:
@@ -77,13 +68,7 @@ def sequence_of(path: Path, container: Container) -> CompressedSequence:
 
 
 def read_parameters(path: Path, container: Container) -> CodingParameters:
-    """Read how the streams are to be decoded.
-
-    Raises
-    ------
-    FormatError
-        If there is a parameter that this mixseq does not know, or one is missing or out of range.
-    """
+    """Read the decoding parameters; raise `FormatError` if one is unknown, missing or out of range."""
     facts = facts_of(path, container)
     given: dict[str, Any] = facts["coding"]
     known = {field.name for field in fields(CodingParameters)}
@@ -102,13 +87,7 @@ def read_parameters(path: Path, container: Container) -> CodingParameters:
 
 
 def read_order(path: Path, container: Container) -> OrderName:
-    """Read what has the numbers of the original.
-
-    Raises
-    ------
-    FormatError
-        If this mixseq does not know the order.
-    """
+    """Read which numbering of the original is kept; raise `FormatError` if the order is unknown."""
     order: OrderName = facts_of(path, container).get("order", "keep")
     if order not in ORDERS:
         raise FormatError(f"{path}: this mixseq does not know the order {order!r}; upgrade it")
@@ -116,13 +95,7 @@ def read_order(path: Path, container: Container) -> OrderName:
 
 
 def read_between(path: Path, container: Container) -> BetweenFrames | None:
-    """Read how coefficients are predicted between frames; None if the file does not say.
-
-    Raises
-    ------
-    FormatError
-        If it says that with other keys, or values that are out of range.
-    """
+    """Read the prediction of coefficients between frames, None if absent; raise `FormatError` if it is invalid."""
     given = facts_of(path, container).get("between")
     if given is None:
         return None
@@ -140,13 +113,7 @@ def read_between(path: Path, container: Container) -> BetweenFrames | None:
 def read_header(
     path: Path, container: Container, index: StreamIndex, ground: Mapping[str, bytes]
 ) -> SequenceHeader:
-    """Read mesh and times from the streams of `StreamIndex.ground`.
-
-    Raises
-    ------
-    FormatError
-        If they contradict each other, or take too much memory.
-    """
+    """Read mesh and times from `StreamIndex.ground`; raise `FormatError` for contradictions or too much memory."""
     facts = facts_of(path, container)
     told = [facts.get(f"{what}_count") for what in ("vertex", "corner", "frame")]
     elements = sum(each for each in told if isinstance(each, int))
@@ -183,13 +150,7 @@ def read_header(
 
 
 def decoded(path: Path, coded: CompressedSequence) -> Model:
-    """Return the model of a compressed sequence that was read from a file.
-
-    Raises
-    ------
-    FormatError
-        If its streams contradict each other, or what is in them takes too much memory.
-    """
+    """Return the model of a sequence read from a file; raise `FormatError` for contradictions or too much memory."""
     width, frames = 3 if coded.parameters.factors == "shapes" else 1, coded.header.frame_count
     numbers = coded.parameters.rank * (width * coded.header.vertex_count + 3 * frames)
     check_memory(path, _DECODED * numbers, "its basis and coefficients")

@@ -1,6 +1,4 @@
-"""Where the streams of a compressed model are among the bytes of its one dataset, and whether they are sound.
-
-The index says how long every stream is and what its CRC-32 is, so damage is known by stream:
+"""Index of a compressed model's streams in its one dataset, with the length and CRC-32 of each.
 
 ==========  =====================================================================================================
 bytes       meaning, all numbers little-endian
@@ -31,10 +29,10 @@ import numpy as np
 from mixseq.errors import FormatError
 
 COMPRESSED_VERSION = 1
-"""Version of compressed models, which models with datasets do not share. Frozen: breaks old files."""
+"""Version of compressed models, separate from that of models with datasets. Frozen: breaks old files."""
 
 MAGIC = b"msq1"
-"""What the index begins with. Frozen: breaks old files."""
+"""First bytes of the index. Frozen: breaks old files."""
 
 HEAD = struct.Struct("<4sIII")
 """Magic, bytes of the lengths, bytes of the checksums, checksum of both. Frozen: breaks old files."""
@@ -42,7 +40,7 @@ HEAD = struct.Struct("<4sIII")
 
 @dataclass(frozen=True)
 class Container:
-    """What is in a file: the attribute ``coding`` and the dataset ``streams``, as they are, and the version."""
+    """Contents of a file: the attribute ``coding`` and the dataset ``streams``, unchanged, and the version."""
 
     text: bytes
     streams: bytes
@@ -51,7 +49,7 @@ class Container:
 
 @dataclass(frozen=True)
 class Stream:
-    """Where a stream is among the bytes of the dataset, and its CRC-32."""
+    """Range of a stream in the dataset, in bytes, and its CRC-32."""
 
     what: str
     start: int
@@ -59,7 +57,7 @@ class Stream:
     checksum: int
 
     def read(self, streams: bytes) -> bytes | None:
-        """Return the stream's bytes, or None if they are damaged or not all there."""
+        """Return the stream's bytes, or None if they are damaged or incomplete."""
         data = streams[self.start : self.start + self.size]
         return data if len(data) == self.size and crc32(data) == self.checksum else None
 
@@ -76,10 +74,7 @@ class ChunkStreams:
 
 @dataclass(frozen=True)
 class StreamIndex:
-    """All streams of a file; `ground` are connectivity, surface, times and, if there are any, uvs.
-
-    `size` is that of the index itself.
-    """
+    """All streams of a file; `ground` are connectivity, surface, times and uvs if any, `size` is the index's size."""
 
     size: int
     ground: Mapping[str, Stream]
@@ -88,13 +83,7 @@ class StreamIndex:
 
 
 def read_index(path: Path, container: Container) -> StreamIndex:
-    """Read where the streams are.
-
-    Raises
-    ------
-    FormatError
-        If it has another version; or if the index, or the attribute, is damaged: then nothing can be found.
-    """
+    """Read the index; raise `FormatError` for another version, or a damaged index or attribute."""
     if container.version != COMPRESSED_VERSION:
         raise FormatError(
             f"{path} is a compressed model of version {container.version}, this mixseq reads {COMPRESSED_VERSION}: "
@@ -151,13 +140,7 @@ def _index(size: int, numbers: list[int], checksums: list[int], uvs: bool) -> St
 
 
 def facts_of(path: Path, container: Container) -> dict[str, Any]:
-    """Return what the attribute ``coding`` says.
-
-    Raises
-    ------
-    FormatError
-        If it is no JSON, or has no parameters.
-    """
+    """Return the attribute ``coding``; raise `FormatError` if it is no JSON, or has no parameters."""
     try:
         facts = json.loads(container.text)
     except ValueError as error:
@@ -168,13 +151,7 @@ def facts_of(path: Path, container: Container) -> dict[str, Any]:
 
 
 def pack_leb128(numbers: Iterable[int]) -> bytes:
-    """Write whole numbers, none of them negative, 7 bits to the byte, the lowest first (LEB128).
-
-    Examples
-    --------
-    >>> pack_leb128([5, 300]).hex(), list(unpack_leb128(pack_leb128([5, 300])))
-    ('05ac02', [5, 300])
-    """
+    """Write non-negative integers, 7 bits to the byte, the lowest first (LEB128): [5, 300] is 05 ac 02."""
     packed = bytearray()
     for number in numbers:
         while number > 127:
@@ -185,7 +162,7 @@ def pack_leb128(numbers: Iterable[int]) -> bytes:
 
 
 def unpack_leb128(packed: bytes) -> Iterator[int]:
-    """Read what `pack_leb128` wrote."""
+    """Read the integers written by `pack_leb128`."""
     number = shift = 0
     for byte in packed:
         number |= (byte & 127) << shift

@@ -1,1 +1,1 @@
-"""Files that say what on one mesh is what on another: pairs of vertices (`markers`), and whole maps (`maps`)."""
+"""Files of correspondences between two meshes: pairs of vertices (`markers`), and whole maps (`maps`)."""

@@ -1,14 +1,14 @@
-"""Files of maps: which vertex or triangle of a source every vertex or triangle of a target is.
+"""Files of maps: the source vertex or triangle of every target vertex or triangle.
 
-``.npz``, what `write_map` writes and reads back: the arrays ``version`` (1), ``corners``, ``weights``, ``faces``,
-``leaders`` and ``sizes`` of a `Correspondence`, and ``source`` and ``target``, checksums of the triangles of the two
-meshes, by which the map of another mesh is told. Archives that others made need one of the arrays ``vertices`` (V',),
-``triangles`` (F',), or ``corners`` and ``weights`` (V', 3), as in `mixseq.correspondence.map_completion`.
+``.npz``, written and read by `write_map`: arrays ``version`` (1), ``corners``, ``weights``, ``faces``, ``leaders`` and
+``sizes`` of a `Correspondence`, and ``source`` and ``target``, checksums of the triangles of the two meshes, to detect
+other meshes. Other archives need one of the arrays ``vertices`` (V',), ``triangles`` (F',), or ``corners`` and
+``weights`` (V', 3), as in `mixseq.correspondence.map_completion`.
 
 ``.json``: ``{"vertices": list}``, ``{"triangles": list}`` or ``{"barycentric": list}``, or a list by itself, which is
-of vertices. Its items are rows, as below, as lists of numbers.
+of vertices. Items are rows, as below, as lists of numbers.
 
-All other files are text, a row a line, with numbers separated by spaces, commas, colons, semicolons or ``->``::
+Other files are text, a row a line, with numbers separated by spaces, commas, colons, semicolons or ``->``::
 
     # vertices        which kind of map: vertices, triangles or barycentric; the word may stand without the #
     750, 3386         source and target (vertices or triangles)
@@ -17,10 +17,10 @@ All other files are text, a row a line, with numbers separated by spaces, commas
     17, 3386, 0.2, 0.5, 0.3   source triangle, target vertex, and weights of the triangle's corners
     17, 0.2, 0.5, 0.3         or without the target vertex
 
-Without that word rows of one or two numbers are of vertices, in files ``.tricorrs`` (Sumner and Popović's; several
-source triangles may stand for one of the target, the first counts) of triangles; rows of four or five are barycentric.
-Comments (``#``) and empty lines are skipped. Before rows of several numbers, one line may say how many there are.
-Vertices and triangles are numbered from 0; of pairs, targets without a row are left out of the map.
+Without that word, rows of one or two numbers are vertices, in files ``.tricorrs`` (Sumner and Popović's) triangles, of
+which the first source of a target counts; rows of four or five are barycentric. Comments (``#``) and empty lines are
+skipped. One line may announce the number of rows before rows of several numbers. Vertices and triangles are numbered
+from 0; targets without a row are left out of maps of pairs.
 """
 
 from __future__ import annotations
@@ -49,16 +49,16 @@ _STORED = ("corners", "weights", "faces", "leaders", "sizes", "source", "target"
 
 @dataclass(frozen=True, eq=False)
 class GivenMap:
-    """A map as a file has it."""
+    """Map as stored in a file."""
 
     file: Path  # the file, for messages
     kind: str  # vertices, triangles, barycentric (rows), or the arrays of an npz file: corners, stored
     rows: NDArray[np.float64]  # (n, k) rows in the order of the head of this module; empty for arrays
-    arrays: dict[str, NDArray[Any]]  # what an npz file has
+    arrays: dict[str, NDArray[Any]]  # of an npz file
 
 
 FEW = 0.1
-"""A map tells of at least this share of a mesh; with less it is a list of markers, given by mistake. Ours."""
+"""Smallest mapped share of a mesh; a map with less is a list of markers given by mistake."""
 
 
 def read_map(path: PathLike, kind: Kind | None = None) -> GivenMap:
@@ -70,7 +70,7 @@ def read_map(path: PathLike, kind: Kind | None = None) -> GivenMap:
 
 
 def to_correspondence(given: GivenMap, source: Mesh, target: Mesh) -> Correspondence:
-    """Make the correspondence of two meshes that a map says: source, target ``(V, 3)``."""
+    """Return a map's correspondence of two meshes: source, target ``(V, 3)``."""
     try:
         if given.kind == "stored":
             return _stored(given.arrays, source, target)
@@ -105,7 +105,7 @@ def to_correspondence(given: GivenMap, source: Mesh, target: Mesh) -> Correspond
 def write_map(
     path: PathLike, correspondence: Correspondence, source_faces: IntArray, target_faces: IntArray
 ) -> None:
-    """Write a correspondence of meshes with triangles ``(F, 3)``, ``(F', 3)`` as an npz file, whole or not at all."""
+    """Write a correspondence of meshes with triangles ``(F, 3)``, ``(F', 3)`` as an npz file, atomically."""
     file = Path(path)
     if file.suffix.lower() != ".npz":
         raise OutputError(f"{file}: maps are written as npz files; give it the extension .npz")
@@ -125,7 +125,7 @@ def write_map(
 
 
 def checksum(vertex_count: int, faces: IntArray) -> str:
-    """The SHA-256 of a mesh's number of vertices and triangles ``(F, 3)``, by which it is told from others."""
+    """Return the SHA-256 of a mesh's number of vertices and triangles ``(F, 3)``, its identity."""
     hashed = hashlib.sha256(str(vertex_count).encode())
     hashed.update(np.ascontiguousarray(faces, "<i8").tobytes())
     return hashed.hexdigest()
@@ -156,7 +156,7 @@ def _read_npz(file: Path) -> GivenMap:
 
 
 def _stored(arrays: dict[str, NDArray[Any]], source: Mesh, target: Mesh) -> Correspondence:
-    """What `write_map` wrote, if it is of these meshes and whole."""
+    """Return the correspondence written by `write_map`; raise an error for other meshes or damage."""
     sizes = [(len(points), len(faces)) for points, faces in (source, target)]
     for name, mesh in (("source", source), ("target", target)):
         if str(arrays[name]) != checksum(len(mesh[0]), mesh[1]):
@@ -186,7 +186,7 @@ def _stored(arrays: dict[str, NDArray[Any]], source: Mesh, target: Mesh) -> Corr
 def _columns(
     rows: NDArray[np.float64], targets: int, kind: str
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Source ``(n,)`` and weights ``(n, 3)`` of every target, from rows with or without the target's number."""
+    """Return source ``(n,)`` and weights ``(n, 3)`` of every target, from rows with or without the target's index."""
     source, weights = rows[:, 0].astype(np.int64), rows[:, -3:] if kind == "barycentric" else rows[:, :0]
     if rows.shape[1] in (1, 4):
         if len(rows) != targets:

@@ -1,7 +1,7 @@
 """Files of markers: pairs of vertices of two meshes, numbered from 0, the source's first.
 
 =================  =================================================================================================
-file               what is in it
+file               contents
 =================  =================================================================================================
 ``.json``          a list of markers, or ``{"markers": list}``, or ``{"source": list, "target": list, "names": list}``
 ``.yml, .yaml``    the same; a comment behind a marker is its name
@@ -11,9 +11,9 @@ others             a marker a line: two numbers, separated by a space, comma, co
 =================  =================================================================================================
 
 In lists, a marker is a pair of numbers ``[750, 3386]``, a text as on a line ``"750:3386"``, or an object
-``{"source": 750, "target": 3386, "name": "nose"}``. That includes the files of Sumner and Popović's meshes that are
-about: ``.cons`` and ``.corr`` (lines), and lists of ``"750:3386"`` in YAML. YAML itself takes ``12:34`` for a time of
-day, 754 seconds; here it is a pair.
+``{"source": 750, "target": 3386, "name": "nose"}``. That includes published files of Sumner and Popović's meshes:
+``.cons`` and ``.corr`` (lines), and lists of ``"750:3386"`` in YAML. YAML itself takes ``12:34`` for a time of day,
+754 seconds; here it is a pair.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _EXPECTED = (
 
 @dataclass(frozen=True)
 class _Entry:
-    """What stands for one marker: where, what, and the comment behind it."""
+    """Raw marker: its place in the file, its value, and the comment behind it."""
 
     where: str
     value: Any
@@ -65,8 +65,8 @@ def read_markers(path: PathLike, *, reverse: bool = False) -> Markers:
     Returns
     -------
     Markers
-        With names if at least one of them has a name. Whether they fit two meshes is for
-        `mixseq.correspondence.checks.check_markers` to say.
+        With names if at least one has a name. `mixseq.correspondence.checks.check_markers` checks whether they fit two
+        meshes.
 
     Raises
     ------
@@ -96,7 +96,7 @@ def read_markers(path: PathLike, *, reverse: bool = False) -> Markers:
 
 
 def write_markers(path: PathLike, markers: Markers) -> None:
-    """Write markers, in the form that the file's extension stands for; see the head of this module."""
+    """Write markers in the form of the file's extension; see the head of this module."""
     file = Path(path)
     names = [" ".join(name.split()) for name in markers.names or [""] * len(markers)]
     rows = list(zip(markers.source.tolist(), markers.target.tolist(), names, strict=True))
@@ -144,7 +144,7 @@ def _lines(file: Path, text: str) -> list[_Entry]:
 
 
 def _yaml(file: Path, text: str) -> list[_Entry]:
-    """Numbers stay text, so that ``12:34`` is no time of day; comments are found by their lines."""
+    """Return raw markers of YAML, with numbers as text, since ``12:34`` is a time of day, and comments by line."""
     try:
         import yaml
     except ModuleNotFoundError as error:
@@ -181,7 +181,7 @@ def _yaml(file: Path, text: str) -> list[_Entry]:
 
 
 def _plain(node: Any) -> Any:
-    """The lists, dictionaries and texts of a YAML node."""
+    """Return the lists, dictionaries and texts of a YAML node."""
     if node is None:
         return None
     if isinstance(node.value, str):
@@ -192,7 +192,7 @@ def _plain(node: Any) -> Any:
 
 
 def _listed(file: Path, tree: Any) -> list[Any]:
-    """The list of markers in what a file holds."""
+    """Return the list of markers in a file's contents."""
     if isinstance(tree, dict) and "markers" in tree:
         tree = tree["markers"]
     elif isinstance(tree, dict) and isinstance(tree.get("source"), list):
@@ -214,7 +214,7 @@ def _listed(file: Path, tree: Any) -> list[Any]:
 
 
 def _marker(where: str, entry: _Entry) -> tuple[int, int, str]:
-    """Source, target and name of one marker."""
+    """Return source, target and name of one marker."""
     value, name = entry.value, entry.comment
     if isinstance(value, str):
         match = _PAIR.fullmatch(value.strip())

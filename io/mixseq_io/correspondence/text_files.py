@@ -15,13 +15,13 @@ from mixseq_io.reader import brief, read_whole, reading
 
 
 def read_text(file: Path, what: str) -> str:
-    """Read a file of UTF-8, with or without a byte order mark; `what` it should be is for the message."""
+    """Read a UTF-8 file, with or without a byte order mark; `what` names its expected contents in messages."""
     with reading(file, what, UnicodeDecodeError):
         return read_whole(file, text=True).decode("utf-8-sig")
 
 
 def parse_json(file: Path, text: str) -> Any:
-    """Parse what was read from a file of JSON."""
+    """Parse the text of a JSON file."""
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as error:  # numbers of thousands of digits are a ValueError, too
@@ -36,11 +36,11 @@ COLUMNS: dict[str, tuple[int, int]] = {"vertices": (1, 2), "triangles": (1, 2), 
 _SEPARATOR = re.compile(r"\s*(?:->|[,:;\s])\s*")
 
 _Rows = list[tuple[str, list[float]]]
-"""Where a row stands, and its numbers."""
+"""Rows with their place in the file."""
 
 
 def read_rows(file: Path, kind: Kind | None = None) -> tuple[Kind, Float]:
-    """Read rows ``(n, k)``, and say what they are of: `kind`, or what the file says, or what it looks like."""
+    """Read rows ``(n, k)``; return their kind, too: `kind`, else as stated by the file, else by their length."""
     text = read_text(file, "a map")
     said, rows = _of_json(file, text) if file.suffix.lower() == ".json" else _of_text(file, text)
     if not rows:

@@ -21,7 +21,7 @@ from mixseq_io.gltf.node_tree import Pose
 _WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 _INTERPOLATIONS = ("LINEAR", "STEP", "CUBICSPLINE")
 NO_ANIMATION = "none"
-"""What to ask for to get nodes as they are, mostly at rest."""
+"""Choice of animation that reads the nodes without any, mostly at rest."""
 
 _LONGEST_LIST = 20
 _LATEST = 1e9
@@ -29,7 +29,7 @@ _LATEST = 1e9
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """One property of one node over time."""
+    """Keyframes of one property of one node."""
 
     node: int
     name: str
@@ -39,18 +39,18 @@ class Channel:
 
     @property
     def moves(self) -> bool:
-        """Whether the property changes at all."""
+        """Whether the property changes over time."""
         at_keys = self.values[:, 1] if self.interpolation == "CUBICSPLINE" else self.values
         tangents = self.values[:, ::2] if self.interpolation == "CUBICSPLINE" else self.values[:0]
         return len(at_keys) > 1 and bool((at_keys[1:] != at_keys[:-1]).any() or tangents.any())
 
     @property
     def moves_straight(self) -> bool:
-        """Whether points that follow it alone move evenly on straight lines from key to key."""
+        """Whether points that follow this channel alone move linearly in time between keys."""
         return self.interpolation == "LINEAR" and self.name in ("translation", "weights")
 
     def at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the values ``(B, k)`` at times ``(B,)``; before the first key and after the last they hold still."""
+        """Return the values ``(B, k)`` at times ``(B,)`` in s, constant before the first key and after the last."""
         after = np.clip(np.searchsorted(self.times, times, side="right"), 1, max(len(self.times) - 1, 1))
         before, after = after - 1, np.minimum(after, len(self.times) - 1)
         step = self.times[after] - self.times[before]
@@ -76,16 +76,7 @@ def hermite(
     arriving: NDArray[np.float64],
     s: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the cubics from `a` to `b` ``(n, k)`` with these tangents per whole step, at fractions `s` ``(n, 1)``.
-
-    Rotations are normalised by whoever uses them.
-
-    Examples
-    --------
-    >>> zero, one = np.zeros((1, 1)), np.ones((1, 1))
-    >>> hermite(zero, zero, one, zero, one / 4).item()  # 3 s^2 - 2 s^3
-    0.15625
-    """
+    """Return the Hermite cubics from `a` to `b` ``(n, k)``, tangents per step, at `s` ``(n, 1)``, not normalised."""
     return (
         (2 * s**3 - 3 * s**2 + 1) * a
         + (s**3 - 2 * s**2 + s) * leaving
@@ -95,15 +86,7 @@ def hermite(
 
 
 def slerp(a: NDArray[np.float64], b: NDArray[np.float64], s: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the quaternions on the short arcs from `a` to `b` ``(n, 4)`` at fractions `s` ``(n, 1)``.
-
-    Examples
-    --------
-    >>> quarter = np.array([[0.0, 0.0, np.sin(np.pi / 4), np.cos(np.pi / 4)]])
-    >>> third = slerp(np.array([[0.0, 0.0, 0.0, 1.0]]), -quarter, np.array([[1 / 3]]))
-    >>> bool(np.allclose(third, [[0, 0, np.sin(np.pi / 12), np.cos(np.pi / 12)]]))
-    True
-    """
+    """Interpolate quaternions from `a` to `b` ``(n, 4)`` on the short arc, at fractions `s` ``(n, 1)``."""
     cosine = np.sum(a * b, axis=1, keepdims=True)
     angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
     small = angle < 1e-6  # a straight line is the arc to rounding
@@ -114,15 +97,15 @@ def slerp(a: NDArray[np.float64], b: NDArray[np.float64], s: NDArray[np.float64]
 
 
 def pose_at(channels: Collection[Channel], times: NDArray[np.float64]) -> Pose:
-    """Return what is animated at some times."""
+    """Return the animated values at times ``(B,)`` in seconds."""
     return {(channel.node, channel.name): channel.at(times) for channel in channels}
 
 
 def choose_animation(document: Document, choice: str | int | None) -> Fields | None:
-    """Return the animation that was asked for, by name or number; the first by default, None if there is none.
+    """Return the animation chosen by name or number; the first by default, None if the file has none.
 
-    What exporters write before a "|" in a name, as in ``AnimalArmature|Gallop``, may be left out. `NO_ANIMATION` is the
-    pose in which the file has its nodes, unless an animation has that name.
+    The prefix that exporters write before a "|", as in ``AnimalArmature|Gallop``, may be left out of a name.
+    `NO_ANIMATION` selects the nodes as they stand in the file, unless an animation has that name.
     """
     animations = document.items("animations")
     names = [each.text("name") or f"animation {index}" for index, each in enumerate(animations)]
@@ -150,20 +133,14 @@ def choose_animation(document: Document, choice: str | int | None) -> Fields | N
 
 
 def _numbered(names: Sequence[str], first: int = 0) -> str:
-    """Return names with their numbers for a message, from the number `first` on, at most 20.
-
-    Examples
-    --------
-    >>> _numbered(["Walk", "Dance", "Death"], 1)
-    "1 'Dance', 2 'Death'"
-    """
+    """Return at most 20 names with their numbers, from `first` on, for a message: ``1 'Dance', 2 'Death'``."""
     shown = [f"{number} {name!r}" for number, name in enumerate(names)][first : first + _LONGEST_LIST]
     more = len(names) - first - _LONGEST_LIST
     return ", ".join(shown) + (f" and {more} more" if more > 0 else "")
 
 
 def told_by(animation: Fields | None, name: str, least: float = -_LATEST) -> float | None:
-    """Return what files written by mixseq tell of an animation, above `least`: its rate, or when it starts."""
+    """Return an animation's number `name` written by mixseq, such as its rate or start, if above `least`."""
     extras = {} if animation is None else animation.values.get("extras")
     value = extras.get(name) if isinstance(extras, dict) else None
     return (
@@ -174,7 +151,7 @@ def told_by(animation: Fields | None, name: str, least: float = -_LATEST) -> flo
 
 
 def read_channels(document: Document, animation: Fields | None, nodes: Collection[int]) -> list[Channel]:
-    """Read the channels of an animation that move some of the given nodes."""
+    """Read the channels of an animation that animate some of the given nodes."""
     if animation is None:
         return []
     samplers = animation.objects("samplers")

@@ -1,11 +1,8 @@
-"""The binary part of a glTF file, laid out before and written while the frames arrive.
+"""Buffer of a glTF file: laid out first, then written front to back while frames arrive, with no copy in memory.
 
-A document tells sizes and places of everything in its buffer. All of them are known beforehand; only the bounds of
-the points are not. `Layout` collects the document's buffer views; `writing_buffer` then writes the file front to
-back, so that nothing is held in memory or copied:
-
-* ``.glb`` begins with the document, for which enough room is left. It is written last, padded with spaces.
-* ``.gltf`` is text, with the buffer in base64 as its first member. One file can be replaced atomically, two cannot.
+All sizes and offsets are known beforehand, except for the bounds of the points. A ``.glb`` begins with its JSON, which
+is written last into reserved space, padded with spaces. A ``.gltf`` holds the buffer in base64 as its first member,
+since a single file can be replaced atomically.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#glb-file-format-specification
 """
@@ -43,7 +40,7 @@ UNKNOWN: Bounds = ([-1.2345678901234567e-100] * 3, [-1.2345678901234567e-100] * 
 
 
 class Layout:
-    """A document whose buffer takes shape: views follow each other as they are added."""
+    """Document whose buffer views are appended one after the other."""
 
     def __init__(self, document: Json) -> None:
         self.document = document
@@ -51,20 +48,20 @@ class Layout:
         self.contents: list[tuple[int, Iterable[Chunk]]] = []
 
     def reserve(self, length: int, **properties: Any) -> int:
-        """Add a view of data that is written later; return its number."""
+        """Add a view of data that is written later; return its index."""
         start = _aligned(self.length)
         self.length = start + length
         view = {"buffer": 0, "byteOffset": start, "byteLength": length, **properties}
         return append(self.document, "bufferViews", view)
 
     def add(self, data: Iterable[Chunk], length: int, **properties: Any) -> int:
-        """Add a view of data that is known already; return its number."""
+        """Add a view of given data; return its index."""
         number = self.reserve(length, **properties)
         self.contents.append((self.document["bufferViews"][number]["byteOffset"], data))
         return number
 
     def add_array(self, values: NDArray[Any], **properties: int) -> int:
-        """Add an array with a view of its own; return its accessor: values ``(n,), (n, k)``."""
+        """Add an array ``(n,)`` or ``(n, k)`` in a view of its own; return its accessor."""
         data = np.ascontiguousarray(values)
         view = self.add([data], data.nbytes, **properties)
         width = 1 if data.ndim == 1 else data.shape[1]
@@ -72,7 +69,7 @@ class Layout:
         return self.accessor(view, len(data), kind, component=COMPONENT_OF[data.dtype.str[1:]])
 
     def accessor(self, view: int, count: int, kind: str, offset: int = 0, component: int = FLOAT) -> int:
-        """Add an accessor of what is at an offset in a view; return its number."""
+        """Add an accessor at an offset in bytes within a view; return its index."""
         accessor = {
             "bufferView": view,
             "byteOffset": offset,
@@ -83,26 +80,26 @@ class Layout:
         return append(self.document, "accessors", accessor)
 
     def bounded(self, accessor: int, bounds: Bounds = UNKNOWN) -> Json:
-        """Give an accessor its bounds, or room for them until they are known; return the accessor."""
+        """Set the bounds of an accessor, or reserve room for them; return the accessor."""
         found: Json = self.document["accessors"][accessor]
         found["min"], found["max"] = bounds
         return found
 
 
 def append(document: Json, member: str, entry: Json) -> int:
-    """Add an entry to one of the document's lists; return its number."""
+    """Append an entry to a list of the document; return its index."""
     entries = document.setdefault(member, [])
     entries.append(entry)
     return len(entries) - 1
 
 
 def glb_size(layout: Layout) -> int:
-    """Return the bytes of a .glb of a document; its ``buffers`` are left to the writer."""
+    """Return the size of a .glb in bytes; the writer adds the document's ``buffers``."""
     return 28 + _aligned(len(_encoded(layout.document))) + _aligned(layout.length)
 
 
 class BufferWriter:
-    """Writes a buffer front to back; what is left out between the views becomes zeros."""
+    """Writer of a buffer, front to back; gaps between views are filled with zeros."""
 
     def __init__(self, write: Callable[[bytes], object]) -> None:
         self._write = write
@@ -121,7 +118,7 @@ class BufferWriter:
 
 @contextmanager
 def writing_buffer(path: Path, temporary: Path, layout: Layout) -> Iterator[BufferWriter]:
-    """Write a file: what the layout has, then what the block puts, then the document as it is then."""
+    """Write a file: data of the layout, then data put by the block, then the document in its final state."""
     binary = path.suffix.lower() == ".glb"
     layout.document["buffers"] = [{"byteLength": layout.length}]
     _check_size(path, layout, binary)
@@ -152,7 +149,7 @@ def _text(file: IO[bytes], layout: Layout) -> Iterator[BufferWriter]:
     rest = b""
 
     def write(data: bytes) -> None:
-        """Write all that fills groups of three bytes, which become four letters."""
+        """Write whole groups of three bytes, each as four base64 letters."""
         nonlocal rest
         data = rest + data
         whole = len(data) // 3 * 3

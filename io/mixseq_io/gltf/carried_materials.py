@@ -33,7 +33,7 @@ def carried_materials(layout: Layout, names: Collection[str], origin: Origin | N
 
 
 class _Copy:
-    """What has been copied from one document to another, so that nothing is there twice."""
+    """Copier between two documents that copies each entry once."""
 
     def __init__(self, layout: Layout, original: Document) -> None:
         self._layout, self._original = layout, original
@@ -49,7 +49,7 @@ class _Copy:
         return found
 
     def _entry(self, kind: str, number: int) -> int:
-        """Copy an entry of one of the original's lists, and what it refers to; return its number here."""
+        """Copy an entry of a list and all it refers to; return its new index."""
         if (kind, number) not in self._copied:
             original = self._original.top.objects(kind)[number]
             entry = deepcopy(dict(original.values))
@@ -74,7 +74,7 @@ class _Copy:
 
 
 def _references(kind: str, entry: Json) -> Iterator[tuple[Json, str, str]]:
-    """Yield every reference in a material or a texture: the object and the member it is in, and what it refers to."""
+    """Yield each reference of a material or texture: its object, its member and the kind of entry it refers to."""
     if kind == "textures":
         for owner in (entry, *entry.get("extensions", {}).values()):
             if "source" in owner:

@@ -1,15 +1,10 @@
-"""A glTF document of a sequence with everything else of the file that it came from.
+"""A glTF document of a sequence laid over its original file, whose other contents are kept.
 
-Kept are materials, textures, images, samplers, cameras, lights, other meshes, all nodes, and all attributes but those
-that change: the meshes of the sequence get new positions and normals (normals only where they had some, else they
-would look smoother), and lose skins, morph targets, tangents. Triangles, strips and fans stay as they are, and the
-vertices are in the file's own order, each moving as the vertex of the sequence that it was welded to. Points are in
-world space. The nodes of these meshes stay where they are, and undo what is above them; where that cannot be, because
-it moves or shears, they become a root of the scene, or several below one, which comes first: a path means the mesh that
-moves. What hung below them stays where it was. A file that is written again and again does not grow.
-
-All animations of the file are replaced by the sequence, and by what else moves. What nothing refers to any more is
-taken out.
+Meshes of the sequence get new world-space positions, and new normals where they had some; they lose skins, morph
+targets and tangents. Primitives and vertex order stay. Their nodes get the inverse transform of their parents; where a
+parent moves or shears, they become a root of the scene, or several below one root, which comes first. Former children
+keep their place. All animations are replaced by the sequence and by other motion of the file, and unreferenced data
+are removed, so that repeated writing does not grow the file.
 """
 
 from __future__ import annotations
@@ -54,7 +49,7 @@ _TRIANGLES = 4
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """Where a mesh of the sequence is in a file."""
+    """Node and primitives of the file that a mesh of the sequence belongs to."""
 
     scene_mesh: SceneMesh
     node: int
@@ -63,12 +58,12 @@ class Place:
     corners: Index
 
     def triangles(self, primitive: Primitive) -> NDArray[np.int32]:
-        """Return the triangles of a primitive as the sequence has them, by the primitive's vertices."""
+        """Return the triangles ``(F, 3)`` of a primitive in the sequence's order, by the primitive's vertices."""
         return _turned(primitive.triangles, self.mirrored)
 
 
 def find_places(document: Document, scene: Scene, header: SequenceHeader) -> list[Place]:
-    """Find the meshes of a sequence in a file: by their paths, else by their triangles if a single mesh has them."""
+    """Find the meshes of a sequence in a file: by path, else by triangles if a single mesh has the same."""
     meshes = {path: node for node, path in scene.paths.items() if scene.nodes[node].index("mesh") is not None}
 
     def welded(node: int) -> Weld:
@@ -84,7 +79,7 @@ def find_places(document: Document, scene: Scene, header: SequenceHeader) -> lis
 
 
 def _fitted(scene_mesh: SceneMesh, node: int, welded: Weld) -> Place | None:
-    """Lay a mesh of the sequence over one of the file; None if it has other vertices or triangles."""
+    """Match a mesh of the sequence with one of the file; None if vertices or triangles differ."""
     same_count = welded.count == scene_mesh.vertex_count
     if not (same_count and scene_mesh.polygons.only_triangles and all(map(len, welded.of_primitive))):
         return None
@@ -118,9 +113,9 @@ def _turned(triangles: NDArray[Any], mirrored: bool) -> NDArray[Any]:
 def lay_over(
     document: Document, header: SequenceHeader, sources: ArrayLike | None = None
 ) -> tuple[Layout, list[MovingMesh], OtherMotion]:
-    """Return the file's document with its data, what of it will move with the sequence, and what else moves.
+    """Return the file's document with its data, the meshes that follow the sequence, and other motion.
 
-    `sources` are the times (T,) of the file that the frames show, in seconds.
+    `sources` ``(T,)`` are the times of the file that the frames show, in seconds.
     """
     scene = read_scene(document)
     places = find_places(document, scene, header)
@@ -142,7 +137,7 @@ def lay_over(
         for each in shown_in:
             each["nodes"] = [root, *(node for node in each.get("nodes", ()) if node != root)]
     carried["asset"]["generator"] = GENERATOR
-    json.dumps(carried, allow_nan=False)  # NaN is read, but must not be written: better to know it now
+    json.dumps(carried, allow_nan=False)  # NaN is read, but must not be written; fail early
     prune(document.path, carried)
     layout = _with_data(carried, document)
     for place, mesh in zip(places, meshes, strict=True):
@@ -155,7 +150,7 @@ def lay_over(
 
 
 def _inverse(scene: Scene, node: int, moved: Set[int]) -> Json | None:
-    """Return what a node needs to undo those above it; None if that cannot be, or it is hidden."""
+    """Return the transform of a node that inverts its parents'; None if there is none, or the node is hidden."""
     parent = scene.parents[node]
     if node in scene.hidden or not moved.isdisjoint(scene.above(parent)):
         return None
@@ -165,7 +160,7 @@ def _inverse(scene: Scene, node: int, moved: Set[int]) -> Json | None:
 
 
 def _stand_in_world(entry: Json, inverse: Json | None) -> None:
-    """Let a node undo what is above it, or nothing; the mark is there only where it undoes something."""
+    """Set a node's transform to an inverse, marked in its extras; leave it without for None or {}."""
     extras = entry.pop("extras", {})
     if isinstance(extras, dict):
         extras = {key: value for key, value in extras.items() if key != MARK} | (
@@ -188,7 +183,7 @@ def _drop_animations(carried: Json, document: Document, scene: Scene, places: Se
 
 
 def _new_mesh(carried: Json, document: Document, place: Place) -> MovingMesh:
-    """Give a node a mesh of its own, without anything that depends on the old positions."""
+    """Give a node a mesh of its own without data that depend on the old positions."""
     if place.weld.skipped:
         warn(f"{document.path}: points or lines in the mesh {place.scene_mesh.path!r} are left out")
     node = carried["nodes"][place.node]
@@ -211,7 +206,7 @@ def _new_mesh(carried: Json, document: Document, place: Place) -> MovingMesh:
 
 
 def _groups(place: Place, primitive: Primitive, corners: slice) -> NDArray[np.int32]:
-    """Return for every vertex of a primitive its group of corners that share a normal."""
+    """Return the index of the shared normal of every vertex ``(n,)`` of a primitive."""
     polygons, hard_edges = place.scene_mesh.polygons, place.scene_mesh.hard_edges
     groups = np.zeros(len(primitive.positions), dtype=np.int32)
     of_corner = polygons.indices if hard_edges is None else hard_edges
@@ -228,7 +223,7 @@ def _without_positions(entry: Json) -> Json:
 
 
 def _with_data(carried: Json, document: Document) -> Layout:
-    """Return the document with its buffer views, all in one buffer."""
+    """Return the document with its buffer views in one buffer."""
     views = carried.pop("bufferViews", [])
     layout = Layout(carried)
     for number, view in enumerate(views):

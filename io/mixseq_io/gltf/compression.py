@@ -1,12 +1,8 @@
-"""Compressed glTF files as if they were not: views and primitives get buffers that are unpacked when they are read.
+"""Compressed glTF files as uncompressed documents: views and primitives get buffers that are unpacked when read.
 
-``EXT_meshopt_compression``, which ``KHR_meshopt_compression`` continues, packs buffer views (`mixseq_io.gltf.meshopt`);
-``KHR_draco_mesh_compression`` packs the triangles of a primitive with all that is on them (`mixseq_io.gltf.draco`).
-A primitive that has both a packed form and a plain one is read plain.
-
-Specification:
-https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Vendor/EXT_meshopt_compression/README.md,
-https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Khronos/KHR_draco_mesh_compression/README.md
+``EXT_meshopt_compression`` and ``KHR_meshopt_compression`` pack buffer views (`mixseq_io.gltf.meshopt`),
+``KHR_draco_mesh_compression`` packs triangles and attributes of a primitive (`mixseq_io.gltf.draco`), which is read
+plain if it has a plain form, too. Those modules have the specifications.
 """
 
 from __future__ import annotations
@@ -30,7 +26,7 @@ _ALIGNMENT = 4
 
 
 def plain(document: Document) -> Document:
-    """Return a document without compression; nothing is unpacked yet."""
+    """Return a document without compression; data are unpacked when they are read."""
     edits = _Edits(document)
     for number, view in enumerate(document.items("bufferViews")):
         name = next((each for each in MESHOPT if each in view.object("extensions")), None)
@@ -44,7 +40,7 @@ def plain(document: Document) -> Document:
 
 
 class _Edits:
-    """A document without compression in the making."""
+    """Edits that replace compressed parts of a document."""
 
     def __init__(self, document: Document) -> None:
         self._compressed = document
@@ -56,7 +52,7 @@ class _Edits:
         self._placed: dict[int, bool] = {}
 
     def document(self) -> Document:
-        """Return it."""
+        """Return the edited document."""
         for member in ("extensionsUsed", "extensionsRequired"):
             left = [name for name in self._compressed.top.texts(member) if name not in (DRACO, *MESHOPT)]
             self._json.pop(member, None)
@@ -70,7 +66,7 @@ class _Edits:
         return self._compressed.edited(self._json, self._unpacking)
 
     def unpack_view(self, number: int, view: Fields, packed: Fields) -> None:
-        """Let a view that meshoptimizer packed be a view of what is unpacked."""
+        """Point a meshopt-compressed view at a buffer of unpacked data."""
         count, stride = packed.integer("count"), packed.integer("byteStride")
         if stride < 1 or count * stride != view.integer("byteLength"):
             raise packed.error(
@@ -82,7 +78,7 @@ class _Edits:
         self._json["bufferViews"][number] = {"buffer": buffer, "byteLength": count * stride, **kept}
 
     def unpack_primitive(self, mesh: int, place: int, primitive: Fields) -> None:
-        """Let the accessors of a primitive that Draco packed be what is unpacked, unless they have data."""
+        """Point accessors without data of their own at the unpacked data of a Draco primitive."""
         packed = primitive.object("extensions").object(DRACO)
         names = packed.object("attributes")
         position = primitive.object("attributes").index("POSITION")
@@ -124,7 +120,7 @@ class _Edits:
         self._json["meshes"][mesh] = {**entry, "primitives": primitives}
 
     def _buffer(self, length: int, unpack: Callable[[], bytes]) -> int:
-        """Add a buffer that is unpacked when it is read; return its number."""
+        """Add a buffer that is unpacked when read; return its index."""
         self._json.setdefault("buffers", []).append({"byteLength": length})
         number = len(self._json["buffers"]) - 1
         self._unpacking[number] = unpack

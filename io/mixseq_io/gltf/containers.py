@@ -1,7 +1,4 @@
-"""Where the bytes of a glTF file are: in a .glb, in its JSON, in files beside it.
-
-Bytes of files are read where they are asked for: a morph target per frame makes files large, and one block of frames
-needs few of them.
+"""Bytes of a glTF file in a .glb chunk, its JSON, or files beside it; files are read on demand.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#glb-file-format-specification
 """
@@ -23,7 +20,7 @@ from mixseq_io.reader import reading
 
 
 class _File(io.FileIO):
-    """A file that is closed with its last reader; it stays the one that was opened if another takes its name."""
+    """File closed with its last reader; it stays the opened one if another file takes its name."""
 
     def __del__(self) -> None:
         self.close()
@@ -31,24 +28,18 @@ class _File(io.FileIO):
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """A run of bytes."""
+    """Range of bytes in a file or in memory."""
 
     source: _File | bytes
     start: int
     size: int
 
     def part(self, start: int, size: int) -> Data:
-        """Return a run within this one."""
+        """Return a range within this one."""
         return Data(self.source, self.start + start, size)
 
     def read(self, start: int, size: int) -> bytes:
-        """Return bytes of it; fewer only where it ends.
-
-        Raises
-        ------
-        FormatError
-            If the file has been cut since it was opened.
-        """
+        """Return `size` bytes, fewer only at the end; raise `FormatError` if the file was cut since it was opened."""
         size = max(0, min(size, self.size - start))
         at = self.start + start
         if isinstance(self.source, bytes):
@@ -73,7 +64,7 @@ def data_of_file(path: Path) -> Data:
 
 
 def data_in_memory(content: bytes) -> Data:
-    """Return bytes that are in memory already."""
+    """Return bytes held in memory."""
     return Data(content, 0, len(content))
 
 
@@ -101,7 +92,7 @@ def chunks(path: Path, data: Data) -> tuple[bytes, Data | None]:
 
 
 def data_of_uri(buffer: Fields, uri: str) -> Data:
-    """Return the bytes of a data URI, or of a file beside."""
+    """Return the bytes of a data URI or of a file beside the document."""
     if uri.startswith("data:"):
         header, _, data = uri.partition(",")
         if not header.endswith(";base64"):

@@ -1,7 +1,6 @@
-"""glTF files (.gltf, .glb): the JSON, and the numbers in its buffers.
+"""glTF files (.gltf, .glb): the JSON, kept unchanged for writers, and the numbers in its buffers.
 
-The JSON is kept as it stands, so that a writer can hand on what nothing here knows. Every count and offset is
-compared with the bytes that are there before an array is made.
+Every count and offset is compared with the available bytes before an array is allocated.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 """
@@ -25,12 +24,12 @@ from mixseq_io.memory import check_memory
 from mixseq_io.reader import reading
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-"""NumPy's names of ``componentType``."""
+"""NumPy dtypes by ``componentType``."""
 
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-"""Numbers per element of the accessor types; MAT2 and MAT3 occur nowhere in meshes and animations."""
+"""Numbers per element by accessor type; MAT2 and MAT3 do not occur in meshes and animations."""
 
-# What a file may name without having it: zeros, and the same mesh in many places.
+# Numbers allowed beyond the stored bytes: zeros, and the same mesh in many places.
 _FREE_NUMBERS, _NUMBERS_PER_BYTE = 10_000_000, 16
 
 _KINDS = (
@@ -48,7 +47,7 @@ _KINDS = (
 
 @dataclass(frozen=True, eq=False)
 class Document:
-    """A glTF file: its JSON in memory, its numbers where they are."""
+    """glTF file: JSON in memory, numbers read on demand."""
 
     path: Path
     json: dict[str, Any]
@@ -62,20 +61,20 @@ class Document:
         return {kind: self.top.objects(kind) for kind in _KINDS}
 
     def edited(self, json: dict[str, Any], unpacking: Mapping[int, Callable[[], bytes]]) -> Document:
-        """Return the file with another JSON, whose further buffers are unpacked when they are read."""
+        """Return the file with another JSON, whose additional buffers are unpacked when read."""
         return Document(self.path, json, self.chunk, self.size, unpacking)
 
     @property
     def top(self) -> Fields:
-        """The JSON's outermost object."""
+        """Outermost JSON object."""
         return Fields(self.path, "", self.json)
 
     def items(self, kind: str) -> list[Fields]:
-        """Return all ``"nodes"``, ``"meshes"``, ``"animations"`` ..."""
+        """Return all items of a list such as ``"nodes"``, ``"meshes"`` or ``"animations"``."""
         return self._items[kind]
 
     def item(self, kind: str, index: int) -> Fields:
-        """Return one of them."""
+        """Return an item of such a list."""
         items = self._items[kind]
         if not 0 <= index < len(items):
             raise FormatError(
@@ -84,10 +83,7 @@ class Document:
         return items[index]
 
     def accessor(self, index: int) -> NDArray[Any]:
-        """Return the numbers of an accessor; sparse values are filled in, normalised integers made floats.
-
-        Shapes: result ``(n,)``.
-        """
+        """Return an accessor's numbers ``(n,)`` or ``(n, k)``, sparse values filled in, normalised ones as floats."""
         accessor = self.item("accessors", index)
         dtype, width = layout_of(accessor)
         count = accessor.integer("count")
@@ -105,16 +101,16 @@ class Document:
 
     @cached_property
     def data_size(self) -> int:
-        """Bytes of the file and its buffers."""
+        """Size of the file and its buffers in bytes."""
         stored = (index for index in range(len(self.items("buffers"))) if self._is_stored(index))
         return self.size + sum(self.buffer(index).size for index in stored)
 
     def _is_stored(self, index: int) -> bool:
-        """Whether a buffer is in a file; others are made, or are room for what is unpacked."""
+        """Whether a buffer is stored in a file; others are generated or reserve room for unpacked data."""
         return "uri" in self.item("buffers", index) or (index == 0 and self.chunk is not None)
 
     def check_effort(self, numbers: int, what: str) -> None:
-        """Refuse what has far more numbers than the file has bytes; a damaged or hostile file can name any count."""
+        """Raise an error for far more numbers than the file has bytes, as damaged or hostile files announce."""
         if numbers > _FREE_NUMBERS + _NUMBERS_PER_BYTE * self.data_size:
             raise FormatError(
                 f"{self.path}: {what} have {numbers} numbers, but the file only {self.data_size} bytes; it is damaged, "
@@ -123,7 +119,7 @@ class Document:
         check_memory(self.path, 8 * numbers, what)
 
     def buffer(self, index: int) -> Data:
-        """Return the bytes of a buffer: a part of the .glb, a data URI, or a file beside."""
+        """Return the bytes of a buffer: a .glb chunk, a data URI, or a file beside."""
         if index not in self._buffers:
             self._buffers[index] = self._read_buffer(index)
         return self._buffers[index]
@@ -144,7 +140,7 @@ class Document:
         return data.part(0, length)
 
     def part(self, place: Fields) -> bytes:
-        """Return the bytes at a place: an object with ``buffer``, ``byteOffset`` and ``byteLength``."""
+        """Return the bytes of an object with ``buffer``, ``byteOffset`` and ``byteLength``."""
         data = self.buffer(place.integer("buffer"))
         start, length = place.integer("byteOffset", 0), place.integer("byteLength")
         if start + length > data.size:
@@ -152,7 +148,7 @@ class Document:
         return data.read(start, length)
 
     def _numbers(self, owner: Fields, dtype: np.dtype[Any], shape: tuple[int, int]) -> NDArray[Any]:
-        """Return the numbers that an accessor, or a part of a sparse one, points at."""
+        """Return the numbers ``(n, k)`` of an accessor or of a part of a sparse one."""
         view = self.item("bufferViews", owner.integer("bufferView"))
         data = self.buffer(view.integer("buffer"))
         start, length = view.integer("byteOffset", 0), view.integer("byteLength")
@@ -185,7 +181,7 @@ class Document:
 
 
 def load_document(path: Path) -> Document:
-    """Read a .gltf or .glb file; buffers in other files are read when they are needed."""
+    """Read a .gltf or .glb file; buffers in other files are read on demand."""
     with reading(path, "glTF"):
         data = data_of_file(path)
         binary = data.read(0, 4) == b"glTF"
@@ -202,12 +198,12 @@ def load_document(path: Path) -> Document:
         )
     check_extensions(top)
     document = Document(path, parsed, chunk, data.size)
-    document.items("nodes")  # raises what is wrong with any of the lists
+    document.items("nodes")  # raises errors of any of the lists
     return document
 
 
 def layout_of(accessor: Fields) -> tuple[np.dtype[Any], int]:
-    """Return the type of an accessor's components, and how many an element has."""
+    """Return the dtype of an accessor's components and their number per element."""
     kind, shape = accessor.integer("componentType"), accessor.text("type")
     if kind not in COMPONENTS or shape not in WIDTHS:
         raise accessor.error(

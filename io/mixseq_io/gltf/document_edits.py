@@ -1,4 +1,4 @@
-"""Changes to a glTF document that is written again: nodes leave their place, unused data goes, images come in."""
+"""Edits of a glTF document that is written again: detach nodes, remove unused data, embed images."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mixseq_io.gltf.document import Document
 from mixseq_io.gltf.json_fields import Fields
 from mixseq_io.gltf.node_tree import Scene
 
-_PRUNED = ("meshes", "accessors", "bufferViews")  # what refers before what is referred to
+_PRUNED = ("meshes", "accessors", "bufferViews")  # referrers before their targets
 
 # Extensions that refer to none of these, or as is known here.
 _HARMLESS = (
@@ -29,9 +29,9 @@ _HARMLESS = (
 
 
 def prune(path: Path, document: Json) -> None:
-    """Take unused meshes, accessors and buffer views out of a document, and renumber the others.
+    """Remove unused meshes, accessors and buffer views from a document, and renumber the others.
 
-    Skins that no node has stay without their matrices: they tell programs such as Blender which nodes are bones.
+    Unused skins stay without matrices: programs such as Blender use them to recognise bones.
     """
     unknown = sorted(name for name in used_extensions(document) if not name.startswith(_HARMLESS))
     if unknown:
@@ -53,7 +53,7 @@ def prune(path: Path, document: Json) -> None:
 
 
 def used_extensions(document: Json) -> set[str]:
-    """Return the extensions that have objects anywhere in a document, declared or not."""
+    """Return the extensions used by objects of a document, declared or not."""
     found: set[str] = set()
     waiting: list[Any] = [document]
     while waiting:
@@ -80,7 +80,7 @@ def _prune(document: Json, kind: str) -> None:
 
 
 def _references(document: Json) -> Iterator[tuple[Json, str, str]]:
-    """Yield every reference: the object and the member it is in, and what it refers to."""
+    """Yield each reference: its object, its member and the kind of entry it refers to."""
     for node in document.get("nodes", ()):
         yield from _members(node, {"mesh": "meshes"})
     for mesh in document.get("meshes", ()):
@@ -111,9 +111,9 @@ _OF_A_GROUP = {"name", "matrix", "translation", "rotation", "scale"}
 
 
 def detach(document: Json, node: int, in_place: bool = False) -> int | None:
-    """Take a node with a mesh out of the tree, without its transform; what else it was, a new node is in its place.
+    """Take a node with a mesh out of the tree, without its transform; return the node left in its place, if any.
 
-    A new node is needed if it had children, was a joint, had a camera or a light.
+    A new node takes its place if it had children, a camera or a light, or was a joint.
     """
     entry = document["nodes"][node]
     rest = {key: entry.pop(key) for key in list(entry) if key not in _OF_THE_MESH}
@@ -138,10 +138,7 @@ def detach(document: Json, node: int, in_place: bool = False) -> int | None:
 
 
 def vacant(document: Json, scene: Scene, above: Collection[int]) -> int | None:
-    """Return the node that was above all that was detached if it is a root and of no more use, else None.
-
-    Where a file was written by mixseq, that is the one which `group` had made.
-    """
+    """Return the former root of all detached nodes if it is now unused, such as that of `group`, else None."""
     if len(above) != 1 or min(above) < 0 or scene.parents[min(above)] >= 0:
         return None
     (node,) = above
@@ -152,7 +149,7 @@ def vacant(document: Json, scene: Scene, above: Collection[int]) -> int | None:
 
 
 def _replace(owner: Json, key: str, node: int, place: Sequence[int]) -> None:
-    """Put what is in a node's place into a list of nodes; without any the list may vanish, as it must not be empty."""
+    """Replace a node in a list of nodes by others; an empty list is removed where glTF forbids it."""
     if node in owner.get(key, ()):
         owner[key] = [new for old in owner[key] for new in (place if old == node else [old])]
         if not owner[key]:
@@ -168,7 +165,7 @@ _BEGINNINGS = {
 
 
 def embed_images(layout: Layout, document: Document) -> None:
-    """Put the images of a document that are files into its buffer, byte for byte."""
+    """Move images from files into the document's buffer, byte for byte."""
     images = document.top.objects("images")
     for entry, image in zip(layout.document.get("images", ()), images, strict=True):
         uri = image.text("uri", "data:")

@@ -1,6 +1,4 @@
-"""Primitives that Draco packed: by the library of Google, in a process of its own.
-
-Packages: DracoPy (extra `gltf`).
+"""Draco-compressed primitives, unpacked by Google's library (DracoPy, extra `gltf`) in a process of its own.
 
 Specification: https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Khronos/KHR_draco_mesh_compression/README.md
 """
@@ -24,7 +22,7 @@ from mixseq_io.isolation import call_isolated
 
 @dataclass(frozen=True)
 class Wanted:
-    """What an accessor shall get."""
+    """Layout that an accessor expects."""
 
     unique_id: int | None
     dtype: np.dtype[Any]
@@ -33,14 +31,14 @@ class Wanted:
 
     @property
     def size(self) -> int:
-        """Its bytes."""
+        """Its size in bytes."""
         return self.count * self.width * self.dtype.itemsize
 
 
 def unpacked_primitive(
     document: Document, packed: Fields, wanted: Sequence[Wanted], sizes: Sequence[int]
 ) -> bytes:
-    """Return the numbers of accessors one after the other, each filled up to a size."""
+    """Return the numbers of several accessors one after the other, each padded to its size in bytes."""
     if find_spec("DracoPy") is None:
         raise MissingExtraError(
             f"{document.path} is compressed with Draco; to read it: pip install 'mixseq[gltf]'"
@@ -51,7 +49,7 @@ def unpacked_primitive(
 
 
 def decoded(path: Path, data: bytes, place: str, wanted: Sequence[Wanted]) -> list[NDArray[Any]]:
-    """Decode a primitive; see `unpacked_primitive`. A damaged one may end the process."""
+    """Decode a primitive; see `unpacked_primitive`. Damaged data may end the process."""
     import DracoPy
 
     fields = Fields(path, place, {})
@@ -65,7 +63,7 @@ def decoded(path: Path, data: bytes, place: str, wanted: Sequence[Wanted]) -> li
 
 
 def _fitted(fields: Fields, values: NDArray[Any] | None, wanted: Wanted) -> NDArray[Any]:
-    """Return values as the accessor has them; DracoPy gives integers as floats."""
+    """Convert values to the accessor's layout; DracoPy returns integers as floats."""
     if values is None or values.size != wanted.count * wanted.width:
         has = "nothing" if values is None else f"{values.size} numbers"
         raise fields.error(

@@ -1,9 +1,4 @@
-"""Primitives that Draco packs, as few bytes as it can. `mixseq_io.gltf.draco` unpacks.
-
-Draco puts vertices and triangles into an order of its own.
-
-Packages: DracoPy (extra `gltf`).
-"""
+"""Draco compression of primitives, which reorders vertices and triangles, by DracoPy (extra `gltf`)."""
 
 from __future__ import annotations
 
@@ -19,13 +14,13 @@ from mixseq.errors import MissingExtraError, OutputError
 from mixseq_io.colours import nearest_bytes
 
 _POSITION_BITS, _UV_BITS, _NORMAL_BITS = 11, 11, 7
-"""Bits of a number: a point is off by 1/4000 of the largest side of the mesh, a normal by a degree."""
+"""Bits per number: a point is off by 1/4000 of the mesh's largest side, a normal by one degree."""
 
 _BEST = 10
-"""DracoPy's name of the level at which it takes the fewest bytes."""
+"""DracoPy's level of the strongest compression."""
 
 _NAMES = {0: "POSITION", 1: "NORMAL", 2: "COLOR_0", 3: "TEXCOORD_0"}
-"""What Draco's types of attributes are in glTF."""
+"""glTF attribute names by Draco type."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,10 +40,7 @@ def compressed_triangles(
     uvs: NDArray[np.float32] | None,
     colours: NDArray[np.float32] | None,
 ) -> DracoTriangles:
-    """Compress triangles ``(F, 3)`` and what vertices have: points, normals ``(n, 3)``, texture coordinates, colours.
-
-    Texture coordinates are ``(n, 2)``; colours ``(n, 4)`` become bytes.
-    """
+    """Compress triangles ``(F, 3)``, points, normals ``(n, 3)``, uvs ``(n, 2)``, and colours ``(n, 4)`` as bytes."""
     library = _library()
     try:
         data = library.encode(

@@ -1,4 +1,4 @@
-"""When the frames of a glTF animation are."""
+"""Times of the frames of a glTF animation."""
 
 from __future__ import annotations
 
@@ -31,30 +31,18 @@ USUAL_RATES = (
 
 _MOST_FRAMES = 1_000_000
 _FASTEST_PLAYED = 60.0
-"""Keys on a finer grid than this are at hundredths or ticks, not at frames."""
+"""Highest rate in Hz at which keys count as frames; finer grids are hundredths of seconds or ticks."""
 _GAP = 1.5  # frames; a wider one has room for another
 _GRID = 2e-3  # of a frame; keys are float32
 
 
 def time_tolerance(times: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return by how much times can differ and yet be the same: a microsecond, or the next float32.
-
-    Examples
-    --------
-    >>> time_tolerance(np.array([0.5, 100.0])).tolist()
-    [1e-06, 7.62939453125e-06]
-    """
+    """Return the difference ``(n,)`` in s below which times are equal: a microsecond or a float32 step."""
     return np.maximum(SAME_TIME, np.spacing(np.abs(times).astype(np.float32)).astype(np.float64))
 
 
 def key_times(channels: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Return all times of all channels, increasing; what is the same time in two channels counts once.
-
-    Examples
-    --------
-    >>> key_times([np.array([0.0, 1.0]), np.array([0.5, 1.0000001, 2.0])]).tolist()
-    [0.0, 0.5, 1.0000001, 2.0]
-    """
+    """Return the times ``(n,)`` of all channels, increasing; equal times of two channels count once."""
     found = np.empty(0)
     for times in sorted(channels, key=len, reverse=True):
         found = united(found, times, time_tolerance(times))
@@ -62,7 +50,7 @@ def key_times(channels: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
 
 
 def sampled_times(path: Path, keys: NDArray[np.float64], fps: float) -> NDArray[np.float64]:
-    """Return times from the first key to the last, `fps` per second."""
+    """Return times ``(n,)`` from the first key to the last, `fps` per second."""
     if not (np.isfinite(fps) and fps > 0):
         raise SettingsError(f"fps is {fps}; a positive number is expected")
     if not keys.size:
@@ -77,13 +65,10 @@ def sampled_times(path: Path, keys: NDArray[np.float64], fps: float) -> NDArray[
 
 
 def played_times(keys: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
-    """Return the times of keys, and in wider gaps between them those of the frames at which they are played.
+    """Return the times of keys ``(n,)``, and of the frames played in wider gaps between them.
 
-    These are ``k / rate`` if the first key is on that grid, else ``rate`` per second from the first key on. A frame
-    that is less than half a frame from a key is left out. Nothing is added where there is a key in every frame, nor
-    where more than 100 000 frames would be.
-
-    Shapes: keys ``(n,)``.
+    These are ``k / rate`` if the first key is on that grid, else ``rate`` per second from the first key on. Frames less
+    than half a frame from a key are left out; nothing is added above 100 000 frames or where every frame has a key.
 
     Examples
     --------
@@ -106,19 +91,13 @@ def played_times(keys: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
 
 
 def played_rate(keys: NDArray[np.float64]) -> float:
-    """Return the frames per second at which keys are played: those of their grid, 24 if it is finer than 60.
-
-    Examples
-    --------
-    >>> played_rate(np.array([0.0, 1, 2, 5]) / 12), played_rate(np.array([0.0, 0.37, 0.83]))
-    (12.0, 24.0)
-    """
+    """Return the frame rate of keys ``(n,)``: that of their grid, 24 if it is finer than 60."""
     rate = rate_of(keys)
     return rate if rate <= _FASTEST_PLAYED else DEFAULT_FPS
 
 
 def rate_of(times: NDArray[np.float64]) -> float:
-    """Return the frames per second of keys that are even, else of the grid that they lie on, 24 if they lie on none.
+    """Return the frame rate of even keys ``(n,)``, else of the grid that they lie on, 24 if there is none.
 
     Examples
     --------
@@ -135,7 +114,7 @@ def rate_of(times: NDArray[np.float64]) -> float:
     steps = times - times[0]
     own = 1 / float(np.median(np.diff(times)))
     likely = [rate for rate in USUAL_RATES if abs(rate - own) < 1e-3 * own] or [own]
-    # Few keys with much between them tell nothing of a rate.
+    # A few distant keys determine no rate.
     for rate in (*(likely if own >= min(USUAL_RATES) else []), *USUAL_RATES):
         frames = steps * rate
         if np.abs(frames - np.rint(frames)).max() < _GRID:
@@ -144,9 +123,9 @@ def rate_of(times: NDArray[np.float64]) -> float:
 
 
 def _even_rate(times: NDArray[np.float64]) -> float | None:
-    """Return the rate of keys that are float32 times of even frames, None of others and of those far apart.
+    """Return the rate of float32 keys ``(n,)`` at even frames, None for others and for keys far apart.
 
-    Of the rates that round to the same keys it is a usual one, or else that with the fewest digits.
+    Of the rates that round to the same keys it is a usual one, or else the one with the fewest digits.
     """
     count, span = times.size - 1, float(times[-1] - times[0])
     rounding = 2 * float(np.spacing(np.float32(np.abs(times).max())))
@@ -160,7 +139,7 @@ def _even_rate(times: NDArray[np.float64]) -> float | None:
         whole > count
         and np.abs(times * (whole / times[-1]) - np.arange(whole - count, whole + 1)).max() < _GRID
     ):
-        rate, span = whole / float(times[-1]), float(times[-1])  # of frames from 0 on, which tell it best
+        rate, span = whole / float(times[-1]), float(times[-1])  # of frames from 0 on, the most precise
     error = rate * rounding / span
     usual = min((*USUAL_RATES, round(rate * 1.001) / 1.001), key=lambda usual: abs(usual - rate))
     # also what was rounded when somebody typed it, 29.97, as long as that makes no difference

@@ -1,8 +1,8 @@
-r"""The joints of a glTF skin, and its meshes, as they were when the meshes were bound to the joints.
+r"""Bind pose of a glTF skin: its joints, and the meshes on them.
 
-The inverse bind matrix :math:`I_j` of a joint takes the mesh to the joint's axes, so that the joint lies at
-:math:`I_j^{-1}` in the space of the mesh. What takes that space to the world moves with the joints; it is taken where
-the nodes stand, of the first joint without a parent, :math:`W_r I_r`, so that the joint r stands as its node does:
+The inverse bind matrix :math:`I_j` takes the mesh to the joint's axes, so that the joint lies at :math:`I_j^{-1}` in
+mesh space. Mesh space is placed in the world by the first joint without a parent, :math:`W_r I_r`, where its node
+stands:
 
 .. math:: M_j = W_r I_r I_j^{-1}.
 
@@ -45,7 +45,7 @@ def read_joints(path: Path, name: str | None) -> Skeleton:
 
 
 def nodes_on(document: Document, scene: Scene, name: str | None) -> list[int]:
-    """Return the nodes whose meshes follow a skeleton: those of its skins, and what hangs on its joints."""
+    """Return the nodes whose meshes follow a skeleton: those of its skins, and those below its joints."""
     wanted = set(joints_of(document, _chosen(document, name)))
     nodes = [node for node in chosen_nodes(document, scene, None) if _follows(document, scene, node, wanted)]
     if not nodes:
@@ -54,10 +54,9 @@ def nodes_on(document: Document, scene: Scene, name: str | None) -> list[int]:
 
 
 def bound(document: Document, shape: Shape, name: str | None) -> Shape:
-    """Return a shape on a single joint, the first without a parent, that takes it to where it was bound.
+    """Return a shape in its bind pose, bound to a single joint, the first without a parent.
 
-    From the space of its skin that is :math:`I_r`; what hangs on a joint j at a node n, of matrix :math:`W_n`, gets
-    there by :math:`I_r I_j^{-1} W_j^{-1} W_n`.
+    The transform is :math:`I_r` from its skin's space, :math:`I_r I_j^{-1} W_j^{-1} W_n` for a node n below a joint j.
     """
     scene, skin, fields = shape.scene, shape.skin, _chosen(document, name)
     joints = joints_of(document, fields)
@@ -84,7 +83,7 @@ def _follows(document: Document, scene: Scene, node: int, joints: Set[int]) -> b
 
 
 def _chosen(document: Document, name: str | None) -> Fields:
-    """Return the first skin of the skeleton that is meant; skins of the same joints are one skeleton."""
+    """Return the first skin of the chosen skeleton; skins with the same joints are one skeleton."""
     different: dict[frozenset[int], int] = {}
     for number, skin in enumerate(document.items("skins")):
         different.setdefault(frozenset(joints_of(document, skin)), number)
@@ -98,13 +97,13 @@ def _chosen(document: Document, name: str | None) -> Fields:
 
 
 def _parents(scene: Scene, joints: Sequence[int]) -> list[int]:
-    """Return the number of the nearest joint above each; nodes between them are none."""
+    """Return the index of each joint's nearest ancestor joint; nodes between them are skipped."""
     number = {joint: i for i, joint in enumerate(joints)}
     return [next((number[node] for node in scene.above(joint)[1:] if node in number), -1) for joint in joints]
 
 
 def _bind_pose(document: Document, scene: Scene, skin: Fields, parents: Sequence[int]) -> Float:
-    """Return the matrices ``(J, 4, 4)`` from each joint to the world."""
+    """Return the world matrices ``(J, 4, 4)`` of the joints."""
     joints = joints_of(document, skin)
     world = scene.world(joints, {})
     if (

@@ -1,7 +1,4 @@
-"""The JSON of a glTF file: its objects field by field, and the extensions that it may require.
-
-Nothing of an unexpected type gets further, and no mesh that cannot be understood without an unknown extension.
-"""
+"""Checked access to the JSON of a glTF file, and the extensions that it may require."""
 
 from __future__ import annotations
 
@@ -17,7 +14,7 @@ from numpy.typing import NDArray
 from mixseq.errors import FormatError
 
 SEQUENCE_EXTENSION = "MIXSEQ_mesh_sequence"
-"""A mesh whose frames are streams, see `mixseq_io.gltf.sequence_extension`."""
+"""Extension of meshes whose frames are streams, see `mixseq_io.gltf.sequence_extension`."""
 
 _UNDERSTOOD = (
     "EXT_meshopt_compression",
@@ -46,7 +43,7 @@ _HARMLESS = (
 
 
 def check_extensions(top: Fields) -> None:
-    """Refuse files whose meshes cannot be understood without an extension that is not known here."""
+    """Raise an error for files whose meshes need an unsupported extension."""
     for name in top.texts("extensionsRequired"):
         if name not in (*_UNDERSTOOD, *_HARMLESS) and not name.startswith(_APPEARANCE):
             raise FormatError(
@@ -59,7 +56,7 @@ _LARGEST = 2**53  # of the integers that JSON readers agree on
 
 @dataclass(frozen=True)
 class Fields:
-    """A JSON object, and where it stands."""
+    """JSON object and its path in the file."""
 
     file: Path
     place: str
@@ -69,11 +66,11 @@ class Fields:
         return key in self.values
 
     def integer(self, key: str, default: int | None = None) -> int:
-        """Return a non-negative integer; without a default it has to be there."""
+        """Return a non-negative integer, required unless there is a default."""
         return self._integer(key, self.values.get(key, default))
 
     def index(self, key: str) -> int | None:
-        """Return a reference to an item of another list, None if there is none."""
+        """Return an index into another list, None if absent."""
         return self.integer(key) if key in self.values else None
 
     def text(self, key: str, default: str = "") -> str:
@@ -82,21 +79,21 @@ class Fields:
         return value if isinstance(value, str) else self._unexpected(key, "a string")
 
     def flag(self, key: str) -> bool:
-        """Return a truth value, False if it is not there."""
+        """Return a truth value, False if absent."""
         value = self.values.get(key, False)
         return value if isinstance(value, bool) else self._unexpected(key, "true or false")
 
     def integers(self, key: str) -> list[int]:
-        """Return a list of non-negative integers, empty if it is not there."""
+        """Return a list of non-negative integers, empty if absent."""
         return [self._integer(f"{key}[{i}]", value) for i, value in enumerate(self._list(key))]
 
     def number(self, key: str, default: float) -> float:
-        """Return a finite number, or the default if it is not there."""
+        """Return a finite number, the default if absent."""
         value = self.values.get(key, default)
         return float(value) if _is_number(value) else self._unexpected(key, "a finite number")
 
     def numbers(self, key: str, count: int | None = None) -> NDArray[np.float64] | None:
-        """Return a list of finite numbers, as many as `count` says; None if it is not there."""
+        """Return a list of `count` finite numbers, None if absent."""
         if key not in self.values:
             return None
         numbers = self._list(key)
@@ -107,22 +104,22 @@ class Fields:
         return np.array(numbers, dtype=np.float64)
 
     def texts(self, key: str) -> list[str]:
-        """Return a list of strings, empty if it is not there."""
+        """Return a list of strings, empty if absent."""
         texts = self._list(key)
         if not all(isinstance(text, str) for text in texts):
             self._unexpected(key, "a list of strings")
         return texts
 
     def object(self, key: str) -> Fields:
-        """Return an object, an empty one if it is not there."""
+        """Return an object, an empty one if absent."""
         return self._object(key, self.values.get(key, {}))
 
     def objects(self, key: str) -> list[Fields]:
-        """Return a list of objects, empty if it is not there."""
+        """Return a list of objects, empty if absent."""
         return [self._object(f"{key}[{i}]", value) for i, value in enumerate(self._list(key))]
 
     def error(self, what: str) -> FormatError:
-        """Return an error about this object."""
+        """Return an error that names this object."""
         return FormatError(f"{self.file}: {self.place} {what}")
 
     def _list(self, key: str) -> list[Any]:

@@ -1,8 +1,4 @@
-"""Unpack buffer views that meshoptimizer packed: vertices, triangles and other indices.
-
-The data come from a stranger: meshoptimizer's own code unpacks them in a process of its own.
-
-Packages: meshopt (extra `gltf`).
+"""Unpack meshopt-compressed buffer views in a process of its own; package: meshopt (extra `gltf`).
 
 Specification: https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Vendor/EXT_meshopt_compression/README.md
 """
@@ -24,7 +20,7 @@ Rows = NDArray[np.uint8]
 
 
 def unpacked_view(document: Document, packed: Fields) -> bytes:
-    """Return what is in a view, given what the extension says of it."""
+    """Return the unpacked bytes of a view, given its extension object."""
     if find_spec("meshopt") is None:
         raise MissingExtraError(
             f"{document.path} is compressed by meshoptimizer; to read it: pip install 'mixseq[gltf]'"
@@ -38,7 +34,7 @@ def unpacked_view(document: Document, packed: Fields) -> bytes:
 
 
 def unpacked(path: Path, data: bytes, place: str, count: int, stride: int, mode: str, name: str) -> Rows:
-    """Unpack a view; see `unpacked_view`. A damaged one may end the process."""
+    """Unpack a view; see `unpacked_view`. Damaged data may end the process."""
     import meshopt
 
     try:

@@ -1,15 +1,10 @@
-r"""A base mesh with the targets of a `Morph`, as glTF has them.
+r"""A base mesh with the targets of a `Morph` in glTF.
 
-A target is displacements ``d_m`` and weights ``w_tm``, scaled to where sliders are (`mixseq_io.rig_arrays.shape_of`).
+A target is displacements ``d_m`` and weights ``w_tm``, scaled to sliders' range (`mixseq_io.rig_arrays.shape_of`).
+glTF blends normals as it does points, ``n_t ~ n_0 + sum_m w_tm e_m`` before normalisation. The ``e_m`` are fitted to
+the true normals ``N_t`` of all frames by least squares: with the matrix ``W`` of weights, ``E = W^+ (N - n_0)``.
 
-glTF blends normals as it does points, ``n_t ~ n_0 + sum_m w_tm e_m`` before they are normalised. Targets are modes
-here, not shapes to be seen one at a time, so the ``e_m`` are those that come closest to the true normals ``N_t`` of all
-frames: with the matrix ``W`` of weights, ``E = W^+ (N - n_0)`` (least squares).
-
-The animation of nodes, of bones too, has linear samplers with a key at every frame.
-
-Specifications: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#morph-targets,
-https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#animations
+Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#morph-targets
 """
 
 from __future__ import annotations
@@ -35,7 +30,7 @@ _KINDS = {"translation": "VEC3", "rotation": "VEC4", "weights": "SCALAR"}
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """What a property of some nodes is at every frame."""
+    """Values of a property of some nodes at every frame."""
 
     nodes: Sequence[int]
     path: str
@@ -43,15 +38,14 @@ class Track:
 
     @property
     def moves(self) -> bool:
-        """Whether the property ever changes."""
+        """Whether the property changes over time."""
         return bool((self.values != self.values[0]).any())
 
 
 def animate(layout: Layout, header: SequenceHeader, tracks: Sequence[Track]) -> None:
-    """Add the animation of a sequence, with keys at its frames, to a document.
+    """Add the linear animation of a sequence, with keys at its frames and rotations on the short arc, to a document.
 
-    Tracks that stand still are left out: nodes have the values of the first frame anyway. If all do, there is no
-    animation. Linear samplers turn rotations at a constant rate by the shorter way (spherical linear interpolation).
+    Constant tracks, and an animation without tracks, are left out: nodes have the values of the first frame.
     """
     moving = [track for track in tracks if track.moves]
     if not moving:
@@ -83,7 +77,7 @@ def animate(layout: Layout, header: SequenceHeader, tracks: Sequence[Track]) -> 
 
 
 _ILL_DEFINED = 1e-6
-"""Combinations of weights that are smaller than this, relative to the largest, say nothing of normals; ours."""
+"""Singular values of the weights below this fraction of the largest are ignored for normals."""
 
 
 def morphed_scene(morph: Morph) -> Layout:
@@ -94,7 +88,7 @@ def morphed_scene(morph: Morph) -> Layout:
 
 
 def add_targets(layout: Layout, meshes: Sequence[MovingMesh], morph: Morph) -> list[Track]:
-    """Give the meshes of a document points, normals and targets."""
+    """Give the meshes of a document points, normals and targets; return the tracks of weights."""
     base = as_float32(morph.base[None], 0, "glTF")[0]
     targets = as_float32(morph.targets, 0, "glTF", "a target of vertex")
     for mesh in meshes:
@@ -125,7 +119,7 @@ def _add(layout: Layout, mesh: MovingMesh, morph: Morph, base: Single, targets: 
 
 
 def _normals(mesh: MovingMesh, morph: Morph) -> tuple[Single, Single]:
-    """Return the normals of the base ``(G, 3)`` and what targets add to them ``(M, G, 3)``, see the module's head."""
+    """Return the normals of the base ``(G, 3)`` and of the targets ``(M, G, 3)``, see the module's head."""
 
     def normals_of(points: Float) -> Single:
         return shared_normals(

@@ -1,11 +1,8 @@
-"""Moving points as glTF's morph targets: the first frame is the mesh, every further frame a target.
+"""Moving points as glTF morph targets: the first frame is the mesh, every further frame a target.
 
-Frame ``k`` is ``x_k = x_0 + sum_j w_j(t_k) d_j`` with ``d_j = x_j - x_0`` and the weights ``w_j(t_k)`` one where
-``j = k``, else zero. Between the keys viewers interpolate weights linearly, hence points too. Normals go the same way.
-The weights are a matrix of T rows and T - 1 columns; all else grows with the number of frames only.
-
-``x_0`` and ``d_j`` are rounded to float32, so that a point is wrong by at most 2**-24 of its distance from where it
-was in the first frame, beside its own rounding.
+Frame ``k`` is ``x_k = x_0 + sum_j w_j(t_k) d_j`` with ``d_j = x_j - x_0`` and weights ``w_j(t_k)`` one where ``j = k``,
+else zero. Viewers interpolate weights linearly between keys, hence points and normals too. ``x_0`` and ``d_j`` are
+rounded to float32: a point is off by at most 2**-24 of its displacement since the first frame, plus its own rounding.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#morph-targets
 """
@@ -32,7 +29,7 @@ _BYTES_PER_VECTOR = 12
 
 @dataclass(frozen=True, eq=False)
 class MovingPrimitive:
-    """A primitive of the document whose vertices will move."""
+    """Primitive of the document with moving vertices."""
 
     entry: Json
     vertices: IntArray
@@ -41,7 +38,7 @@ class MovingPrimitive:
 
 @dataclass(frozen=True, eq=False)
 class MovingMesh:
-    """A mesh of the document whose vertices will move: its node, what it is of the sequence, its primitives."""
+    """Mesh of the document with moving vertices: its node, its mesh of the sequence, its primitives."""
 
     node: int
     scene_mesh: SceneMesh
@@ -49,7 +46,7 @@ class MovingMesh:
 
 
 class Morphs:
-    """The frames in the buffer: lays them out when it is made, then writes them one after the other."""
+    """Frames in the buffer: laid out on construction, then written one after the other."""
 
     def __init__(
         self,
@@ -85,7 +82,7 @@ class Morphs:
         append(layout.document, "animations", animation)
 
     def _lay_out(self, layout: Layout, frame: int) -> tuple[int, list[Json]]:
-        """Return where a frame's view begins, and the accessors of points that await their bounds."""
+        """Return the offset of a frame's view, and the accessors of points without bounds."""
         vectors = sum(
             len(each.vertices) * (1 if each.normals is None else 2)
             for mesh in self._meshes
@@ -109,13 +106,7 @@ class Morphs:
         return layout.document["bufferViews"][view]["byteOffset"], unbounded
 
     def write(self, frame: int, points: NDArray[np.float32], writer: BufferWriter) -> None:
-        """Write the points ``(V, 3)`` of a frame, which are remembered if it is the first.
-
-        Raises
-        ------
-        InvalidSequenceError
-            If points are too far from those of the first frame for float32.
-        """
+        """Write a frame's points ``(V, 3)``; `InvalidSequenceError` if too far from the first frame for float32."""
         normals = [
             shared_normals(
                 points[None, mesh.scene_mesh.vertices], mesh.scene_mesh.polygons, mesh.scene_mesh.hard_edges
@@ -143,10 +134,7 @@ class Morphs:
 
 
 def key_times(header: SequenceHeader, keep_start: bool = False) -> tuple[NDArray[np.float32], Json]:
-    """Return the times of the keys ``(T,)``, float32, and what the animation tells of them for our reader.
-
-    Its extras are ``fps``, and ``start``, the time in seconds that key time 0 is, if that is not 0.
-    """
+    """Return float32 key times ``(T,)``, and extras: ``fps``, and ``start``, the time in s at key 0, unless it is 0."""
     start = time_shift(header, keep_start)
     keys = (header.times - start).astype(np.float32)
     close = np.diff(keys) <= 0
@@ -160,16 +148,16 @@ def key_times(header: SequenceHeader, keep_start: bool = False) -> tuple[NDArray
 
 
 def time_shift(header: SequenceHeader, keep_start: bool = False) -> float:
-    """Return the time that becomes 0: the first one.
+    """Return the time in seconds that becomes 0: the first one.
 
-    Players show the first frame until its time comes, so of a shot that begins at frame 1001 they would for 40 s. Where
-    starts are kept only what glTF has no place for is moved: times before 0, and that of a single frame.
+    Players would otherwise show the first frame until then: 40 s for a shot that begins at frame 1001. `keep_start`
+    moves only times that glTF cannot hold: those before 0, and that of a single frame.
     """
     first = float(header.times[0])
     return 0.0 if keep_start and first >= 0 and header.frame_count > 1 else first
 
 
 def _one_hot(keys: int) -> Iterator[NDArray[np.float32]]:
-    """Yield the weights of the targets key by key."""
+    """Yield the weights of the targets ``(T - 1,)`` key by key."""
     for key in range(keys):
         yield (np.arange(1, keys) == key).astype(np.float32)

@@ -1,9 +1,8 @@
-"""A glTF document of a sequence alone: a node per object, plain materials by name.
+"""A stand-alone glTF document of a sequence: a node per object, plain materials by name.
 
-A mesh becomes triangles by material, with one vertex per combination of everything at a corner: glTF's primitives have
-one material and one index for all attributes of a vertex, so that a vertex at a seam of the texture, at a hard edge, or
-between materials becomes several. Every one of them tells which it was in the attribute ``_VERTEX``, so that they can
-be welded again without guessing.
+Meshes become triangles by material. Vertices are split at seams of texture coordinates, hard edges and borders of
+materials, since glTF primitives have one material and one index for all attributes. The attribute ``_VERTEX`` stores
+the sequence's vertex of each copy, so that readers can weld them again.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#meshes
 """
@@ -28,22 +27,10 @@ from mixseq_io.scene_meshes import SceneMesh, split
 
 @dataclass(frozen=True, eq=False)
 class SplitPrimitive:
-    """Triangles of one material, and their vertices.
+    """Triangles ``(m, 3)`` of one material by n split vertices, with uvs ``(n, 2)``, v up, and colours ``(n, 4)``.
 
-    Parameters
-    ----------
-    vertices : (n,) int
-        Vertex of the mesh that each glTF vertex is a copy of.
-    normals : (n,) int
-        Its group of corners that share a normal, see `mixseq.geometry.normals.shared_normals`.
-    uvs : (n, 2) float32 or None
-        Its texture coordinates, v upwards.
-    colours : (n, 4) float32 or None
-        Its colours.
-    triangles : (m, 3) uint32
-        Indices of glTF vertices.
-    face_set : FaceSet or None
-        The face set that the triangles are of.
+    `vertices` ``(n,)`` are the mesh's vertices that they copy, `normals` ``(n,)`` the indices of shared normals, see
+    `mixseq.geometry.normals.shared_normals`.
     """
 
     vertices: IntArray
@@ -55,10 +42,9 @@ class SplitPrimitive:
 
 
 def split_corners(mesh: SceneMesh) -> list[SplitPrimitive]:
-    """Split a mesh into primitives: one per face set that has polygons of its own, one for the rest.
+    """Split a mesh into primitives: one per face set with polygons of its own, one for the rest.
 
-    Vertices keep their order within a primitive. Those that no polygon uses are in the first one, without
-    triangles, so that their number stays the same.
+    Vertices keep their order within a primitive. Unused vertices go into the first one, without triangles.
     """
     owner = owners(mesh)
     of_corner = np.repeat(owner, mesh.polygons.counts)
@@ -97,14 +83,14 @@ def split_corners(mesh: SceneMesh) -> list[SplitPrimitive]:
 
 
 def _by_owner(owner: IntArray) -> Iterator[tuple[int, IntArray]]:
-    """Yield every owner, in ascending order, and the places where it is, in theirs."""
+    """Yield each owner in ascending order, with the indices of its elements in ascending order."""
     order = np.argsort(owner, kind="stable")
     found, starts = np.unique(owner[order], return_index=True)
     yield from zip(found.tolist(), np.split(order, starts[1:])[: len(found)], strict=True)
 
 
 def _distinct(columns: Sequence[IntArray]) -> tuple[IntArray, IntArray]:
-    """Find rows of n columns ``(n,)`` of indices that are not the same."""
+    """Return the rows of the distinct tuples of n columns ``(n,)``, and the index of each row's tuple."""
     numbers = columns[0].astype(np.int64)
     for column in columns[1:]:
         several = numbers * (int(column.max(initial=0)) + 1) + column
@@ -118,10 +104,7 @@ def _distinct(columns: Sequence[IntArray]) -> tuple[IntArray, IntArray]:
 
 
 def owners(mesh: SceneMesh) -> IntArray:
-    """Return which of the face sets has each polygon ``(P,)``, -1 for none.
-
-    Where they overlap, the first with a material wins, then the first.
-    """
+    """Return the face set of each polygon ``(P,)``, -1 for none; the first with a material wins, then the first."""
     owner = np.full(len(mesh.polygons.counts), -1, dtype=np.int32)
     numbers = [number for number, each in enumerate(mesh.face_sets) if distinguishes(each, mesh)]
     for number in sorted(numbers, key=lambda number: not mesh.face_sets[number].material)[::-1]:
@@ -130,7 +113,7 @@ def owners(mesh: SceneMesh) -> IntArray:
 
 
 def distinguishes(face_set: FaceSet, mesh: SceneMesh) -> bool:
-    """Whether a face set tells more than that these are all polygons of the mesh."""
+    """Whether a face set has a material or fewer polygons than the mesh."""
     return bool(face_set.material) or face_set.polygons.size < len(mesh.polygons.counts)
 
 
@@ -140,10 +123,7 @@ _LARGEST_SHORT = 2**16 - 1
 
 
 def new_scene(header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
-    """Return a document with all of a sequence but its frames, and what of it will move.
-
-    Objects without polygons are left out: glTF has no place for them.
-    """
+    """Return a document of a sequence without frames, and its moving meshes; objects without polygons are left out."""
     layout, meshes = new_meshes(header)
     root = group(layout.document, [mesh.node for mesh in meshes], header)
     layout.document["scene"], layout.document["scenes"] = 0, [{"nodes": [root]}]
@@ -151,7 +131,7 @@ def new_scene(header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
 
 
 def new_meshes(header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
-    """Return a document with the meshes of a sequence and a node for each, but without a scene."""
+    """Return a document of a sequence's meshes with a node each, without a scene, and its moving meshes."""
     layout = Layout({"asset": {"version": "2.0", "generator": GENERATOR}})
     scene_meshes = [scene_mesh for scene_mesh in split(header) if scene_mesh.polygons.counts.size]
     names = [header.name if len(scene_meshes) == 1 else scene_mesh.name for scene_mesh in scene_meshes]
@@ -163,10 +143,7 @@ def new_meshes(header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
 
 
 def group(document: Json, nodes: list[int], header: SequenceHeader, vacant: int | None = None) -> int:
-    """Return the root of a sequence's nodes: the only one, or one above them; it shows the points upright.
-
-    The one above them takes the place of the node `vacant`, if there is such a node.
-    """
+    """Return the root of a sequence's nodes, upright: the only node, or a parent of all (`vacant` if given)."""
     entry = {**named(header.name), "children": nodes}
     if len(nodes) == 1:
         root = nodes[0]
@@ -180,18 +157,7 @@ def group(document: Json, nodes: list[int], header: SequenceHeader, vacant: int 
 
 
 def upright(header: SequenceHeader) -> Json:
-    """Return the transform of a node that shows points with Y up and in metres, as all of glTF is.
-
-    Examples
-    --------
-    >>> times = np.zeros(1)
-    >>> from mixseq.polygons import Polygons
-    >>> one = Polygons.from_triangles([[0, 1, 2]])
-    >>> upright(SequenceHeader(polygons=one, vertex_count=3, times=times))
-    {}
-    >>> upright(SequenceHeader(polygons=one, vertex_count=3, times=times, up_axis="Z"))["matrix"][4:7]
-    [0.0, 0.0, -1.0]
-    """
+    """Return the transform of a node from the sequence's axes and units to glTF's, Y up and metres; {} for identity."""
     columns = {"X": [(0, 1, 0), (-1, 0, 0), (0, 0, 1)], "Z": [(1, 0, 0), (0, 0, -1), (0, 1, 0)]}
     matrix = np.eye(4)
     matrix[:3, :3] = header.metres_per_unit * np.array(columns.get(header.up_axis, np.eye(3)))
@@ -199,12 +165,12 @@ def upright(header: SequenceHeader) -> Json:
 
 
 def named(name: str) -> Json:
-    """Return the member ``name``, which glTF omits where there is none."""
+    """Return the member ``name``, or no member for an empty name."""
     return {"name": name} if name else {}
 
 
 def material_name(face_set: FaceSet) -> str:
-    """Return what a material is called in glTF: the last name of a path, or the face set's name."""
+    """Return a material's glTF name: the last name of its path, or the face set's name."""
     name = face_set.material
     return (name.rstrip("/").rpartition("/")[2] if name.startswith("/") else name) or face_set.name
 
@@ -237,12 +203,12 @@ def _new_primitive(
 
 
 def upside_down(uvs: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return texture coordinates ``(n, 2)`` with v downwards, as glTF has them."""
+    """Return texture coordinates ``(n, 2)`` with v pointing down, as in glTF."""
     return (uvs * (1, -1) + (0, 1)).astype(np.float32)
 
 
 def add_colours(layout: Layout, colours: NDArray[np.float32]) -> int:
-    """Add colours ``(n, 4)``, as bytes if these are the same; return their accessor."""
+    """Add colours ``(n, 4)``, as bytes where that is exact; return their accessor."""
     exact = as_bytes(colours)
     number = layout.add_array(within_one(colours) if exact is None else exact, target=VERTICES)
     if exact is not None:
@@ -251,22 +217,19 @@ def add_colours(layout: Layout, colours: NDArray[np.float32]) -> int:
 
 
 def narrow(indices: NDArray[np.uint32]) -> NDArray[np.uint32] | NDArray[np.uint16]:
-    """Return indices with two bytes each where that is enough; glTF keeps the largest number for itself."""
+    """Return indices ``(n,)`` as uint16 if they fit; glTF reserves the largest number."""
     return indices.astype(np.uint16) if indices.max(initial=0) < _LARGEST_SHORT else indices
 
 
 def add_vertex_numbers(layout: Layout, primitive: MovingPrimitive, vertex_count: int) -> None:
-    """Tell which vertex of the sequence's mesh each glTF vertex is; other programs ignore it.
-
-    It is written as float32, since glTF allows no 32-bit integers in attributes, unless there are too many.
-    """
+    """Store the sequence's vertex of each glTF vertex in ``_VERTEX``, as float32, unless the numbers are too large."""
     if vertex_count <= _LARGEST_EXACT:
         numbers = primitive.vertices.astype(np.float32)
         primitive.entry["attributes"]["_VERTEX"] = layout.add_array(numbers, target=VERTICES)
 
 
 def material(document: Json, name: str, materials: dict[str, int]) -> int:
-    """Return the number of the material of that name, a new one if need be; `materials` are those that are there."""
+    """Return the index of the material of a name, added if missing; `materials` are indices by name."""
     if name in materials:
         return materials[name]
     plain = {

@@ -1,4 +1,4 @@
-"""Which nodes of a glTF file are read, and what is on their meshes: faces, materials, colours, joints.
+"""Choice of the nodes to read from a glTF file, and their meshes: faces, materials, colours, joints.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#meshes-overview
 """
@@ -28,7 +28,7 @@ from mixseq_io.scene_meshes import SceneMesh
 
 
 def chosen_nodes(document: Document, scene: Scene, prim: str | None) -> list[int]:
-    """Return the nodes with meshes that `prim` means, or all; those that are hidden only if there are no others."""
+    """Return the nodes with meshes selected by `prim`, or all; hidden ones only if there are no others."""
     nodes = [node for node in scene.objects if "mesh" in scene.nodes[node]]
     if prim is not None:
         nodes = [nodes[i] for i in chosen(document.path, [scene.objects[node] for node in nodes], prim)]
@@ -38,7 +38,7 @@ def chosen_nodes(document: Document, scene: Scene, prim: str | None) -> list[int
 def moving_nodes(
     document: Document, scene: Scene, nodes: Sequence[int], channels: Collection[Channel]
 ) -> list[int]:
-    """Return the nodes whose meshes move; all if none does."""
+    """Return the nodes whose meshes move; all if none moves."""
     moved = {channel.node for channel in channels if channel.moves and channel.name != "weights"}
     morphed = {channel.node for channel in channels if channel.moves and channel.name == "weights"}
     moves = [
@@ -73,7 +73,7 @@ def scene_mesh_of(document: Document, shape: Shape, first: int, mirrored: bool) 
 
 
 def _uvs(primitives: Sequence[Primitive], corners: IntArray) -> CornerValues | None:
-    """Return TEXCOORD_0, whose v points down in glTF, as materials transform it; (0, 0) where only others have it."""
+    """Return TEXCOORD_0, whose v points down in glTF, after material transforms; (0, 0) for primitives without."""
     flip, up = np.array([1, -1], np.float32), np.array([0, 1], np.float32)
     found = [each.attribute("TEXCOORD_0", 2) for each in primitives]
     turned = [
@@ -84,7 +84,7 @@ def _uvs(primitives: Sequence[Primitive], corners: IntArray) -> CornerValues | N
 
 
 def _colours(primitives: Sequence[Primitive], corners: IntArray) -> CornerValues | None:
-    """Return COLOR_0; white, as renderers take it, where only other primitives have it."""
+    """Return COLOR_0; white, as in renderers, for primitives without."""
     return _joined_values(primitives, [_colours_of_vertices(each) for each in primitives], WHITE, corners)
 
 
@@ -106,7 +106,7 @@ def _joined_values(
     default: Sequence[float],
     corners: IntArray,
 ) -> CornerValues | None:
-    """Return what vertices of primitives have, each once, at corners; the default where only others have some."""
+    """Join values of vertices at corners, with the default for primitives without; None if none has any."""
     if all(each is None for each in found):
         return None
     values = [
@@ -126,7 +126,7 @@ def _transformed(primitive: Primitive, uvs: NDArray[Any]) -> NDArray[Any]:
 def _hard_edges(
     primitives: Sequence[Primitive], corners: IntArray, polygons: Polygons
 ) -> NDArray[np.int32] | None:
-    """Tell which corners share a normal; where a primitive has no normals, its faces are flat, says glTF."""
+    """Return the normal's index of every corner; primitives without normals are flat-shaded, as glTF specifies."""
     normals, flat = [], []
     for each in primitives:
         own = each.attribute("NORMAL", 3)
@@ -142,7 +142,7 @@ def _hard_edges(
 
 
 def _face_sets(document: Document, primitives: Sequence[Primitive]) -> tuple[FaceSet, ...]:
-    """Return a face set for every primitive with a material: that is what glTF has primitives for."""
+    """Return a face set for every primitive with a material."""
     face_sets, count = [], 0
     for each in primitives:
         polygons = np.arange(count, count + len(each.triangles))
@@ -155,7 +155,7 @@ def _face_sets(document: Document, primitives: Sequence[Primitive]) -> tuple[Fac
 
 
 def skinning_of(shapes: Sequence[Shape]) -> Skinning | None:
-    """Return the joints of all meshes, None if none has a skin; meshes without one follow their nodes."""
+    """Return the joints and weights of all meshes, None without skins; unskinned meshes follow their nodes."""
     if all(shape.skin is None for shape in shapes):
         return None
     return joined_skinning([_skinning(shape) for shape in shapes])
@@ -177,5 +177,5 @@ def _path(scene: Scene, node: int) -> str:
 
 
 def _path_above(scene: Scene, joint: int, joints: Sequence[int]) -> str:
-    """Return the path of the nearest joint above a joint; nodes between them are none."""
+    """Return the path of the nearest ancestor joint of a joint."""
     return next((_path(scene, each) for each in scene.above(joint)[1:] if each in joints), "")

@@ -1,4 +1,4 @@
-"""The node tree of a glTF file: names and paths, and where its nodes stand.
+"""Node tree of a glTF file: names, paths and world transforms.
 
 Matrices act on column vectors, ``p' = M p``.
 """
@@ -18,7 +18,7 @@ from mixseq_io.gltf.document import Document
 from mixseq_io.gltf.json_fields import Fields
 from mixseq_io.gltf.undoing import MARK, nearly_undone
 
-"""``(B, 4, 4)``, or ``(1, 4, 4)`` where nothing changes over the B frames."""
+"""``(B, 4, 4)``, or ``(1, 4, 4)`` if constant over the B frames."""
 
 Pose = Mapping[tuple[int, str], NDArray[np.float64]]
 """Animated values ``(B, k)`` by node and property: "translation", "rotation", "scale", "weights"."""
@@ -29,7 +29,7 @@ _REST = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0), "scal
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The nodes of a file, and those of its default scene."""
+    """Nodes of a file, and those of its default scene."""
 
     nodes: Sequence[Fields]
     parents: Sequence[int]
@@ -38,11 +38,11 @@ class Scene:
 
     @cached_property
     def paths(self) -> Mapping[int, str]:
-        """The paths of the nodes of the default scene, depth-first."""
+        """Paths of the default scene's nodes, depth-first."""
         return {node: each.path for node, each in self.objects.items()}
 
     def above(self, node: int) -> list[int]:
-        """Return a node and all nodes above it, the root last."""
+        """Return a node and its ancestors, the root last."""
         found = []
         while node >= 0:
             found.append(node)
@@ -50,7 +50,7 @@ class Scene:
         return found
 
     def with_above(self, nodes: Iterable[int]) -> set[int]:
-        """Return nodes and all nodes above them."""
+        """Return nodes and all their ancestors."""
         found = {-1}
         for node in nodes:
             while node not in found:
@@ -59,7 +59,7 @@ class Scene:
         return found - {-1}
 
     def world(self, wanted: Iterable[int], pose: Pose) -> dict[int, Float]:
-        """Return the matrices of nodes, from their own space to the world's."""
+        """Return the local-to-world matrices of nodes."""
         found: dict[int, Float] = {-1: np.eye(4)[None]}
         for node in wanted:
             missing = []
@@ -102,7 +102,7 @@ def _check_acyclic(nodes: Sequence[Fields], parents: Sequence[int]) -> None:
 
 
 def _roots(document: Document, parents: Sequence[int]) -> list[int]:
-    """Return the roots of the default scene; of the file, if it has no scenes."""
+    """Return the roots of the default scene, or of the file without scenes."""
     if not document.items("scenes"):
         return [node for node, parent in enumerate(parents) if parent < 0]
     scene = document.item("scenes", document.top.integer("scene", 0))
@@ -159,7 +159,7 @@ def _is_marked(node: Fields) -> bool:
 
 
 def _local(node: Fields, index: int, pose: Pose) -> Float:
-    """Return the matrices of a node, from its own space to its parent's."""
+    """Return the local matrices of a node, relative to its parent."""
     animated = [name for name in _REST if (index, name) in pose]
     matrix = node.numbers("matrix", 16)
     if matrix is not None:
@@ -184,13 +184,7 @@ def _property(node: Fields, index: int, name: str, pose: Pose) -> NDArray[np.flo
 
 
 def rotation_matrices(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the matrices ``(n, 3, 3)`` of quaternions ``(n, 4)``, x, y, z, w; those of no length do not rotate.
-
-    Examples
-    --------
-    >>> rotation_matrices(np.array([[0.0, 0.0, 2.0, 0.0]]))[0].tolist()
-    [[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]]
-    """
+    """Return rotation matrices ``(n, 3, 3)`` of quaternions ``(n, 4)``, x, y, z, w; the identity for zero length."""
     lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
     x, y, z, w = np.where(
         lengths > 0, quaternions / np.where(lengths > 0, lengths, 1), [0.0, 0.0, 0.0, 1.0]

@@ -1,7 +1,7 @@
-"""What else of a glTF file moves when a sequence is laid over it: cameras, lights and other meshes go on as they did.
+"""Other motion of a glTF file that a sequence is laid over: cameras, lights and other meshes keep theirs.
 
-They keep their own times, and get keys at the frames of the sequence, so that the animation lasts as long as that. This
-needs a file with one animation: of several, nothing tells which of them goes with the sequence.
+It keeps its own times, and gets keys at the frames of the sequence, so that the animation lasts as long. The file
+must have a single animation, since with several the matching one is unknown.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _SEEN = ("mesh", "camera", "extensions")
 
 @dataclass(frozen=True, eq=False)
 class OtherMotion:
-    """What goes on."""
+    """Channels of a file that go on beside the sequence."""
 
     things: Sequence[str] = ()
     channels: Sequence[Channel] = ()
@@ -33,11 +33,11 @@ class OtherMotion:
 
     @property
     def nodes(self) -> set[int]:
-        """The nodes that are moved."""
+        """Animated nodes."""
         return {channel.node for channel in self.channels}
 
     def instead(self, stand_ins: Mapping[int, int | None]) -> OtherMotion:
-        """Let other nodes move in place of some; where nothing is in their place, nothing moves."""
+        """Replace animated nodes by others, without their morph weights; None drops their channels."""
         channels = []
         for channel in self.channels:
             node = stand_ins.get(channel.node, channel.node)
@@ -64,7 +64,7 @@ class OtherMotion:
             animation["samplers"].append(sampler)
 
     def warn_of_times(self, path: Path, header: SequenceHeader, sources: ArrayLike | None) -> None:
-        """Tell what else moves if the sequence shows other times than its own, or goes on for more than a frame."""
+        """Warn of other motion if the sequence shows other times, or the motion outlasts it by more than a frame."""
         ends = [channel.times[[0, -1]] + self.start for channel in self.channels if channel.moves]
         if ends:
             span = float(np.min(ends)), float(np.max(ends))
@@ -75,7 +75,7 @@ NOTHING = OtherMotion()
 
 
 def other_motion(document: Document, scene: Scene, taken: Collection[int]) -> OtherMotion:
-    """Return what goes on in a file with one animation, when the nodes `taken` get a motion of their own."""
+    """Return the other motion of a file with one animation, given the nodes `taken` by the sequence."""
     animations = document.items("animations")
     if len(animations) != 1:
         return NOTHING
@@ -88,7 +88,7 @@ def other_motion(document: Document, scene: Scene, taken: Collection[int]) -> Ot
 
 
 def moved_by_animations(document: Json, animations: Sequence[Json], scene: Scene) -> set[int]:
-    """Return the nodes with something to see that animations move: meshes, cameras, lights."""
+    """Return the nodes with visible contents that animations move: meshes, cameras, lights."""
     targets = {channel["target"].get("node") for each in animations for channel in each["channels"]}
     return {
         node
@@ -99,6 +99,6 @@ def moved_by_animations(document: Json, animations: Sequence[Json], scene: Scene
 
 
 def _bearers(document: Json, node: int) -> list[int]:
-    """Return a node, and the joints of its skin."""
+    """Return a node and its skin's joints."""
     entry = document["nodes"][node]
     return [node, *(document["skins"][entry["skin"]]["joints"] if "skin" in entry else ())]

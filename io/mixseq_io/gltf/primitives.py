@@ -1,4 +1,4 @@
-"""The primitives of a glTF mesh as arrays: triangles and what is on their vertices."""
+"""Primitives of a glTF mesh as arrays: triangles and vertex attributes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
 @dataclass(frozen=True, eq=False)
 class Primitive:
-    """A primitive that consists of triangles."""
+    """Primitive of triangles."""
 
     document: Document
     number: int
@@ -28,15 +28,15 @@ class Primitive:
 
     @property
     def attributes(self) -> Fields:
-        """The JSON of its attributes: accessors by name."""
+        """Accessors of its attributes by name."""
         return self.fields.object("attributes")
 
     def attribute(self, name: str, width: int) -> NDArray[Any] | None:
-        """Return an attribute ``(n, width)`` of its vertices, ``(n,)`` for a width of 1; None if it is not there."""
+        """Return an attribute ``(n, width)`` of its vertices, ``(n,)`` for width 1; None if absent."""
         return self._attribute(self.attributes, name, width)
 
     def sets(self, name: str) -> int:
-        """Return how many attributes ``name_0``, ``name_1`` ... there are."""
+        """Return the number of attributes ``name_0``, ``name_1``, ..."""
         count = 0
         while f"{name}_{count}" in self.attributes:
             count += 1
@@ -44,18 +44,18 @@ class Primitive:
 
     @cached_property
     def targets(self) -> list[Fields]:
-        """Its morph targets."""
+        """Morph targets."""
         return self.fields.objects("targets")
 
     @property
     def size(self) -> int:
-        """How many numbers there are about its triangles and the movements of its vertices."""
+        """Count of numbers in its triangles and vertex motion."""
         return self.triangles.size + len(self.positions) * (
             3 + 8 * self.sets("JOINTS") + 3 * len(self.targets)
         )
 
     def delta(self, target: int) -> NDArray[Any] | None:
-        """Return what a morph target adds to the positions ``(n, 3)``, None if that is nothing."""
+        """Return a morph target's displacements ``(n, 3)``, None if it has none."""
         return self._attribute(self.targets[target], "POSITION", 3)
 
     def _attribute(self, owner: Fields, name: str, width: int) -> NDArray[Any] | None:
@@ -70,7 +70,7 @@ class Primitive:
 
 
 def primitives_of(document: Document, mesh: int) -> tuple[list[Primitive], list[int]]:
-    """Return the primitives of a mesh that consist of triangles, and the numbers of the others."""
+    """Return a mesh's primitives of triangles, and the indices of the others."""
     found: list[Primitive] = []
     others, numbers = [], 0
     for number, fields in enumerate(document.item("meshes", mesh).objects("primitives")):

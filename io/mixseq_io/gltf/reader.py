@@ -1,12 +1,10 @@
 """glTF, reading: skinned, morphed and moving meshes in world space (.gltf, .glb).
 
-Frames are at all keys of what moves the chosen meshes, or at a rate that is asked for. Between two keys of a rotation
-points move on arcs, so where more moves than translations and morph weights with linear keys, the frames at which the
-file is played are added in the gaps between keys (`mixseq_io.gltf.frame_times.played_times`). Keys are float32; frames
-that are on the grid of the frame rate but for that rounding are exactly there, in float64. Vertices that glTF splits
-are welded (`mixseq_io.gltf.welding`). Points are computed in float64 and rounded to float32.
-
-A .glb with a mesh sequence (`mixseq_io.gltf.sequence_extension`) is a compressed model, whose frames are decoded.
+Frames are at all keys of the chosen meshes, or at a given rate. Where more than translations and linear morph weights
+moves, points follow arcs, and gaps between keys are filled with frames (`mixseq_io.gltf.frame_times.played_times`).
+Keys are float32; frames within that rounding of the frame grid are moved onto it in float64. Split vertices are
+welded (`mixseq_io.gltf.welding`). Points are computed in float64 and rounded to float32. A .glb with a mesh sequence
+(`mixseq_io.gltf.sequence_extension`) is decoded as a compressed model.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 """
@@ -47,7 +45,7 @@ def open_gltf(
     path: Path, prim: str | None = None, animation: str | int | None = None, fps: float | None = None
 ) -> SequenceReader:
     """Open a glTF file."""
-    # What is not finite is reported with its vertex, when points are read.
+    # Non-finite points are reported with their vertex when they are read.
     with naming(path), np.errstate(all="ignore"):
         document = plain(load_document(path))
         scene = read_scene(document)
@@ -65,7 +63,7 @@ def open_gltf(
 
 
 def open_gltf_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
-    """Open the meshes of a skeleton as they were bound to it; see `mixseq_io.read_bind_pose`."""
+    """Open the meshes of a skeleton in their bind pose; see `mixseq_io.read_bind_pose`."""
     with naming(path), np.errstate(all="ignore"):
         document = plain(load_document(path))
         scene = read_scene(document)
@@ -77,7 +75,7 @@ def open_gltf_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
 def _frames(
     path: Path, channels: Sequence[Channel], fps: float | None, told: float | None
 ) -> tuple[NDArray[np.float64], float]:
-    """Return when the frames are, and frames per second: those that are asked for, told by the file, or of the keys."""
+    """Return frame times ``(T,)`` in s and frames per second: as requested, else from the file, else from the keys."""
     keys = key_times(channel.times for channel in channels)
     if fps is not None:
         times = sampled_times(path, keys, fps)
@@ -92,7 +90,7 @@ def _frames(
 
 
 def _influencing(document: Document, scene: Scene, nodes: Sequence[int]) -> set[int]:
-    """Return the nodes on which the meshes of some nodes depend."""
+    """Return the nodes that influence the meshes of some nodes."""
     found, count = set(nodes), 0
     for node in nodes:
         moving = bearers(document, scene.nodes[node], node)
@@ -130,7 +128,7 @@ def _shapes(
 
 
 def _welded(document: Document, mesh: int) -> Weld | None:
-    """Return a mesh's vertices, None if it has no triangles; warn of what is left out."""
+    """Return a mesh's welded vertices, None without triangles; warn of skipped primitives."""
     primitives, others = primitives_of(document, mesh)
     place = f"{document.path}: meshes[{mesh}]"
     if others:
@@ -144,7 +142,7 @@ def _welded(document: Document, mesh: int) -> Weld | None:
 
 
 def _world(scene: Scene, shapes: Sequence[Shape], pose: Pose) -> Mapping[int, Float]:
-    """Return the matrices of all nodes that bear meshes, which have many nodes above them in common."""
+    """Return the world matrices of all bearers of meshes, computed together for their common ancestors."""
     return scene.world((node for shape in shapes for node in shape.bearers), pose)
 
 
@@ -181,7 +179,7 @@ class _GltfReader(SequenceReader):
         self._times = times  # as the keys have them
 
     def markings(self) -> Markings:
-        """Return what tells parts of the meshes apart."""
+        """Return the sets of polygons and the joints of the meshes."""
         return replace(super().markings(), skinning=skinning_of(self._shapes))
 
     def _read_blocks(self, size: int) -> Iterator[FloatArray]:

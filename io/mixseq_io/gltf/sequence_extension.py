@@ -31,7 +31,7 @@ from mixseq_io.reader import reading
 
 
 def is_glb(path: Path) -> bool:
-    """Whether a file is named as a binary glTF file, which may have a mesh sequence."""
+    """Whether a file name is that of a binary glTF file."""
     return path.suffix.lower() == ".glb"
 
 
@@ -40,7 +40,7 @@ def has_sequence(path: Path) -> bool:
     with reading(path, "glTF"):
         data = data_of_file(path)
         if data.read(0, 4) != b"glTF":
-            return False  # whatever it is, the reader of its kind says it
+            return False  # the error is reported by its reader
         text, _ = chunks(path, data)
     if f'"{SEQUENCE_EXTENSION}"'.encode() not in text:  # most files are known by that, without being parsed
         return False
@@ -48,7 +48,7 @@ def has_sequence(path: Path) -> bool:
 
 
 def read_container(path: Path) -> Container:
-    """Read text and streams of the mesh sequence in a .glb."""
+    """Read the text and streams of a .glb's mesh sequence."""
     document = load_document(path)
     extension = _only_one(document)
     return Container(
@@ -59,7 +59,7 @@ def read_container(path: Path) -> Container:
 
 
 def other_data(path: Path) -> int:
-    """Return the bytes of what a .glb has beside text and streams: a still, and images."""
+    """Return the size in bytes of a .glb without text and streams: a still, and images."""
     document = load_document(path)
     extension = _only_one(document)
     own = {extension.index(name) for name in ("coding", "streams")}

@@ -1,7 +1,6 @@
 """The glTF extension ``MIXSEQ_mesh_sequence``, writing: a .glb with a compressed sequence, its first frame as a still.
 
-`mixseq_io.gltf.sequence_extension` describes the layout. Text and streams come first in the buffer, so that they are
-there before textures when a file arrives slowly.
+See `mixseq_io.gltf.sequence_extension` for the layout. Text and streams come first, before textures, for slow loading.
 """
 
 from __future__ import annotations
@@ -24,10 +23,10 @@ from mixseq_io.gltf.new_document import material_name, named, upright
 from mixseq_io.gltf.still import add_still, as_one_mesh, runs_of_polygons
 
 _TEXT = 1000
-"""Bytes of a text at most, but for long names."""
+"""Maximum size of a text in bytes, apart from long names."""
 
 _FINER = 1.02
-"""How much larger the still of a decoded frame may be than that of the frame itself."""
+"""Largest ratio of the size of a decoded frame's still to that of the frame itself."""
 
 
 def write_sequence(path: Path, coded: CompressedSequence, still: StillName) -> None:
@@ -38,14 +37,14 @@ def write_sequence(path: Path, coded: CompressedSequence, still: StillName) -> N
 def write_container(
     path: Path, container: Container, header: SequenceHeader, points: FloatArray, still: StillName
 ) -> None:
-    """Write text and streams, and a still of `points` ``(V, 3)``; see `write_sequence`."""
+    """Write text, streams, and a still of `points` ``(V, 3)``; see `write_sequence`."""
     layout = _layout(header, points, container, still)
     with replacing(path) as temporary, writing_buffer(path, temporary, layout):
         pass
 
 
 def other_bytes(header: SequenceHeader, points: FloatArray, still: StillName) -> int:
-    """Return the bytes of a .glb beside its streams, at most: points ``(V, 3)``."""
+    """Return an upper bound in bytes of a .glb without its streams: points ``(V, 3)``."""
     layout = _layout(header, points, Container(bytes(_TEXT + 6 * len(header.name)), b""), still)
     return int(_FINER * glb_size(layout))
 

@@ -1,17 +1,14 @@
-r"""A mesh that follows bones, as glTF has it.
+r"""A mesh that follows bones in glTF.
 
-Joints are nodes in a tree. The node of joint b turns and moves relative to its parent's, by rotation and translation
-of `mixseq.rigging.rigs.Skin.local`, which in the world takes the axes ``A_b`` at the pivot ``p_b`` to ``R_tb A_b`` at
-``c_tb``. Its inverse bind matrix takes them to the axes of the world at the origin,
+Joints are nodes in a tree. The node of joint b has the rotation and translation of `mixseq.rigging.rigs.Skin.local`
+relative to its parent; in the world it takes the axes ``A_b`` at the pivot ``p_b`` to ``R_tb A_b`` at ``c_tb``. Its
+inverse bind matrix takes them to the axes of the world at the origin,
 
 .. math:: \begin{pmatrix} A_b & p_b \\ 0 & 1 \end{pmatrix}^{-1} =
           \begin{pmatrix} A_b^T & -A_b^T p_b \\ 0 & 1 \end{pmatrix},
 
-so that a point goes to ``R_tb (r_v - p_b) + c_tb``, which is the formula of the skin. glTF adds morph targets before
-the skin moves the mesh, as that formula does. Properties of a node that stand still have no track.
-
-The roots lie under one node, which also turns and scales what is not in metres with Y up: nodes above a skinned mesh
-do not move it, those above its joints do.
+so that a point goes to ``R_tb (r_v - p_b) + c_tb``, the formula of the skin; morph targets come before it. Constant
+properties have no track. The roots lie under one node with axes and unit: only nodes above joints move a skinned mesh.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#skins
 """
@@ -65,7 +62,7 @@ def skinned_scene(skin: Skin) -> Layout:
 
 
 def _add_bones(document: Json, skin: Skin) -> tuple[int, list[int], list[Track]]:
-    """Add a node for every bone, as in the first frame, and one above them; return these and the tracks."""
+    """Add a node for every bone in its first-frame pose, and a common root; return root, nodes and tracks."""
     local, skeleton = skin.local(), skin.skeleton
     rotations = steadied(local.rotations, 1.0).astype(np.float32)
     places = steadied(local.translations, bounding_diagonal(skin.rest))
@@ -88,7 +85,7 @@ def _add_bones(document: Json, skin: Skin) -> tuple[int, list[int], list[Track]]
 
 
 def _inverse_binds(layout: Layout, skin: Skin) -> int:
-    """Add the matrices that take the axes of every joint at rest to those of the world; return their accessor."""
+    """Add the inverse bind matrices ``(B, 4, 4)``; return their accessor."""
     pivots = as_float32(skin.pivots[None], 0, "glTF", "the pivot of bone")[0].astype(np.float64)
     back = rotation_matrices(skin.skeleton.axes).swapaxes(1, 2)
     matrices = np.tile(np.eye(4, dtype=np.float32), (skin.bone_count, 1, 1))
@@ -103,7 +100,7 @@ def _attach(
     bones: NDArray[np.unsignedinteger],
     weights: NDArray[np.float32],
 ) -> None:
-    """Give the vertices of a mesh their bones."""
+    """Give the vertices of a mesh their bones and weights ``(V, 4)``."""
     for each in mesh.primitives:
         attributes = each.entry["attributes"]
         own = mesh.scene_mesh.vertices

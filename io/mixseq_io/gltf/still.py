@@ -1,7 +1,7 @@
-"""The still of a mesh sequence: its first frame as ordinary glTF, by material, for viewers that know no more.
+"""The still of a mesh sequence: its first frame as ordinary glTF, by material, for other viewers.
 
-A decoder takes nothing but the materials of it, so it may be coarse: points at 11 bits, normals at 7, compressed by
-Draco, unless it is to be plain; or left out, which leaves one triangle without area for each material.
+Decoders use its materials only, so it may be coarse: by Draco with points at 11 bits and normals at 7; plain float32;
+or one degenerate triangle for each material.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _TRIANGLES_WITHOUT_AREA = {
 
 
 def as_one_mesh(header: SequenceHeader) -> SceneMesh:
-    """Return a sequence as one mesh, however many objects it joins: its vertices are coded together."""
+    """Return a sequence as one mesh, since all objects are coded together."""
     surface = header.surface
     return SceneMesh(
         name=header.name,
@@ -57,10 +57,7 @@ def as_one_mesh(header: SequenceHeader) -> SceneMesh:
 
 
 def runs_of_polygons(mesh: SceneMesh) -> list[int]:
-    """Return how many polygons in a row are of which primitive: ``[0, 120, 1, 80]``.
-
-    Primitives are those of `split_corners`.
-    """
+    """Return runs of polygons and their primitives (`split_corners`): ``[0, 120, 1, 80]`` is 120 of 0, then 80 of 1."""
     primitive = np.unique(owners(mesh), return_inverse=True)[1]
     starts = np.flatnonzero(np.diff(primitive, prepend=-1))
     counts = np.diff(starts, append=len(primitive))
@@ -88,7 +85,7 @@ def add_still(
 def _used(
     primitive: SplitPrimitive, points: NDArray[np.float32], normals: NDArray[np.float32]
 ) -> tuple[NDArray[np.uint32], dict[str, NDArray[np.float32]]]:
-    """Return triangles, and attributes of the vertices that they use."""
+    """Return the triangles ``(F, 3)``, and attributes ``(n, k)`` of their vertices."""
     kept, corners = np.unique(primitive.triangles, return_inverse=True)
     attributes = {
         "POSITION": points[primitive.vertices[kept]],
@@ -143,7 +140,7 @@ def _draco(
 def _none(
     layout: Layout, triangles: NDArray[np.uint32], attributes: Mapping[str, NDArray[np.float32]]
 ) -> Json:
-    """Add a triangle of zeros, which accessors without data have; materials may need texture coordinates."""
+    """Add a triangle of zeros as accessors without data, with texture coordinates that materials may need."""
     accessors = {
         name: _without_data(layout, 3, f"VEC{values.shape[1]}", FLOAT)
         for name, values in attributes.items()

@@ -1,13 +1,12 @@
-r"""``KHR_texture_transform``: texture coordinates that a material moves, turns and scales.
+r"""``KHR_texture_transform``: texture coordinates translated, rotated and scaled by a material.
 
 With scale :math:`s`, rotation :math:`r` and offset :math:`o`, texture coordinates (u, v), v downwards, are
 
 .. math::
     u' = s_u u \cos r + s_v v \sin r + o_u, \quad v' = -s_u u \sin r + s_v v \cos r + o_v
 
-as the example of the specification and all renderers have it; the sign in its listing is another one
-(https://github.com/KhronosGroup/glTF/issues/1563). A mesh has one set of texture coordinates here, so that of the
-textures of a material the one of its base colour decides, or else the first.
+as in the specification's example and all renderers; its listing has another sign
+(https://github.com/KhronosGroup/glTF/issues/1563). The base colour's texture decides, or else the first.
 
 Specification: https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Khronos/KHR_texture_transform/README.md
 """
@@ -27,7 +26,7 @@ _TEXTURES = ("normalTexture", "occlusionTexture", "emissiveTexture")
 
 
 def texture_transform(document: Document, primitive: Fields) -> NDArray[np.float64]:
-    """Return what the material of a primitive does to TEXCOORD_0: ``(2, 3)``, the offset in the last column."""
+    """Return a material's transform of TEXCOORD_0 as a matrix ``(2, 3)``, the offset in the last column."""
     index = primitive.index("material")
     textures = [] if index is None else _textures(document.item("materials", index))
     for texture in textures:
@@ -38,7 +37,7 @@ def texture_transform(document: Document, primitive: Fields) -> NDArray[np.float
 
 
 def _textures(material: Fields) -> Iterator[Fields]:
-    """Yield the textures of a material, that of its base colour first."""
+    """Yield the textures of a material, the base colour's first."""
     metal = material.object("pbrMetallicRoughness")
     for owner, names in (
         (metal, ("baseColorTexture", "metallicRoughnessTexture")),

@@ -1,9 +1,8 @@
-"""Meshes of a glTF file whose points are in world space, below nodes that stand elsewhere: their own nodes undo these.
+"""Inverse transforms of nodes whose mesh is in world space, below transformed parents: such a mesh keeps its path.
 
-So a mesh that is written anew keeps its parent and its path. The inverse of what stands above it is rounded, and where
-a node above is scaled unevenly it is no translation, rotation and scale; but exporters write scales such as 0.9999999.
-What nearly undoes counts as undoing: the mark in the node's ``extras`` tells our reader that its points are exactly
-those in the world, as long as that is still nearly true.
+The inverse is rounded, and unevenly scaled parents have none as translation, rotation and scale; nearly inverse
+transforms are accepted, since exporters write scales such as 0.9999999. A mark in the node's ``extras`` makes the
+reader take the points as world space, as long as the transforms still nearly cancel.
 """
 
 from __future__ import annotations
@@ -19,24 +18,12 @@ from mixseq.arrays import Float
 MARK = "mixseq:world"
 """Member of the ``extras`` of a node whose points are in world space."""
 
-_NEARLY = 1e-6  # what exporters round of turns and scales
-_HERE = 1e-9  # of translations nothing but our own rounding is left
+_NEARLY = 1e-6  # rounding of rotations and scales by exporters
+_HERE = 1e-9  # rounding of translations by mixseq
 
 
 def undoing(above: NDArray[np.float64]) -> dict[str, Any] | None:
-    """Return the members of a node below a matrix ``(4, 4)`` that nearly undo it; None if nothing does.
-
-    Examples
-    --------
-    >>> shifted = np.eye(4)
-    >>> shifted[:3, 3] = 1, 2, 3
-    >>> undoing(shifted)["translation"]
-    [-1.0, -2.0, -3.0]
-    >>> sheared = np.eye(4)
-    >>> sheared[0, 1] = 0.5
-    >>> undoing(sheared) is None
-    True
-    """
+    """Return the transform that nearly inverts a parent's ``(4, 4)``, {} for the identity, None if there is none."""
     if np.array_equal(above, np.eye(4)):
         return {}
     if not np.isfinite(above).all() or abs(np.linalg.det(above)) < 1e-30:
@@ -57,6 +44,6 @@ def undoing(above: NDArray[np.float64]) -> dict[str, Any] | None:
 
 
 def nearly_undone(world: Float) -> bool:
-    """Tell whether matrices ``(B, 4, 4)`` leave points where they are, but for what exporters round."""
+    """Whether matrices ``(B, 4, 4)`` are the identity within the rounding of exporters."""
     off = np.abs(world - np.eye(4))
     return bool((off[:, :3, :3] < _NEARLY).all() and (off[:, :3, 3] < _HERE).all())

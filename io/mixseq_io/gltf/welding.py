@@ -1,11 +1,8 @@
-"""Vertices that glTF splits, put together again, and the map of which went where.
+"""Weld vertices that glTF splits, and map each split vertex to its welded one.
 
-glTF has one index per corner for everything, so that exporters split a vertex wherever its texture coordinates,
-normals or materials differ. What moves as one vertex is one vertex: the same position, the same joints and weights,
-the same morph deltas, bit for bit, across all primitives of the mesh. Faces that lose their area by that stay.
-
-Where the attribute ``_VERTEX`` tells which vertex each one was, as in files that mixseq has written, nothing needs to
-be found out.
+Exporters split vertices where texture coordinates, normals or materials differ. Vertices with bit-identical position,
+joints, weights and morph deltas are one vertex, across all primitives; faces that become degenerate stay. The
+attribute ``_VERTEX`` of files written by mixseq gives the vertices directly.
 """
 
 from __future__ import annotations
@@ -28,7 +25,7 @@ Attribute = Callable[[Primitive], NDArray[Any] | None]
 
 @dataclass(frozen=True, eq=False)
 class Weld:
-    """The welded vertices of a glTF mesh."""
+    """Welded vertices of a glTF mesh."""
 
     primitives: tuple[Primitive, ...]
     skipped: tuple[int, ...]
@@ -37,28 +34,25 @@ class Weld:
 
     @property
     def count(self) -> int:
-        """Number of welded vertices W."""
+        """Number W of welded vertices."""
         return len(self.representatives)
 
     @property
     def faces(self) -> NDArray[np.int32]:
-        """Triangles ``(F, 3)`` of all primitives, one after the other, by welded vertices."""
+        """Triangles ``(F, 3)`` of all primitives by welded vertices."""
         return np.concatenate(
             [of[each.triangles] for each, of in zip(self.primitives, self.of_primitive, strict=True)]
         ).astype(np.int32)
 
     @property
     def vertices(self) -> list[slice]:
-        """For every primitive its vertices among those of all primitives, one after the other."""
+        """Range of each primitive among the vertices of all primitives."""
         ends = np.cumsum([0, *(len(each.positions) for each in self.primitives)])
         return [slice(int(first), int(end)) for first, end in pairwise(ends)]
 
 
 def weld(document: Document, mesh: int) -> Weld:
-    """Weld the vertices of a mesh.
-
-    The same file always gives the same vertices in the same order: that of ``_VERTEX``, or of their first appearance.
-    """
+    """Weld the vertices of a mesh, in the order of ``_VERTEX``, or of their first appearance."""
     primitives, skipped = primitives_of(document, mesh)
     if not primitives:
         raise FormatError(f"{document.path}: meshes[{mesh}] has no triangles")
@@ -73,7 +67,7 @@ def weld(document: Document, mesh: int) -> Weld:
 
 
 def _told(primitives: Sequence[Primitive]) -> IntArray | None:
-    """Return the vertices by the attribute ``_VERTEX``, None if it is not there or does not tell 0, 1, 2 ..."""
+    """Return the vertices ``(n,)`` from ``_VERTEX``, None if it is absent or other than 0, 1, 2, ..."""
     if not all("_VERTEX" in each.attributes for each in primitives):
         return None
     numbers = _gathered(primitives, lambda each: each.attribute("_VERTEX", 1), 1)[:, 0]
@@ -86,7 +80,7 @@ def _told(primitives: Sequence[Primitive]) -> IntArray | None:
 
 
 def _found(primitives: Sequence[Primitive]) -> IntArray:
-    """Return the vertices by what tells them apart, in the order of their first appearance."""
+    """Return the vertices ``(n,)`` by their distinct positions and motion, in order of first appearance."""
     labels: IntArray = np.zeros(sum(len(each.positions) for each in primitives), dtype=np.int64)
     for columns in _columns(primitives):
         labels = numbered(np.column_stack([labels, columns]))
@@ -97,7 +91,7 @@ def _found(primitives: Sequence[Primitive]) -> IntArray:
 
 
 def target_count(primitives: Sequence[Primitive]) -> int:
-    """Return the number of morph targets, which all primitives of a mesh have in common."""
+    """Return the number of morph targets, common to all primitives of a mesh."""
     count = len(primitives[0].targets)
     for each in primitives:
         if len(each.targets) != count:
@@ -108,7 +102,7 @@ def target_count(primitives: Sequence[Primitive]) -> int:
 
 
 def _columns(primitives: Sequence[Primitive]) -> Iterator[NDArray[Any]]:
-    """Yield everything that tells vertices apart, as columns for all vertices of all primitives."""
+    """Yield the columns ``(n, k)`` that distinguish vertices, over all primitives."""
     yield np.concatenate([each.positions for each in primitives]).astype(np.float64)
     joints, weights = influences(primitives)
     for one_joint, one_weight in zip(joints.T, weights.T, strict=True):
@@ -118,10 +112,7 @@ def _columns(primitives: Sequence[Primitive]) -> Iterator[NDArray[Any]]:
 
 
 def influences(primitives: Sequence[Primitive]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return joints and weights ``(n, 4 * sets)`` of all vertices, in the order of the joints.
-
-    Where the weight is 0 the joint is 0, too; primitives that have fewer sets than others get weights 0.
-    """
+    """Return joints and weights ``(n, 4 * sets)`` of all vertices by joint; joints of weight 0, and padding, are 0."""
     sets = max(min(each.sets("JOINTS"), each.sets("WEIGHTS")) for each in primitives)
     none = np.zeros((sum(len(each.positions) for each in primitives), 0))
     joint = np.concatenate([none, *(_gathered(primitives, _joints(i), 4) for i in range(sets))], axis=1)
@@ -148,12 +139,12 @@ def _weights(number: int) -> Attribute:
 
 
 def deltas(primitives: Sequence[Primitive], target: int) -> NDArray[np.float64]:
-    """Return what a morph target adds to the positions ``(n, 3)`` of all vertices."""
+    """Return a morph target's displacements ``(n, 3)`` of all vertices."""
     return _gathered(primitives, lambda each: each.delta(target), 3)
 
 
 def _gathered(primitives: Sequence[Primitive], attribute: Attribute, width: int) -> NDArray[np.float64]:
-    """Put an attribute of all primitives together, 0 where a primitive does not have it."""
+    """Concatenate an attribute ``(n, width)`` of all primitives, 0 for primitives without."""
     found = ((each, attribute(each)) for each in primitives)
     return np.concatenate(
         [
@@ -164,13 +155,7 @@ def _gathered(primitives: Sequence[Primitive], attribute: Attribute, width: int)
 
 
 def numbered(rows: NDArray[Any]) -> IntArray:
-    """Number rows so that equal rows have the same number; -0 equals 0.
-
-    Examples
-    --------
-    >>> numbered(np.array([[1.0, 5.0], [0.0, 2.0], [1.0, 5.0]])).tolist()
-    [1, 0, 1]
-    """
+    """Number rows ``(n, k)`` so that equal rows share a number ``(n,)``; -0 equals 0."""
     order = np.lexsort(rows.T)
     if not order.size:
         return order

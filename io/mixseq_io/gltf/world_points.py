@@ -21,16 +21,9 @@ from mixseq_io.gltf.welding import Weld, deltas, influences, target_count
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """What a skeleton does to the vertices of a mesh.
+    """Skin of a mesh: nodes of its J joints, weights ``(W, J)`` whose rows sum to 1, and `inverse_binds` ``(J, 4, 4)``.
 
-    Parameters
-    ----------
-    joints : sequence of int
-        The nodes that are its J joints.
-    inverse_binds : (J, 4, 4) float64
-        From the mesh's space to each joint's, in the pose in which they were bound.
-    weights : (W, J) sparse
-        How much each vertex follows each joint; rows sum to 1.
+    Inverse bind matrices take mesh space to each joint's space in the bind pose.
     """
 
     joints: Sequence[int]
@@ -38,29 +31,16 @@ class Skin:
     weights: csr_array
 
     def matrices(self, world: Mapping[int, Float]) -> NDArray[np.float64]:
-        """Return the matrices ``(B, J, 4, 4)`` that move what is bound to the joints."""
+        """Return the matrices ``(B, J, 4, 4)`` that move points bound to the joints."""
         joints = np.broadcast_arrays(*(world[joint] for joint in self.joints))
         return np.stack(joints, axis=1) @ self.inverse_binds
 
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A node with a mesh: where its vertices are at any time.
+    """Node with a welded mesh: rest positions ``(W, 3)``, static morph weights ``(K,)``, and a skin or None.
 
-    Parameters
-    ----------
-    scene : Scene
-        The node tree.
-    node : int
-        The node.
-    weld : Weld
-        Its mesh.
-    rest : (W, 3) float64
-        The mesh's positions.
-    weights : (K,) float64
-        Weights of its morph targets where they are not animated.
-    skin : Skin or None
-        What moves it in place of the node's transform.
+    A skin replaces the node's transform.
     """
 
     scene: Scene
@@ -72,14 +52,11 @@ class Shape:
 
     @property
     def bearers(self) -> Sequence[int]:
-        """The nodes whose matrices move it."""
+        """Nodes whose matrices move the mesh."""
         return [self.node] if self.skin is None else self.skin.joints
 
     def handedness(self, world: Mapping[int, Float]) -> NDArray[np.float64]:
-        """Return 1 for each of the B frames where the mesh is as modelled, -1 where it is mirrored, 0 where flat.
-
-        Of a skin's joints, the majority decides.
-        """
+        """Return the orientation ``(B,)``: 1 as modelled, -1 mirrored, 0 flat; of joints the majority decides."""
         if self.skin is None:
             return _signs(world[self.node])
         used = np.unique(self.skin.weights.indices)
@@ -87,7 +64,7 @@ class Shape:
         return np.asarray(np.sign(_signs(matrices[:, used]).sum(axis=1)))
 
     def points(self, pose: Pose, world: Mapping[int, Float], frames: int) -> FloatArray:
-        """Return the points ``(B, W, 3)`` in world space in the B frames of a pose, with its bearers' matrices."""
+        """Return the points ``(B, W, 3)`` in world space for the B frames of a pose, given the bearers' matrices."""
         own = self._morphed(pose, frames)
         if self.skin is None:
             matrices = np.broadcast_to(world[self.node], (frames, 4, 4))
@@ -118,7 +95,7 @@ def _skinned(
 
 
 def bearers(document: Document, node: Fields, index: int) -> list[int]:
-    """Return the nodes whose matrices move a node's mesh: its skin's joints, or else the node itself."""
+    """Return the nodes whose matrices move a node's mesh: its skin's joints, or the node itself."""
     skin = node.index("skin")
     if skin is None:
         return [index]
@@ -126,7 +103,7 @@ def bearers(document: Document, node: Fields, index: int) -> list[int]:
 
 
 def joints_of(document: Document, skin: Fields) -> list[int]:
-    """Return the nodes that are a skin's joints."""
+    """Return the nodes of a skin's joints."""
     joints = skin.integers("joints")
     if not joints:
         raise skin.error("has no joints; the file is damaged")
@@ -136,7 +113,7 @@ def joints_of(document: Document, skin: Fields) -> list[int]:
 
 
 def read_shape(document: Document, scene: Scene, node: int, weld: Weld) -> Shape:
-    """Read what moves a node's mesh."""
+    """Read the shape of a node's mesh."""
     fields = scene.nodes[node]
     mesh = document.item("meshes", fields.integer("mesh"))
     positions = np.concatenate([each.positions for each in weld.primitives]).astype(np.float64)
@@ -180,7 +157,7 @@ def inverse_binds_of(document: Document, skin: Fields, count: int) -> NDArray[np
 
 
 def _normalised(joint: NDArray[np.int64], weight: NDArray[np.float64], joints: int) -> csr_array:
-    """Return weights ``(W, J)`` whose rows sum to 1, as renderers do; without any a vertex follows the first joint."""
+    """Return weights ``(W, J)`` with row sums 1, as in renderers; vertices without weight follow the first joint."""
     sums = weight.sum(axis=1, keepdims=True)
     weight = np.where(sums != 0, weight / np.where(sums != 0, sums, 1), np.arange(weight.shape[1]) == 0)
     rows = np.repeat(np.arange(len(weight)), weight.shape[1])

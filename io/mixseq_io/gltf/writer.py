@@ -1,4 +1,4 @@
-"""glTF, writing: morph targets, laid over the file which the sequence came from, or in a document of its own.
+"""glTF, writing: morph targets, laid over the original file, or in a document of its own.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 """
@@ -50,13 +50,13 @@ def write_gltf(
     header, blocks, velocities
         See `mixseq_io.write_blocks`; velocities are lost.
     flatten : bool
-        Write the sequence alone. By default, everything else of the glTF file that it came from is taken along.
+        Write the sequence alone. By default, everything else of its original glTF file is kept.
     onto : path-like, optional
-        The file whose materials, textures and other nodes are taken along, in place of that one.
+        The file whose materials, textures and other nodes are kept, in place of the original.
     keep_start : bool
-        Let the animation begin when the sequence does. By default it begins at 0, and tells our reader when that is.
+        Start the animation at the sequence's first time. By default it starts at 0, and its extras store that time.
     sources : (T,) array-like, optional
-        Times of the original that the frames show, in seconds: where they are others, a warning names what else moves.
+        Times of the original that the frames show, in seconds; where they differ, a warning lists other motion.
     """
     if flatten and onto is not None:
         raise SettingsError("flatten writes the sequence alone, onto lays it over a file; give one of them")
@@ -91,7 +91,7 @@ _USUAL_LIMIT_OF_FRAMES = 1000
 
 
 def lost_alone(header: SequenceHeader) -> list[str]:
-    """Return what of the mesh itself is lost in a document of its own."""
+    """Return the losses of a mesh in a document of its own, in words."""
     lost = []
     if not header.polygons.only_triangles:
         lost.append("polygons other than triangles (they are cut)")
@@ -113,7 +113,7 @@ def lost_alone(header: SequenceHeader) -> list[str]:
 def warn_of_changes(
     path: Path, header: SequenceHeader, lost: Sequence[str], keep_start: bool = False
 ) -> None:
-    """Warn of what is lost, of what is read in another way than it is in the sequence."""
+    """Warn of losses, and of differences when the file is read again."""
     warn_of_losses(path, "glTF files", lost)
     if upright(header):
         warn(
@@ -122,12 +122,12 @@ def warn_of_changes(
             "(--convert-axes Y, --convert-units m) turns and scales the points"
         )
     shift = time_shift(header, keep_start)
-    if shift and (keep_start or header.frame_count == 1):  # else the file tells when it begins
+    if shift and (keep_start or header.frame_count == 1):  # else the file stores its start
         warn(f"{path}: glTF's times begin at 0; all times are moved by {-shift:g} s")
 
 
 def warn_of_many_frames(path: Path, header: SequenceHeader) -> None:
-    """Warn of more frames than browsers show, where each is a morph target."""
+    """Warn of more frames than browsers show, since each is a morph target."""
     if header.frame_count > _USUAL_LIMIT_OF_FRAMES:
         warn(
             f"{path}: {header.frame_count} frames are as many morph targets; browsers usually show no more than "

@@ -1,1 +1,1 @@
-"""Our own files: sequences and models in HDF5."""
+"""Sequences and models of mixseq in HDF5."""

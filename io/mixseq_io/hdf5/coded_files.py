@@ -1,4 +1,4 @@
-"""Compressed models in HDF5: one dataset of streams, one attribute that says what they mean.
+"""Compressed models in HDF5: one dataset of streams, one attribute that describes them.
 
 ::
 
@@ -6,9 +6,8 @@
                  coding                  JSON: parameters, name, fps, up_axis, metres_per_unit, counts, first time
     /streams     (n,) uint8: an index, then all streams, one after the other
 
-HDF5 has little to say about this, on purpose: it takes more bytes for a second dataset than a checksum of every stream.
-Attributes are strings of fixed length (strings of any length would cost 4 KiB). What is in both is the business of
-`mixseq_io.coded`.
+A second dataset would take more bytes than a checksum of every stream, and strings of variable length 4 KiB each.
+Contents are those of `mixseq_io.coded`.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
 
 
 def container_of(path: Path, file: Contents) -> Container:
-    """Return what has been read of a compressed model."""
+    """Return the container of a compressed model that has been read."""
     with reading_h5(path):
         if file.kind != MODEL_FORMAT or "coding" not in file.attrs:
             raise FormatError(f"{path} is no compressed model; make one with mixseq encode --max-error")

@@ -1,8 +1,7 @@
-"""Read HDF5 files in a process of their own: attributes and arrays come from there as plain values.
+"""HDF5 files read in a process of their own; attributes and arrays arrive as plain values.
 
-One flipped bit can let HDF5 search for ever, deaf to Ctrl-C, and a crafted file can crash it.
-So HDF5 reads no file in the user's process, which does not even import it: see `mixseq_io.isolation`, and
-`mixseq_io.hdf5.unpacking` for the other side.
+A flipped bit can make HDF5 loop forever, and a crafted file can crash it, so the user's process does not import it: see
+`mixseq_io.isolation`, and `mixseq_io.hdf5.unpacking` for the worker's side.
 """
 
 from __future__ import annotations
@@ -23,19 +22,19 @@ _OTHER_SIDE = "mixseq_io.hdf5.unpacking"
 
 @dataclass(frozen=True)
 class Contents:
-    """What is in an HDF5 file."""
+    """Contents of an HDF5 file."""
 
     attributes: Mapping[str, Mapping[str, Any]]
     arrays: Mapping[str, NDArray[Any]]
 
     @property
     def attrs(self) -> Mapping[str, Any]:
-        """Attributes of the root."""
+        """Root attributes."""
         return self.attributes[""]
 
     @property
     def kind(self) -> str | None:
-        """The root attribute `format`."""
+        """Root attribute `format`."""
         return self.text("format") if isinstance(self.attrs.get("format"), bytes) else None
 
     def text(self, name: str, group: str = "") -> str:
@@ -45,7 +44,7 @@ class Contents:
 
 
 def read_attributes(path: Path) -> Contents:
-    """Read a file's attributes, and no arrays."""
+    """Read a file's attributes without arrays."""
     check_regular(path, "HDF5")
     found: Contents = call_isolated(f"{_OTHER_SIDE}:attributes", path)
     return found
@@ -54,15 +53,12 @@ def read_attributes(path: Path) -> Contents:
 def read_contents(
     path: Path, kind: str | None = None, meanwhile: Callable[[], object] | None = None
 ) -> Contents:
-    """Read a whole file; if its `format` is another than `kind`, where one is given, its attributes only.
-
-    `meanwhile` is called while the other process reads.
-    """
+    """Read a file, or its attributes only if its `format` is not `kind`; call `meanwhile` while the worker reads."""
     check_regular(path, "HDF5")
     found: Contents = call_isolated(f"{_OTHER_SIDE}:contents", path, kind, meanwhile=meanwhile)
     return found
 
 
 def reading_h5(path: Path) -> AbstractContextManager[None]:
-    """Turn what h5py raises on damaged files, and what is missing, into `FormatError`."""
+    """Translate h5py's errors on damaged files, and missing entries, into `FormatError`."""
     return reading(path, "HDF5", KeyError, RuntimeError, ValueError, TypeError, AttributeError, OverflowError)

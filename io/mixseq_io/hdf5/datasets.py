@@ -1,7 +1,4 @@
-"""Arrays and settings of a model in HDF5: stored with checksums, checked for kind, shape and range when they are read.
-
-Everything that is wrong is a `FormatError` that names the dataset.
-"""
+"""Arrays and settings of a model in HDF5, with checksums; errors of kind, shape and range are `FormatError`."""
 
 from __future__ import annotations
 
@@ -22,13 +19,13 @@ from mixseq_io.hdf5.contents import Contents
 from mixseq_io.hdf5.h5_writing import put_array, put_text
 
 _LARGEST = 1e20
-"""Nothing sound comes near, and products of several are still finite."""
+"""Largest magnitude of valid numbers; products of several are still finite."""
 
 _KINDS = {"integers": "iu", "floats": "f"}  # as NumPy names them
 
 
 def put(file: h5py.File, name: str, array: NDArray[Any]) -> None:
-    """Store an array, in single precision where that is enough."""
+    """Store an array, in single precision if that suffices."""
     if array.dtype == np.float64 and array.size:
         with np.errstate(over="ignore"):
             single = array.astype(np.float32)
@@ -37,7 +34,7 @@ def put(file: h5py.File, name: str, array: NDArray[Any]) -> None:
 
 
 def put_lists(file: h5py.File, group: str, name: str, lists: Sequence[NDArray[Any]]) -> None:
-    """Store lists of indices: all of them one after the other, and how long each is."""
+    """Store lists of indices: their concatenation and their lengths."""
     sizes = np.array([len(items) for items in lists], dtype=np.int32)
     put_joined(file, group, name, sizes, np.concatenate([*lists, np.zeros(0, dtype=np.int32)]))
 
@@ -45,7 +42,7 @@ def put_lists(file: h5py.File, group: str, name: str, lists: Sequence[NDArray[An
 def put_joined(
     file: h5py.File, group: str, name: str, sizes: NDArray[np.integer], items: NDArray[np.integer]
 ) -> None:
-    """Store what `put_lists` does of lists that are joined already."""
+    """Store lists as `put_lists`, given their lengths and their concatenation."""
     put(file, f"{group}/sizes", sizes.astype(np.int32))
     put(file, f"{group}/{name}", items.astype(np.int32))
 
@@ -57,7 +54,7 @@ def get_lists(path: Path, file: Contents, group: str, name: str, limit: int) -> 
 
 
 def get_joined(path: Path, file: Contents, group: str, name: str, limit: int) -> tuple[Index, Index]:
-    """Read how long lists are, none of them empty, and all of them one after the other."""
+    """Read the lengths of non-empty lists, and their concatenation."""
     sizes = integers(path, file, f"{group}/sizes", (None,), 1)
     return sizes, integers(path, file, f"{group}/{name}", (int(sizes.sum()),), 0, limit)
 
@@ -65,7 +62,7 @@ def get_joined(path: Path, file: Contents, group: str, name: str, limit: int) ->
 def integers(
     path: Path, file: Contents, name: str, shape: tuple[int | None, ...], low: int, limit: int | None = None
 ) -> Index:
-    """Read whole numbers from `low` to below `limit`; None in the shape stands for any length."""
+    """Read integers from `low` to below `limit`; None in the shape allows any length."""
     array = _of_kind(path, file, name, shape, "integers")
     if array.size and (array.min() < low or (limit is not None and array.max() >= limit)):
         upper = "" if limit is None else f" to {limit - 1}"
@@ -74,7 +71,7 @@ def integers(
 
 
 def floats(path: Path, file: Contents, name: str, shape: tuple[int | None, ...]) -> Float:
-    """Read numbers that can be computed with, as those of a mesh; None in the shape stands for any length."""
+    """Read finite numbers of valid magnitude; None in the shape allows any length."""
     array = _finite(path, file, name, shape)
     if array.size and (large := np.abs(array)).max() > LARGEST:
         row = np.argwhere(large > LARGEST)[0, 0]
@@ -92,7 +89,7 @@ def _finite(path: Path, file: Contents, name: str, shape: tuple[int | None, ...]
 
 
 def diagonals(path: Path, file: Contents, name: str, shape: tuple[int | None, ...]) -> Float:
-    """Read lengths or places in diagonals: numbers as `floats` reads them, none of them absurdly large."""
+    """Read lengths or positions in diagonals: numbers as of `floats`, of plausible size."""
     array = _finite(path, file, name, shape)
     if array.size and np.abs(array).max() > _LARGEST:
         row = np.argwhere(np.abs(array) > _LARGEST)[0, 0]
@@ -101,7 +98,7 @@ def diagonals(path: Path, file: Contents, name: str, shape: tuple[int | None, ..
 
 
 def increasing(path: Path, file: Contents, name: str) -> Float:
-    """Read times ``(n,)``, at least one, that increase."""
+    """Read at least one increasing time ``(n,)``."""
     times = floats(path, file, name, (None,))
     if not len(times):
         raise FormatError(f"{path}: {name} is empty; at least one time is needed")
@@ -140,12 +137,12 @@ def read_scale(path: Path, file: Contents) -> float:
 
 
 def write_settings(file: h5py.File, settings: Mapping[str, Mapping[str, Any]]) -> None:
-    """Store settings by what they are about."""
+    """Store settings by group."""
     put_text(file, "settings", json.dumps(settings, sort_keys=True))
 
 
 def read_settings(path: Path, file: Contents, about: str, known: Collection[str]) -> dict[str, Any]:
-    """Read all settings of what they are about."""
+    """Read all settings of a group."""
     found: dict[str, Any] = json.loads(file.text("settings"))[about]
     others = sorted(set(found) ^ set(known))
     if others:

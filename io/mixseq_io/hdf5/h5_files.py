@@ -1,4 +1,4 @@
-"""What our HDF5 files have in common: versions, and the header of a sequence. `h5_writing` writes them."""
+"""Versions and sequence headers of mixseq's HDF5 files; `h5_writing` writes them."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from mixseq_io.hdf5.contents import Contents
 from mixseq_io.surface_arrays import SURFACE_ARRAYS, surface_of_arrays
 
 MODEL_FORMAT = "mixseq-model"
-"""The root attribute `format` of a model."""
+"""Root attribute `format` of a model."""
 
 
 def check_version(path: Path, file: Contents, known: int) -> None:
-    """Refuse a file of another version of its format."""
+    """Raise an error for another version of the format."""
     version = int(file.attrs["version"])
     if version != known:
         raise FormatError(
@@ -28,7 +28,7 @@ def check_version(path: Path, file: Contents, known: int) -> None:
 
 
 def read_header(path: Path, file: Contents, vertex_count: int, times: NDArray[np.float64]) -> SequenceHeader:
-    """Read what `mixseq_io.hdf5.h5_writing.write_header` stored."""
+    """Read the header stored by `mixseq_io.hdf5.h5_writing.write_header`."""
     return SequenceHeader(
         polygons=Polygons(file.arrays["polygons/counts"], file.arrays["polygons/indices"]),
         vertex_count=vertex_count,

@@ -1,7 +1,4 @@
-"""Write HDF5 files safely, with checksums, and the header of a sequence.
-
-Every dataset has Fletcher-32 checksums, and the file's own structure has checksums too (the HDF5 1.10
-layout), so that damage is noticed where it happened.
+"""HDF5 files written with Fletcher-32 checksums of datasets, and those of the HDF5 1.10 layout for the structure.
 
 Specification: https://support.hdfgroup.org/documentation/hdf5/latest/_f_m_t3.html
 """
@@ -24,25 +21,23 @@ from mixseq_io.atomic import replacing
 from mixseq_io.surface_arrays import surface_arrays
 
 CHECKED: dict[str, Any] = {"fletcher32": True, "shuffle": True, "compression": "gzip", "compression_opts": 6}
-"""How every dataset is stored that has elements."""
+"""Storage options of every dataset with elements."""
 
 _CHUNK_ROWS = 64
 _CHUNK_COLUMNS = 2048
-"""Numbers of a row in a chunk: few, so that gzip, which looks back over 32 KiB, finds what rows have in common."""
+"""Columns per chunk: few, so that gzip's window of 32 KiB covers similar rows."""
 
 
 def put_text(holder: h5py.Group, name: str, text: str) -> None:
-    """Store a text as an attribute, of fixed length: strings of any length lie outside the structure's checksums."""
+    """Store a text as an attribute of fixed length, since variable-length strings have no checksum."""
     data = text.encode("utf-8", "surrogateescape")
     holder.attrs.create(name, data, dtype=h5py.string_dtype("utf-8", max(1, len(data))))
 
 
 def put_array(file: h5py.File, name: str, array: NDArray[Any]) -> None:
-    """Store an array in chunks of a mebibyte at most, and write it at once, so that equal contents are equal files.
+    """Store an array in chunks of at most 1 MiB, and write it at once, so that equal contents give equal files.
 
-    Left to itself HDF5 finds a place for the numbers when the dataset is closed, that is, when Python drops the last
-    reference to it. Whoever looks at our frames meanwhile holds another: a debugger, or the profiler that every worker
-    of a dask cluster has.
+    HDF5 otherwise allocates the numbers when the last reference goes; debuggers and dask's profiler may hold one.
     """
     file.create_dataset(
         name, data=array, **(CHECKED | {"chunks": _chunks(array.shape)} if array.size else {})
@@ -58,7 +53,7 @@ def _chunks(shape: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def write_header(file: h5py.File, header: SequenceHeader) -> None:
-    """Store everything about a sequence but its times and points."""
+    """Store a sequence's header except for its times."""
     put_text(file, "name", header.name)
     file.attrs["fps"] = header.fps
     put_text(file, "up_axis", header.up_axis)
@@ -74,7 +69,7 @@ def write_header(file: h5py.File, header: SequenceHeader) -> None:
 
 @contextmanager
 def creating_h5(path: Path) -> Iterator[tuple[h5py.File, Store]]:
-    """Yield a new HDF5 file that replaces `path` when it is complete, and the store that tells of failures."""
+    """Yield a new HDF5 file that replaces `path` when complete, and the store that reports failures."""
     with replacing(path) as temporary, temporary.open("w+b", buffering=0) as raw:
         store = Store(raw)
         with h5py.File(store, "w", libver=("v110", "v110")) as file:
@@ -83,11 +78,10 @@ def creating_h5(path: Path) -> Iterator[tuple[h5py.File, Store]]:
 
 
 class Store:
-    """A file that takes what HDF5 gives it even if the disk does not, and tells afterwards.
+    """File object for HDF5 that accepts all writes and reports failures afterwards.
 
-    HDF5 cannot close a file that it cannot write: it keeps it half open, and the process dies of a
-    segmentation fault later. Nor can it pass on what is raised while it calls Python. So the first failure is kept for
-    `check`, nothing is written from there on, and signals wait.
+    HDF5 cannot close a file after a failed write, and crashes later; nor can it pass on exceptions of Python callbacks.
+    The first failure is kept for `check`, later writes are dropped, and signals wait.
     """
 
     def __init__(self, file: IO[bytes]) -> None:
@@ -95,7 +89,7 @@ class Store:
         self._failure: BaseException | None = None
 
     def check(self) -> None:
-        """Raise the failure, if there was one."""
+        """Raise the first failure, if any."""
         if self._failure is not None:
             raise self._failure
 
@@ -137,4 +131,4 @@ class Store:
 
     @unbroken
     def flush(self) -> None:
-        """Do nothing: the file has no buffer, and is flushed to the disk before it gets its name."""
+        """Do nothing: the file is unbuffered, and flushed to disk before it gets its name."""

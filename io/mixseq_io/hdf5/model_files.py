@@ -53,7 +53,7 @@ def write_model(file: h5py.File, model: Model) -> None:
 
 
 def read_model(path: Path, file: Contents) -> Model:
-    """Make a model of what is in a file."""
+    """Make a model from a file's contents."""
     check_version(path, file, VERSION)
     try:
         frames = increasing(path, file, "signals/time/frames")

@@ -1,4 +1,4 @@
-"""The signals of a model in HDF5, made to be read and changed by hand: see ``docs/file-format.md``."""
+"""Signals of a model in HDF5, readable and editable by hand: see ``docs/file-format.md``."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def read_signals(path: Path, file: Contents, header: SequenceHeader, space: Stor
 
 
 def _check_frames(path: Path, header: SequenceHeader, **curves: Curve) -> None:
-    """Refuse frames that are outside the knots of a curve, by the names of the signals."""
+    """Raise an error for frames outside the knots of a curve, named by signal."""
     first, last = header.times[0], header.times[-1]
     for name, curve in curves.items():
         if curve.start > first or curve.end < last:
@@ -78,7 +78,7 @@ def _read_correction(path: Path, file: Contents, space: StoredSpace) -> Curve:
 
 
 def _put_blocks(file: h5py.File, group: str, blocks: Blocks, values: Float) -> None:
-    """Store rows ``(m, D)`` as one dataset ``(m, ...)`` for every block of their numbers."""
+    """Store rows ``(m, D)`` as one dataset ``(m, ...)`` per block."""
     ends = np.cumsum([int(np.prod(shape)) for shape in blocks.values()])
     columns = np.split(values, ends[:-1], axis=1)
     for (name, shape), block in zip(blocks.items(), columns, strict=True):
@@ -86,7 +86,7 @@ def _put_blocks(file: h5py.File, group: str, blocks: Blocks, values: Float) -> N
 
 
 def _get_blocks(path: Path, file: Contents, group: str, blocks: Blocks, count: int) -> Float:
-    """Read what `_put_blocks` stored."""
+    """Read the rows ``(m, D)`` stored by `_put_blocks`."""
     columns = []
     for name, shape in blocks.items():
         values = floats(path, file, f"{group}/{name}", (count, *shape))

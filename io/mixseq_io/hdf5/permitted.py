@@ -1,11 +1,8 @@
-"""Look through an HDF5 file before anything in it is read, and refuse what none of ours has.
+"""Inspection of an HDF5 file before any value is read; contents that mixseq never writes are refused.
 
-HDF5 can do far more than our files need: point to other files, follow links in circles, load code for unknown filters,
-and promise terabytes that were never written. A file from a stranger may use all of that. So names, types, shapes and
-how data are stored, which the 1.10 layout keeps under checksums, are looked at first; no value is.
-
-How much a dataset may unpack to follows from the bytes it has in the file: gzip makes at most 1032 bytes of one. Ours
-come near to that (1023 in a sequence that stands still), so the limit is that of gzip itself.
+HDF5 files can refer to other files, link in circles, load code for unknown filters, and announce terabytes that were
+never written. Names, types, shapes and storage, all under checksums of the 1.10 layout, are checked first. A dataset
+may unpack to at most gzip's limit of 1032 bytes per stored byte; still sequences of mixseq reach 1023.
 """
 
 from __future__ import annotations
@@ -20,14 +17,14 @@ from h5py import h5a, h5d, h5g, h5l, h5o, h5t, h5z
 from mixseq.errors import FormatError
 
 MOST_OBJECTS = 1000
-"""Groups and datasets of a file; ours have some 30."""
+"""Largest number of groups and datasets of a file; mixseq's files have some 30."""
 
 _DEEPEST = 8
 _MOST_ATTRIBUTES = 100
 _RANK = 4
 _ATTRIBUTE_BYTES = 1 << 20
 _UNPACKED = 1040
-"""Bytes that one byte in the file may become: what gzip can do, and a little for rounding."""
+"""Largest number of bytes per stored byte: gzip's limit, and a little for rounding."""
 
 _FILTERS = (h5z.FILTER_DEFLATE, h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32)
 _NUMBERS = (h5t.INTEGER, h5t.FLOAT)
@@ -35,7 +32,7 @@ _LINKS = {h5l.TYPE_SOFT: "a soft link", h5l.TYPE_EXTERNAL: "a link to another fi
 
 
 def check_permitted(path: Path, file: h5py.File) -> None:
-    """Look at every object of a file that was just opened."""
+    """Check every object of a newly opened file."""
     _Inspection(path).group(file.id, "")
 
 
@@ -46,7 +43,7 @@ class _Inspection:
         self._objects = 0
 
     def group(self, group: h5g.GroupID, name: str) -> None:
-        """Look at a group and everything in it."""
+        """Check a group and its contents."""
         if name.count("/") > _DEEPEST:
             raise self._refusal(name, "is nested too deeply")
         self._attributes(group, name)
@@ -90,7 +87,7 @@ class _Inspection:
     def _dataset(self, found: h5d.DatasetID, name: str) -> None:
         storage = found.get_create_plist()
         layout = storage.get_layout()
-        # First of all: HDF5 opens other files as soon as it is asked for the shape of what is in them.
+        # First, since HDF5 opens external files when it is queried for the shape of their data.
         if layout not in (h5d.COMPACT, h5d.CONTIGUOUS, h5d.CHUNKED):
             raise self._refusal(name, "is a virtual dataset, of data elsewhere")
         if storage.get_external_count():

@@ -1,4 +1,4 @@
-"""HDF5 sequences: everything a mesh sequence has, compressed, with a checksum for every piece.
+"""HDF5 sequences: complete mesh sequences, compressed, with checksums.
 
 ::
 
@@ -38,14 +38,14 @@ FORMAT = "mixseq-sequence"
 VERSION = 1
 
 _BY_FRAME = ("points", "velocities")
-"""Datasets that are read as frames are asked for."""
+"""Datasets read frame by frame on demand."""
 
 # A chunk is compressed and read as a whole; HDF5 keeps 1 MiB of them by default.
 _CHUNK_BYTES = 1 << 20
 
 
 def open_h5(path: Path) -> SequenceReader:
-    """Open a sequence that mixseq stored in HDF5."""
+    """Open an HDF5 sequence of mixseq."""
     found = read_attributes(path)
     if found.kind != FORMAT:
         raise FormatError(f"{path} is an HDF5 file, but not one of mixseq's (format = {found.kind!r})")

@@ -1,4 +1,4 @@
-"""The mixed space of a model in HDF5: its parts and joints, and how vertices follow parts."""
+"""Mixed space of a model in HDF5: its parts, joints, and skinning weights."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _SUM = 1e-9  # how far the weights of a vertex may be from one
 
 
 def mixed_blocks(space: MixedSpace) -> dict[str, tuple[int, ...]]:
-    """Return what a shape consists of, as `shape_blocks` does."""
+    """Return the blocks of a shape, as `shape_blocks`."""
     parts, relations = len(space.decomposition.parts), len(space.articulation.pairs)
     return {
         "lengths": (len(space.edge_ids),),
@@ -49,7 +49,7 @@ def mixed_blocks(space: MixedSpace) -> dict[str, tuple[int, ...]]:
 
 
 def write_mixed_space(file: h5py.File, space: MixedSpace) -> None:
-    """Store what a mixed space has beside its scale and settings."""
+    """Store a mixed space except for its scale and settings."""
     weights = space.skinning_weights
     put(file, "space/shapes", space.shapes)
     put(file, "space/reference", space.reference)
@@ -102,7 +102,7 @@ def _read_projection(path: Path, file: Contents) -> Projection:
 
 
 def _read_marks(path: Path, file: Contents, name: str, count: int) -> NDArray[np.bool_]:
-    """Read which of so many are marked: their numbers."""
+    """Return a mask ``(count,)`` from stored indices."""
     marks = np.zeros(count, dtype=bool)
     marks[integers(path, file, name, (None,), 0, count)] = True
     return marks
@@ -131,7 +131,7 @@ def _write_segmentation(file: h5py.File, decomposition: Decomposition) -> None:
 
 
 def _read_segmentation(path: Path, file: Contents, topology: Topology) -> Decomposition:
-    """Read the parts and joints of a mesh."""
+    """Read a mesh's parts and joints."""
     faces, vertices = len(topology.faces), topology.vertex_count
     parts = get_lists(path, file, "segmentation/parts", "vertices", vertices)
     if not parts:

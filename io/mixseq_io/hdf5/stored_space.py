@@ -1,4 +1,4 @@
-"""The shape space of a model in HDF5, and what vectors of it consist of."""
+"""Shape space of a model in HDF5, and the blocks of its vectors."""
 
 from __future__ import annotations
 
@@ -37,24 +37,24 @@ from mixseq_io.hdf5.stored_mixed import mixed_blocks, read_mixed_space, write_mi
 
 StoredSpace = MixedSpace | VertexSpace | GradientSpace | LRISpace | EdgeSpace | BasisSpace
 Blocks = dict[str, tuple[int, ...]]
-"""Names of datasets, in the order of the vector, and the shape of each."""
+"""Names of datasets in the order of the vector, with their shapes."""
 
 EDGE = ("projection", "volume")
-"""Settings of the edge space in the group of that name; those of the fits have their own."""
+"""Group of the edge space's settings; those of its fits have their own."""
 
 KNOWN = (*SPACES, BasisSpace.name)
 """Names of the spaces that files can hold."""
 
 
 def storable(space: ShapeSpace) -> StoredSpace:
-    """Return the space, if files can hold it."""
+    """Return the space if files can hold it; else raise an error."""
     if isinstance(space, StoredSpace):
         return space
     raise OutputError(f"files hold models in the spaces {', '.join(KNOWN)}, not in {type(space).__name__}")
 
 
 def shape_blocks(space: StoredSpace) -> Blocks:
-    """Return what a key shape consists of: datasets of `signals/shape`."""
+    """Return the blocks of a key shape: datasets of `signals/shape`."""
     match space:
         case VertexSpace():
             return {"positions": (space.vertex_count, 3)}
@@ -74,12 +74,12 @@ def shape_blocks(space: StoredSpace) -> Blocks:
 
 
 def placement_blocks(space: StoredSpace) -> Blocks:
-    """Return what a placement consists of: datasets of `signals/placement`."""
+    """Return the blocks of a placement: datasets of `signals/placement`."""
     return {"rotations": (space.rotation_count, 4), "translations": (space.centre_count, 3)}
 
 
 def correction_blocks(space: StoredSpace) -> Blocks:
-    """Return what a correction consists of: datasets of `signals/correction`; nothing where there are no parts."""
+    """Return the blocks of a correction: datasets of `signals/correction`; none without parts."""
     parts = space.correction_dim // 6
     return {"rotations": (parts, 3), "translations": (parts, 3)} if parts else {}
 

@@ -1,4 +1,4 @@
-"""Unpack HDF5 files: the other side of `mixseq_io.hdf5.contents`, in the worker's process."""
+"""Worker's side of `mixseq_io.hdf5.contents`: reads HDF5 files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mixseq_io.memory import check_memory
 from mixseq_io.reader import brief
 
 _SHARE = 1 / 60
-"""Part of the time limit that is enough for attributes: there is little to read, and damage in them has no end."""
+"""Share of the time limit for attributes, which are small; damaged ones may loop forever."""
 
 
 def attributes(path: Path) -> Contents:
@@ -41,7 +41,7 @@ def contents(path: Path, kind: str | None) -> Contents:
 
 
 def contents_of(path: Path, file: h5py.File, but: Collection[str] = ()) -> Contents:
-    """Read all of an open file, `but` some datasets."""
+    """Read an open file, except for the datasets `but`."""
     _, datasets = _objects(file)
     check_memory(path, sum(_unpacked(each, name in but) for name, each in datasets.items()), "its datasets")
     arrays: dict[str, NDArray[Any]] = {}
@@ -58,7 +58,7 @@ def _attributes_of(file: h5py.File) -> dict[str, dict[str, Any]]:
 
 
 def _unpacked(dataset: h5py.Dataset, in_part: bool) -> int:
-    """Return the bytes that a dataset takes in memory, or those of a chunk, which is unpacked as a whole."""
+    """Return the size of a dataset in memory in bytes, or of one chunk, which is unpacked as a whole."""
     chunk = prod(dataset.chunks or (1,))
     return int(dataset.dtype.itemsize * (chunk if in_part else max(dataset.size, chunk)))
 
@@ -73,7 +73,7 @@ def _objects(file: h5py.File) -> tuple[dict[str, h5py.Group], dict[str, h5py.Dat
 
 @contextmanager
 def opened_h5(path: Path) -> Iterator[h5py.File]:
-    """Open a file in this process, if there is nothing in it that our files do not have."""
+    """Open a file in this process after checking that it holds only permitted contents."""
     with reading_h5(path), h5py.File(path, "r") as file:
         check_permitted(path, file)
         yield file

@@ -1,1 +1,1 @@
-"""Labels of faces that others made: found in files (`reading`), derived (`from_markings`), and written (`writing`)."""
+"""Labels of faces from other programs: read (`reading`), derived (`from_markings`), and written (`writing`)."""

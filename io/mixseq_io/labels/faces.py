@@ -1,4 +1,4 @@
-"""Labels of triangles and of the polygons that they are cut from."""
+"""Labels of triangles and of their polygons."""
 
 from __future__ import annotations
 
@@ -25,24 +25,17 @@ class Labels:
 
 
 def triangle_labels(of_polygon: ArrayLike, polygons: Polygons) -> Index:
-    """Return the labels ``(F,)`` of triangles from those ``(P,)`` of polygons."""
+    """Return the labels ``(F,)`` of triangles from those of polygons ``(P,)``."""
     return np.repeat(np.asarray(of_polygon, dtype=np.int64), polygons.counts - 2)
 
 
 def polygon_labels(of_triangle: Index, polygons: Polygons) -> Index:
-    """Return the labels ``(P,)`` that most triangles of each polygon have, the lower one of two.
-
-    Examples
-    --------
-    >>> quad_and_triangle = Polygons(np.array([4, 3]), np.array([0, 1, 2, 3, 3, 2, 4]))
-    >>> polygon_labels(np.array([5, 2, 7]), quad_and_triangle).tolist()
-    [2, 7]
-    """
+    """Return the most frequent label of each polygon's triangles ``(P,)``, the lowest on ties: from ``(F,)``."""
     return most_frequent(np.repeat(np.arange(len(polygons.counts)), polygons.counts - 2), of_triangle)
 
 
 def most_frequent(owner: Index, value: Index) -> Index:
-    """Return for owners 0, 1, ... the value that each has most often, the lowest of several."""
+    """Return the most frequent value of each owner 0, 1, ..., the lowest on ties: owner, value ``(n,)``."""
     if not owner.size:
         return np.zeros(0, dtype=np.int64)
     span = int(value.max()) + 1

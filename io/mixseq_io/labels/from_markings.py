@@ -1,15 +1,14 @@
-r"""One label per face, made of what a file has on a mesh.
+r"""Labels of faces derived from sets, colours or skeletons in a file.
 
-- *Sets*: a polygon's label is the sets that it is in; most are in one. What is in none has the label `UNNAMED`.
-- *Colours*: equal colours, to 8 bits a channel, are one label. A polygon takes that of most of its corners, ties go to
-  the lower one. More than `MOST_COLOURS` are a picture and no segmentation.
+- *Sets*: a polygon's label is its sets, mostly one; without any it is `UNNAMED`.
+- *Colours*: equal colours, to 8 bits a channel, are one label. A polygon takes that of most of its corners, the lowest
+  on ties. More than `MOST_COLOURS` are a picture and no segmentation.
 - *Skeleton*: with the weights :math:`w_{vj}` of the vertices a polygon p takes the joint
 
   .. math:: \arg\max_j \sum_{v \in p} w_{vj},
 
-  ties to the lower one. Joints with a smaller share of the polygons than `smallest` then join the joint above them, the
-  lowest first, so that fingers become a hand. So small regions of a joint that are not connected with its others join
-  the label that they have most edges in common with.
+  the lowest on ties. Joints with a smaller share of the polygons than `smallest` join their parents, the deepest first,
+  so that fingers become a hand. Small disconnected regions of a joint join the label with most common edges.
 
 Labels belong to polygons, as authored; triangles have those of their polygons.
 """
@@ -32,18 +31,17 @@ from mixseq_io.labels.faces import Labels, most_frequent, triangle_labels
 from mixseq_io.labels.markings import SMALLEST_JOINT, Skinning, shortest
 
 UNNAMED = "(none)"
-"""Name of what no set contains."""
+"""Name of the label of polygons in no set."""
 
 MOST_COLOURS = 256
 
-_BRIGHTEST = 1e6  # renderers know colours beyond 1
+_BRIGHTEST = 1e6  # renderers allow colours above 1
 
 
 def labels_of_sets(sets: Sequence[FaceSet], polygons: Polygons) -> Labels:
-    """Label polygons by the sets that they are in.
+    """Label polygons by their sets, in the order of the sets; polygons in no set come last.
 
-    Labels are in the order of the sets; a label of several sets has all their names, with a "+" between. What is in
-    no set comes last.
+    The label of several sets has all their names, joined by "+".
     """
     number = {name: index for index, name in enumerate(dict.fromkeys(each.name for each in sets))}
     label = np.zeros(len(polygons.counts), dtype=np.int64)
@@ -82,7 +80,7 @@ def labels_of_colours(colours: FloatArray, polygons: Polygons) -> Labels:
 
 
 def labels_of_skinning(skinning: Skinning, polygons: Polygons, smallest: float = SMALLEST_JOINT) -> Labels:
-    """Label polygons by the joint that they follow most."""
+    """Label polygons by the joint with the largest sum of weights."""
     count = len(polygons.counts)
     rows = np.repeat(np.arange(count), polygons.counts)
     of_polygon = csr_array(
@@ -101,7 +99,7 @@ def labels_of_skinning(skinning: Skinning, polygons: Polygons, smallest: float =
 
 
 def _merged_up(skinning: Skinning, joint: Index, fewest: float) -> Index:
-    """Return the joints ``(P,)`` after joints with fewer polygons have joined those above them, the lowest first."""
+    """Return the joints ``(P,)`` after those of fewer than `fewest` polygons joined their parents, deepest first."""
     number = {path: index for index, path in enumerate(skinning.joints)}
     parent = [number.get(above, -1) for above in skinning.parents]
     sizes = np.bincount(joint, minlength=len(parent)).tolist()
@@ -126,14 +124,9 @@ def _hexadecimal(colour: NDArray[np.int64]) -> str:
 
 
 def without_small_regions(of_polygon: Index, polygons: Polygons, vertex_count: int, fewest: float) -> Index:
-    """Give every small region, with fewer polygons than `fewest`, the label that it has most edges in common with.
+    """Relabel ``(P,)`` regions of fewer than `fewest` polygons, smallest first, by the label with most common edges.
 
-    Weights of skins leave ragged borders, and single faces astray.
-
-    The smallest region comes first; it belongs to its new neighbour from then on. Regions that are all of a
-    connected component stay.
-
-    Shapes: of_polygon ``(P,)``.
+    Skinning weights leave ragged borders and stray faces. Regions that are whole connected components stay.
     """
     pairs = _beside(polygons, vertex_count)
     count = len(of_polygon)
@@ -160,7 +153,7 @@ def without_small_regions(of_polygon: Index, polygons: Polygons, vertex_count: i
 
 
 def _beside(polygons: Polygons, vertex_count: int) -> Index:
-    """Return pairs of polygons ``(n, 2)``, one for every edge that two share."""
+    """Return pairs of polygons ``(n, 2)``, one for each shared edge."""
     owner = np.repeat(np.arange(len(polygons.counts)), polygons.counts - 2)
     pairs = owner[Topology(polygons.triangles, vertex_count).hinge_faces]
     return np.asarray(pairs[pairs[:, 0] != pairs[:, 1]], dtype=np.int64)

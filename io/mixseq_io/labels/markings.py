@@ -1,8 +1,4 @@
-"""What files have on a mesh that can tell its parts apart, besides colours: named sets of faces, joints of skeletons.
-
-Readers find it (`mixseq_io.reader.SequenceReader.markings`), by the vertices and polygons of the sequence that they
-read: what a reader welds is welded here, too.
-"""
+"""Named sets of faces and joints of skeletons, from which labels are derived, by a sequence's vertices and polygons."""
 
 from __future__ import annotations
 
@@ -20,18 +16,18 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 LABELS, GROUPS, MATERIALS, COLOURS, SKELETON = "labels", "groups", "materials", "colours", "skeleton"
-"""Names of sources. Families of USD's subsets that are none of these go by their own names."""
+"""Names of sources; other families of USD subsets are sources by their own names."""
 
 FAMILY = "mixseq"
-"""Family of those of USD's subsets that are parts: the source `LABELS`."""
+"""Family of USD subsets that are parts: the source `LABELS`."""
 
 SMALLEST_JOINT = 0.01
-"""Share of the polygons that a joint needs to be a part of its own; the value is ours."""
+"""Smallest share of the polygons of a joint that is a part of its own."""
 
 
 @dataclass(frozen=True, eq=False)
 class Skinning:
-    """How much each vertex follows each joint."""
+    """Skinning weights of vertices by joint."""
 
     weights: csr_array
     joints: tuple[str, ...]
@@ -39,7 +35,7 @@ class Skinning:
 
     @classmethod
     def rigid(cls, path: str, vertex_count: int) -> Skinning:
-        """Return that of a mesh without a skin: it follows itself."""
+        """Return the skinning of a mesh without a skin: it follows itself."""
         from scipy.sparse import csr_array
 
         return cls(csr_array(np.ones((vertex_count, 1))), (path,), ("",))
@@ -47,14 +43,14 @@ class Skinning:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Markings:
-    """What tells parts of a mesh apart."""
+    """Sets of polygons and skinning of a mesh."""
 
     sets: Mapping[str, tuple[FaceSet, ...]] = field(default_factory=dict)
     skinning: Skinning | None = None
 
 
 def sets_of(header: SequenceHeader) -> dict[str, tuple[FaceSet, ...]]:
-    """Return the face sets of a surface: those of materials, and the others."""
+    """Return the face sets of a surface: those with materials, and the others."""
     every = header.surface.face_sets
     materials = shortest(each.material for each in every if each.material)
     named = {
@@ -65,7 +61,7 @@ def sets_of(header: SequenceHeader) -> dict[str, tuple[FaceSet, ...]]:
 
 
 def joined_skinning(meshes: Sequence[Skinning]) -> Skinning:
-    """Put several meshes one after the other; joints that they share are the same."""
+    """Concatenate the skinning of several meshes; shared joints are merged."""
     from scipy.sparse import csr_array, vstack
 
     parents = {
@@ -81,13 +77,7 @@ def joined_skinning(meshes: Sequence[Skinning]) -> Skinning:
 
 
 def shortest(paths: Iterable[str]) -> dict[str, str]:
-    """Return the last names of paths, or the whole paths where two have the same last name.
-
-    Examples
-    --------
-    >>> shortest(["/man/arm", "/man/leg/toe", "/man/arm/toe"])
-    {'/man/arm': 'arm', '/man/leg/toe': '/man/leg/toe', '/man/arm/toe': '/man/arm/toe'}
-    """
+    """Return the last name of each path, or the whole path where it is ambiguous."""
     last = {path: path.rstrip("/").rpartition("/")[2] or path for path in paths}
     often = Counter(last.values())
     return {path: name if often[name] == 1 else path for path, name in last.items()}

@@ -1,10 +1,10 @@
-"""Reading labels: which of the things in a file are meant, and whether they fit the mesh.
+"""Read labels: choose among a file's sources, and check that they fit the mesh.
 
 =============  ==========================================================================================
-source         what it is
+source         meaning
 =============  ==========================================================================================
 ``labels``     npz: an array ``part_of_face`` or ``labels`` with a number or name for every triangle or every
-               polygon; USD: the family ``mixseq`` of subsets. Both are what ``mixseq segment`` writes.
+               polygon; USD: the family ``mixseq`` of subsets. Both are written by ``mixseq segment``.
 ``groups``     named sets of faces: OBJ groups, Alembic face sets, USD subsets without a family
 *a family*     USD: the subsets of any other family
 ``materials``  the faces of every material
@@ -12,8 +12,7 @@ source         what it is
 ``skeleton``   weights of skins: UsdSkel, glTF
 =============  ==========================================================================================
 
-`labels` come before all others, because somebody made them to be labels. Sources that give all faces the same label
-count only where they are asked for.
+`labels` come first, since they were made as labels. Sources with one label for all faces count only on request.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ from mixseq_io.registry import open_sequence
 Sources = dict[str, Callable[[], Labels]]
 
 ARRAYS = ("part_of_face", "labels")
-"""Names of arrays of labels in npz files; the first that is there counts."""
+"""Names of label arrays in npz files; the first that exists counts."""
 
 
 def read_labels(
@@ -52,7 +51,7 @@ def read_labels(
     smallest_joint: float = SMALLEST_JOINT,
     **options: Any,
 ) -> Labels:
-    """Read labels of a mesh's faces from a file, as they stand there.
+    """Read labels of a mesh's faces from a file, unchanged.
 
     `mixseq.segmentation.segment_by_labels` makes a segmentation of them, whose parts are connected.
 
@@ -79,7 +78,7 @@ def read_labels(
 def labels_of(
     reader: SequenceReader, source: str | None = None, *, smallest_joint: float = SMALLEST_JOINT
 ) -> Labels:
-    """Return the labels of an open sequence's own file; see `read_labels`."""
+    """Return the labels from an open sequence's own file; see `read_labels`."""
     sources = _stored(reader.path, reader.header) | _marked(reader, reader.header, smallest_joint)
     return _chosen(reader.path, sources, source)()
 
@@ -97,7 +96,7 @@ def _chosen(file: Path, sources: Sources, wanted: str | None) -> Callable[[], La
         return next(iter(sources.values()))
     telling = {}
     for name, make in sources.items():
-        # What cannot be labels (a painted mesh) or tells nothing apart is no rival of what can.
+        # Sources that cannot be labels (a painted mesh), or have a single one, do not make the choice ambiguous.
         try:
             labels = make()
         except FormatError:
@@ -123,7 +122,7 @@ def _what_there_is(sources: list[str]) -> str:
 
 
 def _stored(file: Path, header: SequenceHeader) -> Sources:
-    """Return the array of labels of an npz file, if there is one."""
+    """Return the label array of an npz file, if any, as a source."""
     if file.suffix.lower() != ".npz":
         return {}
     with opened_archive(file) as archive:
@@ -143,7 +142,7 @@ def _stored(file: Path, header: SequenceHeader) -> Sources:
 
 
 def _is_mesh(file: Path) -> bool:
-    """Whether a file is a sequence, and not only an array of labels."""
+    """Whether a file is a sequence, as opposed to an array of labels."""
     if file.suffix.lower() != ".npz":
         return True
     with opened_archive(file) as archive:
@@ -179,7 +178,7 @@ def _within(values: NDArray[Any], count: int) -> bool:
 
 
 def _marked(reader: SequenceReader, header: SequenceHeader, smallest: float) -> Sources:
-    """Return the labels that a file's markings make, for a mesh with the same faces, which may be in another order."""
+    """Return labels from a file's markings, for a mesh with the same faces in any order."""
     from mixseq_io.labels.from_markings import labels_of_sets, labels_of_skinning
 
     if not 0 <= smallest <= 1:
@@ -199,7 +198,7 @@ def _marked(reader: SequenceReader, header: SequenceHeader, smallest: float) -> 
 
 
 def _carried(make: Callable[[], Labels], face: Index) -> Labels:
-    """Return the labels of faces that are listed elsewhere; all triangles of a polygon have the polygon's label."""
+    """Return the labels of reordered faces; all triangles of a polygon have the polygon's label."""
     labels = make()
     return replace(labels, part_of_face=labels.part_of_face[face])
 
@@ -214,10 +213,9 @@ def _colours(file: Path, colours: FloatArray, polygons: Polygons) -> Labels:
 
 
 def _same_faces(file: Path, header: SequenceHeader, found: SequenceHeader) -> Index | None:
-    """Return which of the file's triangles each of the sequence's is, None if they are in the same order.
+    """Return the file's triangle of each of the sequence's ``(F,)``, None if in the same order; refuse another mesh.
 
-    Labels of another mesh are refused. In the same order it does not matter whether vertices are split or welded
-    otherwise; in another one vertices have to be the same.
+    In the same order vertices may be split or welded differently; in another one they must be equal.
     """
     ours, theirs = header.faces, found.faces
     if len(ours) != len(theirs):

@@ -1,7 +1,6 @@
-"""Writing parts: as arrays (npz), as subsets of the faces (USD), or as groups (OBJ, Alembic, HDF5).
+"""Write parts as arrays (npz), as subsets of the faces (USD), or as groups (OBJ, Alembic, HDF5).
 
-npz files have triangles, one by one. The other formats have polygons, each in the part that most of its triangles
-are in.
+npz files store triangles. The other formats store polygons, each in the part of most of its triangles.
 """
 
 from __future__ import annotations
@@ -31,12 +30,12 @@ ARRAYS, SUBSETS, SETS = "npz", "USD", ("OBJ", "Alembic", "HDF5 sequence")
 def write_labels(
     path: PathLike, sequence: MeshSequence | SequenceReader, labels: Labels, *, flatten: bool = False
 ) -> None:
-    """Write the parts of a mesh; all but npz files have the animation, too.
+    """Write the parts of a mesh; all but npz files include the animation.
 
     - ``.npz``: the arrays ``part_of_face`` (triangles), ``part_of_polygon`` and ``names``, nothing else.
-    - USD: a subset of the family ``mixseq`` for every part. Over the file of a reader, it is a layer that
-      adds these and changes nothing else, so that points, skeletons and materials are still those of the file.
-    - OBJ, Alembic and HDF5 sequences: a face set for every part in place of those that stand for no material.
+    - USD: a subset of the family ``mixseq`` for every part. Over a reader's file it is a layer that only adds these, so
+      that points, skeletons and materials are still those of the file.
+    - OBJ, Alembic and HDF5 sequences: a face set for every part in place of those without material.
     """
     file, header = Path(path), sequence.header
     form = check_holds_labels(file)
@@ -57,7 +56,7 @@ def write_labels(
 
 
 def check_holds_labels(path: PathLike) -> str:
-    """Return the name of a file's format if parts can be written into it."""
+    """Return the name of a file's format; raise an error if it cannot hold parts."""
     extension = Path(path).suffix.lower()
     able = [form for form in FORMATS if form.name in (ARRAYS, SUBSETS, *SETS)]
     for form in able:
@@ -104,7 +103,7 @@ def _write_subsets(
 
 
 def _without(header: SequenceHeader, old: Sequence[FaceSet]) -> SequenceHeader:
-    """Leave out the parts that a mesh has from before."""
+    """Return a header without the parts that its mesh had before."""
     parts = {(each.name, each.polygons.tobytes()) for each in old}
     kept = (each for each in header.surface.face_sets if (each.name, each.polygons.tobytes()) not in parts)
     return replace(header, surface=replace(header.surface, face_sets=tuple(kept)))
@@ -117,7 +116,7 @@ def _same(a: str, b: Path) -> bool:
 def _values(
     sequence: MeshSequence | SequenceReader,
 ) -> tuple[Iterable[FloatArray], Iterable[FloatArray] | None]:
-    """Return the points of a sequence, and its velocities if it has some."""
+    """Return the blocks of a sequence's points, and of its velocities or None."""
     if isinstance(sequence, SequenceReader):
         return sequence.blocks(), sequence.velocity_blocks()
     return [sequence.points], None if sequence.velocities is None else [sequence.velocities]

@@ -1,7 +1,7 @@
-"""Sequences of numbered files that hold one frame each: the driver of OBJ, PLY, STL and OFF.
+"""Sequences of numbered files of one frame each: the driver of OBJ, PLY, STL and OFF.
 
-A format is a parser of one file and an encoder of one frame. The parser is also given the first frame's mesh for all
-later files: where their faces are written in the same bytes, they need not be parsed again.
+A format is a parser of one file and an encoder of one frame. Parsers of later files get the first frame's mesh, and
+skip faces stored in the same bytes.
 """
 
 from __future__ import annotations
@@ -27,24 +27,10 @@ from mixseq_io.reader import SequenceReader, naming, read_whole, reading
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MeshFile:
-    """What one file holds.
+    """Contents of one file: points ``(V, 3)``, polygons, name ("" for none), surface (later frames: colours only).
 
-    Parameters
-    ----------
-    points : (V, 3) float
-        Its vertices.
-    polygons : Polygons
-        Its faces.
-    source : object
-        The faces as the file has them, by which the parser sees that another file has the same.
-    name : str
-        Name of the mesh, "" if the file has none.
-    surface : Surface
-        What else is on the mesh; in later frames only the colours.
-    colour_text : bytes
-        The colours as a text file has them, by which the parser sees that another file has the same.
-    told : bool
-        Of the first frame: a warning has told that colours change, and those of later frames need not be read.
+    `source` and `colour_text` are the faces and colours as stored, to detect equal ones in other files. `told`: colour
+    changes were reported, so that later ones are skipped.
     """
 
     points: FloatArray
@@ -57,30 +43,18 @@ class MeshFile:
 
 
 Parser = Callable[[Path, bytes, MeshFile | None], MeshFile]
-"""Parses the bytes of a file, given its name for messages, and the first frame's mesh if this is a later one."""
+"""Parser of a file's bytes, given its name for messages, and the first frame's mesh for later files."""
 
 Encoder = Callable[[FloatArray, int], Iterable[bytes]]
-"""Turns points ``(V, 3)`` and the index of their frame into the contents of a file."""
+"""Encoder of points ``(V, 3)`` and their frame's index into a file's contents."""
 
 
 @dataclass(frozen=True)
 class FrameFormat:
-    """A format of which every file holds one frame.
+    """Format of files with one frame; the lower-case name is the extension.
 
-    Parameters
-    ----------
-    name : str
-        Its name in messages; in lower case its extension.
-    parse : Parser
-        Reads one file.
-    encoder : callable
-        Returns what writes one frame, given the pattern, for warnings, and the sequence's header.
-    lost : callable
-        Returns what the format cannot hold of a header's mesh, for the warning.
-    is_text : bool
-        Whether files are text, which takes more memory when it is parsed.
-    damage : tuple of exception types
-        What `parse` raises about a damaged file, besides errors of mixseq.
+    `encoder` makes a frame's encoder from the pattern, for warnings, and the header; `lost` returns a header's losses.
+    `damage` are exceptions of `parse` on damaged files besides mixseq's. Text files take more memory to parse.
     """
 
     name: str
@@ -108,7 +82,7 @@ class FrameFormat:
         return _FilesReader(path, header, files, first, self)
 
     def read(self, file: Path, like: MeshFile | None = None) -> MeshFile:
-        """Read a file, given the first frame's mesh if this is a later one."""
+        """Read a file, given the first frame's mesh for later frames."""
         with reading(file, a_file(self.name), *self.damage):
             return self.parse(file, read_whole(file, self.is_text), like)
 
@@ -120,23 +94,10 @@ class FrameFormat:
         velocities: Iterable[FloatArray] | None = None,
         start: int | None = None,
     ) -> None:
-        """Write one file per frame.
+        """Write one file per frame, named by a pattern as ``walk_####.obj`` or ``walk_%04d.obj``; velocities are lost.
 
-        Parameters
-        ----------
-        path : Path
-            A pattern (``walk_####.obj``, ``walk_%04d.obj``), or a file name if there is only one frame.
-        header, blocks, velocities
-            See `mixseq_io.write_blocks`; velocities are lost.
-        start : int, optional
-            Number of the first file; by default that of the first frame, or 1 where that is no whole number from 0 on.
-
-        Raises
-        ------
-        OutputError
-            If there are several frames and no pattern, or files cannot be written.
-        SettingsError
-            If `start` is negative.
+        Numbers begin at `start`, by default that of the first frame, or 1 if that is no whole number from 0 on. Raises
+        `OutputError` for several frames without a pattern or failed writes, `SettingsError` if `start` is negative.
         """
         if start is not None and start < 0:
             raise SettingsError(f"start is {start}; files are numbered from 0 or more")
@@ -206,12 +167,12 @@ def _alike(colours: CornerValues | None, first: CornerValues | None) -> bool:
 
 
 def a_file(kind: str) -> str:
-    """Return "a file" of a format whose name is spelt out: "a PLY file", "an OBJ file"."""
+    """Return "a file" of a format with its article: "a PLY file", "an OBJ file"."""
     return f"{'a' if kind.startswith('P') else 'an'} {kind} file"
 
 
 def _warn_of_others(path: Path, written: set[str]) -> None:
-    """Warn of files that another, longer sequence left behind, with which this one would be read."""
+    """Warn of files left by a longer sequence, which would be read with this one."""
     others = sorted({file.name for _, file in files_of_pattern(path)} - written)
     if others:
         warn(

@@ -15,18 +15,12 @@ _LAST_NUMBER = re.compile(r"(\d+)(?=\D*$)")
 
 
 def is_pattern(path: Path) -> bool:
-    """Whether a file name has a place for the frame number: ``####`` or ``%04d``."""
+    """Whether a file name has a placeholder of the frame number: ``####`` or ``%04d``."""
     return _PLACEHOLDER.search(path.name) is not None
 
 
 def numbered_name(pattern: Path, number: int) -> str:
-    """Put a frame number into the name of a pattern, or return the name if it has no place for one.
-
-    Examples
-    --------
-    >>> numbered_name(Path("out/walk_####.obj"), 7), numbered_name(Path("walk.%d.obj"), 7)
-    ('walk_0007.obj', 'walk.7.obj')
-    """
+    """Return a pattern's name with a frame number, or the unchanged name without a placeholder."""
     return _PLACEHOLDER.sub(lambda found: str(number).zfill(_width(found)), pattern.name, count=1)
 
 
@@ -64,7 +58,7 @@ def files_of_pattern(path: Path) -> list[tuple[int, Path]]:
 
 
 def _by_last_number(path: Path, files: Iterable[Path]) -> list[tuple[int, Path]]:
-    """Take the last number in each name; all names must be the same around it."""
+    """Return the last number in each name with its file; all names must be the same around it."""
     series: dict[str, list[tuple[int, Path]]] = defaultdict(list)
     for file in sorted(files):
         if file.name.startswith("."):
@@ -79,7 +73,7 @@ def _by_last_number(path: Path, files: Iterable[Path]) -> list[tuple[int, Path]]
 
 
 def _width(placeholder: re.Match[str]) -> int:
-    """Return the least number of digits."""
+    """Return a placeholder's minimum number of digits."""
     text = placeholder[0]
     return len(text) if text.startswith("#") else int(placeholder[1] or 1)
 

@@ -15,15 +15,12 @@ in the file                         here
 ``g``                               face sets without a material; ``g a b`` is in both
 ==================================  ==============================================================
 
-The parser is our own because the order of vertices matters here: trimesh, for one, merges vertices, splits those
-with several texture coordinates, and cuts polygons into triangles.
-
-Points are written with the digits that give back the same float32 or float64. Comments in our own files tell which
-of them it was, and whether the file is whole; points of other files are read as float64. Normals are only written
-where there are hard edges, anew for every frame; one across which the first frame is flat cannot be told from none
-when they are read. A name of a material is the last part of its path. OBJ has no place
-for times, frame rate, units, the up axis, velocities, subdivision, alpha, several colours at a vertex, and two
-materials on one polygon; the library of materials (``mtllib``) is not kept.
+The parser is mixseq's own to keep the order of vertices: trimesh merges and splits vertices and triangulates polygons.
+Points are written with the digits that give back the same float32 or float64. Comments in the files state which, and
+whether the file is whole; points of other files are read as float64. Normals are written for hard edges only, for every
+frame; hard edges that are flat in the first frame are lost when read. Names of materials are the last part of their
+path. OBJ has no place for times, frame rate, units, the up axis, velocities, subdivision, alpha, several colours at a
+vertex, and two materials on one polygon; the library of materials (``mtllib``) is not kept.
 
 Specification: https://paulbourke.net/dataformats/obj/
 """
@@ -50,7 +47,7 @@ from mixseq_io.numbered.text_lines import WRITTEN_BY, number_lines
 
 
 def obj_encoder(path: Path, header: SequenceHeader) -> Encoder:
-    """Return what turns points ``(V, 3)`` into the parts of an OBJ file; all but the numbers is made once."""
+    """Return the encoder of points ``(V, 3)`` into the parts of an OBJ file; other parts are made once."""
     objects = header.objects
     vertices = np.cumsum([0, *(each.vertex_count for each in objects)])
     polygons = np.cumsum([0, *(each.polygon_count for each in objects)])
@@ -76,7 +73,7 @@ def obj_encoder(path: Path, header: SequenceHeader) -> Encoder:
 
 
 def lost_in_obj(header: SequenceHeader) -> list[str]:
-    """Return what OBJ has no place for in a sequence's surface."""
+    """Return the parts of a sequence's surface that OBJ cannot hold."""
     lost = lost_surface(header, held=("uvs", "colours", "hard_edges", "face_sets", "objects"))
     lost += lost_colours(header, corners=False, alpha=False)
     sets = header.surface.face_sets
@@ -95,7 +92,7 @@ def lost_in_obj(header: SequenceHeader) -> list[str]:
 
 
 def _face_lines(header: SequenceHeader) -> list[str]:
-    """Return the lines of every polygon: a change of group or material, and the face."""
+    """Return the lines of every polygon: group or material changes, and the face."""
     surface = header.surface
     corners = [str(index) for index in (header.polygons.indices + 1).tolist()]
     if surface.uvs is not None:
@@ -132,7 +129,7 @@ def _labels(sets: Sequence[FaceSet], count: int) -> tuple[list[str], list[str]]:
 
 
 def _material_names(sets: Sequence[FaceSet]) -> dict[str, str]:
-    """Return the last part of every material's path, or all of it where two would be called the same."""
+    """Return the last part of every material's path, or the whole path for duplicates."""
     materials = {each.material for each in sets if each.material}
     last = {material: _one_line(material.rstrip("/").rpartition("/")[2]) for material in materials}
     count = Counter(last.values())

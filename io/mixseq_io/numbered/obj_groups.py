@@ -1,4 +1,4 @@
-"""What the statements ``o``, ``g`` and ``usemtl`` of OBJ files say about the faces after them."""
+"""Face sets and objects from the statements ``o``, ``g`` and ``usemtl`` of OBJ files."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from mixseq.polygons import Polygons
 from mixseq.surface import FaceSet, MeshObject
 
 NOTHING = "(null)"
-"""What stands for no group or no material, after faces that had one; exporters that need it write this."""
+"""Name for no group or no material after faces that had one, as exporters write it."""
 
 
 @dataclass(frozen=True)
 class Statement:
-    """A line ``o``, ``g`` or ``usemtl``; it holds until the next of its kind."""
+    """Line ``o``, ``g`` or ``usemtl``, which holds until the next of its kind."""
 
     kind: str
     text: str
@@ -45,7 +45,7 @@ def grouped(
 
 
 def _runs(statements: Sequence[Statement], count: int, several: bool = False) -> dict[str, IntArray]:
-    """Return the faces under every name, or under every one of `several` names in a statement."""
+    """Return the faces of every name, or of each of `several` names in a statement."""
     faces: dict[str, list[IntArray]] = {}
     ends = [*(each.face for each in statements[1:]), count]
     for each, end in zip(statements, ends, strict=False):
@@ -58,7 +58,7 @@ def _runs(statements: Sequence[Statement], count: int, several: bool = False) ->
 def _objects(
     statements: Sequence[Statement], polygons: Polygons, vertex_count: int
 ) -> tuple[MeshObject, ...]:
-    """Return the objects, or none if their vertices are not one run after the other."""
+    """Return the objects, or none if their vertices are not consecutive."""
     if not statements or statements[0].face > 0:
         return ()
     faces = np.array([*(each.face for each in statements), len(polygons.counts)])
@@ -76,7 +76,7 @@ def _objects(
 
 
 def _bounds_of_use(used: Sequence[IntArray], vertex_count: int) -> list[int]:
-    """Return the first vertex of every object where all vertices stand before all objects."""
+    """Return the first vertex of every object in files with all vertices before the objects."""
     bounds = [vertex_count]
     for own in reversed(used[1:]):
         bounds.append(int(own.min()) if own.size else bounds[-1])

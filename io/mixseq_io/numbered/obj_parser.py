@@ -1,4 +1,4 @@
-"""The text of OBJ files: lines to points, polygons and what is on them."""
+"""Parser of OBJ files: points, polygons and surface."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ _LEFT_OUT = frozenset(
     b"vp cstype deg bmat step p l curv curv2 surf parm trim hole scrv sp end con s mg bevel c_interp d_interp lod "
     b"mtllib shadow_obj trace_obj ctech stech usemap maplib call csh res bsp bzp cdc cdp".split()
 )
-"""Statements of the specification, of its older versions too, that say nothing about a polygon mesh."""
+"""Statements of the specification, and of its older versions, that do not concern polygon meshes."""
 _COLOUR = 3
-"""Numbers behind a point that are a colour; a single one is a weight."""
+"""Number of values behind a point that form a colour; a single one is a weight."""
 _LARGEST = 2**31 - 1
 _NONE = -(2**40)  # below whatever relative indices of a damaged file give
 
@@ -70,7 +70,7 @@ def parse_obj(file: Path, data: bytes, like: MeshFile | None) -> MeshFile:
 
 @dataclass
 class _Lines:
-    """The lines of a file by their kinds, faces not yet parsed."""
+    """Lines of a file by kind, faces not yet parsed."""
 
     points: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     behind_points: list[bytes] = field(default_factory=list)
@@ -87,7 +87,7 @@ class _Lines:
 
 
 def _read_lines(file: Path, data: bytes, like: MeshFile | None) -> _Lines:
-    """Sort the lines of a file, those of a first frame, or only vertices and faces."""
+    """Sort the lines of a first frame; of later ones only vertices and faces."""
     whole, colours = like is None, like is None or not like.told
     lines = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines()
     if lines and lines[0].startswith(WRITTEN_BY) and lines[-1] != LAST_LINE:
@@ -141,9 +141,9 @@ def _read_lines(file: Path, data: bytes, like: MeshFile | None) -> _Lines:
 
 
 def _parse_faces(file: Path, lines: _Lines) -> tuple[IntArray, IntArray]:
-    """Parse corners ``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn``, where -1 is what stands last before the face.
+    """Parse corners ``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn``; -1 is the last element before the face.
 
-    Shapes: result ``(P,)``, ``(sum of counts, 3)``.
+    Return counts ``(P,)`` and indices ``(sum of counts, 3)``.
     """
     counts: list[int] = []
     corners: list[tuple[int, int, int]] = []
@@ -179,7 +179,7 @@ def _optional(word: bytes, before: int) -> int:
 def _uvs(
     file: Path, polygons: Polygons, values: list[tuple[float, ...]], indices: IntArray
 ) -> CornerValues | None:
-    """Return the texture coordinates; corners without get (0, 0)."""
+    """Return the texture coordinates, (0, 0) at corners without."""
     if not values or (indices == _NONE).all():
         return None
     _check_numbers(file, polygons, indices, len(values), "texture coordinate")
@@ -191,7 +191,7 @@ def _uvs(
 
 
 def _colours(file: Path, polygons: Polygons, lines: _Lines, like: MeshFile | None) -> CornerValues | None:
-    """Return the colours that follow the coordinates of vertices; vertices without are white."""
+    """Return the colours behind the coordinates of vertices, white for vertices without."""
     if like is not None and lines.colour_text == like.colour_text:
         return like.surface.colours
     words = (text.split() for text in lines.behind_points)
@@ -206,7 +206,7 @@ def _colours(file: Path, polygons: Polygons, lines: _Lines, like: MeshFile | Non
 def _hard_edges(
     file: Path, polygons: Polygons, values: list[tuple[float, ...]], indices: IntArray
 ) -> NDArray[np.int32] | None:
-    """Return which corners share a normal, if all corners have one."""
+    """Return the normal's index of every corner, None unless all corners have a normal."""
     if not values or (indices == _NONE).any():
         return None
     _check_numbers(file, polygons, indices, len(values), "normal")

@@ -1,9 +1,8 @@
-"""Numbered OFF files: one text file per frame, read by trimesh.
+"""Numbered OFF files: one text file per frame, read by trimesh, which triangulates quads.
 
-Read are the vertices and the faces of OFF and COFF files, of these also the colours of the vertices; trimesh cuts quads
-into triangles. Points are written with the digits that give back the same float32 or float64; a comment in our own
-files tells which of them it was, points of other files are read as float64. OFF has no place for polygons, the name,
-times, frame rate, units, the up axis, velocities and anything of the surface but one colour at each vertex.
+Vertices and faces of OFF and COFF files are read, with colours of vertices. Points are written with the digits that
+give back the same float32 or float64, stated by a comment; points of other files are read as float64. OFF has no place
+for polygons, the name, times, frame rate, units, the up axis, velocities, and the surface but one colour per vertex.
 
 Specification: http://www.geomview.org/docs/html/OFF.html
 """
@@ -27,7 +26,7 @@ from mixseq_io.numbered.frame_files import Encoder, FrameFormat, MeshFile
 from mixseq_io.numbered.text_lines import WRITTEN_BY, colours_of_words, excerpt, number_lines
 
 _COLOUR = 4
-"""Most numbers that may follow the corners of a face."""
+"""Largest number of values behind the corners of a face."""
 
 
 def parse_off(file: Path, data: bytes, like: MeshFile | None) -> MeshFile:
@@ -67,10 +66,7 @@ def _colours(file: Path, texts: list[bytes], like: MeshFile | None) -> FloatArra
 
 
 def _check_lines(file: Path, lines: list[bytes]) -> list[bytes]:
-    """Return the lines of vertices.
-
-    Refuse a file with other numbers of lines, or of corners in a line, than announced: trimesh leaves those out.
-    """
+    """Return the lines of vertices; refuse other numbers of lines or corners than announced, which trimesh ignores."""
     first = lines[0].removeprefix(b"C").removeprefix(b"OFF").split() if lines else []
     counts = [int(word) for word in (first or (lines[1].split() if len(lines) > 1 else []))[:2]]
     vertices, faces = counts if len(counts) == 2 and min(counts) >= 0 else (0, 0)

@@ -1,18 +1,15 @@
 """Numbered PLY files: one file per frame, text or binary, polygons and vertex order as in the files.
 
-Read are the properties ``x``, ``y``, ``z`` of the vertices, the list ``vertex_indices`` (or ``vertex_index``) of the
-faces, texture coordinates, ``s t`` or ``u v`` of the vertices or the list ``texcoord`` of the faces, and colours,
-``red``, ``green``, ``blue`` and maybe ``alpha`` of the vertices or the faces, or the list ``color`` of the faces. Other
-properties and elements (normals, confidence) are skipped. Points keep the file's precision, ``float`` or ``double``;
-integers become float64.
+Read are ``x``, ``y``, ``z`` of the vertices, the list ``vertex_indices`` (or ``vertex_index``) of the faces, texture
+coordinates (``s t`` or ``u v`` of vertices, or the list ``texcoord`` of the faces), and colours (``red``, ``green``,
+``blue`` and maybe ``alpha`` of vertices or faces, or the list ``color`` of the faces). Others, such as normals, are
+skipped. Points keep the precision ``float`` or ``double``; integers become float64.
 
-Written are little-endian binary files in the precision of the points, texture coordinates as ``s t`` if every vertex
-has a single one, else as ``texcoord``; so colours, which are ``uchar`` if these say the same, else ``float``, and
-``color`` where a vertex has several: lists of corners are as MeshLab has them. PLY has no place for the name, times,
-frame rate, units, the up axis, velocities, hard edges, face sets, objects and subdivision.
-
-The parser is our own because trimesh refuses binary files with triangles and quads, and cuts polygons of text files
-into triangles.
+Written are little-endian binary files in the precision of the points: texture coordinates as ``s t`` if every vertex
+has a single one, else as ``texcoord``; colours alike, as ``uchar`` if exact, else ``float``, and as ``color`` where a
+vertex has several. Lists of corners are as in MeshLab. PLY has no place for the name, times, frame rate, units, the up
+axis, velocities, hard edges, face sets, objects and subdivision. The parser is mixseq's own since trimesh refuses
+binary files with triangles and quads, and triangulates polygons of text files.
 
 Specification: https://paulbourke.net/dataformats/ply/
 """
@@ -44,7 +41,7 @@ _KINDS = {"f4": "float", "f8": "double", "u1": "uchar"}
 
 
 def parse_ply(file: Path, data: bytes, like: MeshFile | None) -> MeshFile:
-    """Parse a PLY file; one whose faces are the same bytes as in `like` need not have them parsed again."""
+    """Parse a PLY file; faces stored in the same bytes as in `like` are reused."""
     elements, source = read_elements(data, None if like is None else like.source)
     points = _side_by_side(elements.get("vertex", {}), "x", "y", "z")
     if points is None:
@@ -73,7 +70,7 @@ def parse_ply(file: Path, data: bytes, like: MeshFile | None) -> MeshFile:
 
 
 def _side_by_side(columns: Columns, *names: str) -> FloatArray | None:
-    """Return numbers (n, k) of some properties, if all are there; float32 if all are."""
+    """Return the columns ``(n, k)`` of some properties, None unless all exist; float32 if all are."""
     found = [columns[name].values for name in names if name in columns and columns[name].counts is None]
     if len(found) < len(names):
         return None
@@ -82,7 +79,7 @@ def _side_by_side(columns: Columns, *names: str) -> FloatArray | None:
 
 
 def _whole(numbers: NDArray[np.generic]) -> IntArray:
-    """Return indices, which text files give as float64, as integers."""
+    """Return indices as integers; text files give float64."""
     limit = np.iinfo(np.int32).max
     values = numbers.astype(np.float64)
     if not (
@@ -93,7 +90,7 @@ def _whole(numbers: NDArray[np.generic]) -> IntArray:
 
 
 def _uvs(file: Path, elements: dict[str, Columns], polygons: Polygons) -> CornerValues | None:
-    """Return the texture coordinates, those of faces before those of vertices; faces without get (0, 0)."""
+    """Return the texture coordinates, those of faces before those of vertices; (0, 0) for faces without."""
     lists = elements["face"].get("texcoord")
     with np.errstate(over="ignore"):
         if lists is not None and lists.counts is not None and lists.counts.any():
@@ -115,7 +112,7 @@ def _uvs(file: Path, elements: dict[str, Columns], polygons: Polygons) -> Corner
 def _colours(
     file: Path, elements: dict[str, Columns], polygons: Polygons, like: MeshFile | None
 ) -> CornerValues | None:
-    """Return the colours: those of corners, or else of vertices, or else of faces."""
+    """Return the colours of corners, else of vertices, else of faces."""
     faces = elements["face"]
     lists = faces.get("color")
     if lists is not None and lists.counts is not None and lists.counts.any():
@@ -140,13 +137,13 @@ def _colours(
 
 
 def _colours_of_vertices(vertices: Columns, polygons: Polygons) -> CornerValues | None:
-    """Return the colours of vertices; faces may name some that are not there, which is for the header to tell."""
+    """Return the colours of vertices; out-of-range vertices of faces are left to the header's check."""
     values = _colour_rows(vertices)
     return None if values is None else CornerValues(values, polygons.indices)
 
 
 def _colour_rows(columns: Columns) -> FloatArray | None:
-    """Return colours (n, 4) of vertices or faces, if there are some."""
+    """Return colours ``(n, 4)`` of vertices or faces, None if there are none."""
     for names in (_COLOUR, _COLOUR[:3]):
         found = [columns[name] for name in names if name in columns and columns[name].counts is None]
         if len(found) == len(names) and len(found[0].values):
@@ -155,7 +152,7 @@ def _colour_rows(columns: Columns) -> FloatArray | None:
 
 
 def _from_zero_to_one(columns: Sequence[Column]) -> list[FloatArray]:
-    """Return numbers of colours from 0 to 1: integers by what stands for 1 in their type, floats by all of them."""
+    """Return colours scaled to 0 to 1: integers by the value of 1 in their type, floats by all of them."""
     floats = [each.values for each in columns if each.type.kind == "f"]
     shares = iter(from_text(np.stack(floats)) if floats else ())
     return [
@@ -171,7 +168,7 @@ def _one_of(kind: np.dtype[Any], columns: Sequence[Column]) -> int:
 
 
 def _of_lists(column: Column, polygons: Polygons, default: Sequence[float]) -> NDArray[np.float32]:
-    """Return what a list of the faces has at their corners; faces with empty lists get the default."""
+    """Return a face list's values at corners; the default for faces with empty lists."""
     assert column.counts is not None
     values = np.tile(np.asarray(default, dtype=np.float32), (polygons.indices.size, 1))
     values[np.repeat(column.counts > 0, polygons.counts)] = column.values.reshape(-1, len(default))
@@ -179,7 +176,7 @@ def _of_lists(column: Column, polygons: Polygons, default: Sequence[float]) -> N
 
 
 def _encoder(path: Path, header: SequenceHeader) -> Encoder:
-    """Return what turns points ``(V, 3)`` into the parts of a PLY file; the faces are made once."""
+    """Return the encoder of points ``(V, 3)`` into the parts of a PLY file; faces are encoded once."""
     polygons, surface = header.polygons, header.surface
     columns: list[tuple[str, NDArray[Any]]] = []  # names, and numbers of vertices
     lists: list[tuple[str, NDArray[np.float32]]] = []  # name, and numbers of corners
@@ -230,9 +227,9 @@ def _encoder(path: Path, header: SequenceHeader) -> Encoder:
 
 
 def _face_bytes(polygons: Polygons, lists: Sequence[NDArray[np.float32]]) -> bytes:
-    """Return the rows of the faces: the number of corners and the corners, and so numbers of corners, list by list.
+    """Return the bytes of face rows: number of corners and corners, then number and values of each list.
 
-    All numbers have four bytes, so that rows of any lengths are laid out at once in an array of such words.
+    All numbers have four bytes, so that rows of any length are filled at once in an array of such words.
     """
     counts = polygons.counts.astype(np.int64)
     columns = [polygons.indices[:, None], *(np.ascontiguousarray(each, "<f4").view("<i4") for each in lists)]

@@ -1,8 +1,4 @@
-"""The elements of PLY files: their rows, as text or binary.
-
-A row of an element is a number for each of its properties, or a count and so many numbers where a property is a
-list. Nothing is taken for granted that the header says: all counts are held against the size of the file first.
-"""
+"""Elements of PLY files: their rows, as text or binary; counts are checked against the file's size first."""
 
 from __future__ import annotations
 
@@ -19,10 +15,7 @@ from mixseq_io.numbered.ply_header import Element, Property, read_header
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """The values of a property in all rows; of a list one row after the other, with their `counts`.
-
-    Those of text are float64 where `type`, that of the header, is an integer.
-    """
+    """Values of a property in all rows; of lists their concatenation, with `counts`; text integers are float64."""
 
     values: NDArray[Any]
     type: np.dtype[Any]
@@ -34,7 +27,7 @@ Columns = Mapping[str, Column]
 
 @dataclass(frozen=True)
 class Rows:
-    """An element and its rows as they stand in the file."""
+    """Element and its rows as stored in the file."""
 
     element: Element
     data: bytes
@@ -75,7 +68,7 @@ def _as_doubles(element: Element) -> Element:
 
 
 def _of_types(columns: Columns, element: Element) -> Columns:
-    """Return columns in the types of the header and the machine's byte order; indices in text stay float64."""
+    """Return columns in the header's types and native byte order; indices in text stay float64."""
     typed: dict[str, Column] = {}
     for each in element.properties:
         column = replace(columns[each.name], type=each.type.newbyteorder("="))
@@ -87,7 +80,7 @@ def _of_types(columns: Columns, element: Element) -> Columns:
 
 
 def _read_rows(data: bytes, start: int, element: Element) -> tuple[Columns, int]:
-    """Return the columns of an element whose rows begin at `start`, and where they end."""
+    """Return the columns of an element whose rows begin at the byte `start`, and their end."""
     least = sum(each.least for each in element.properties)
     if element.count and not element.properties:
         raise ValueError(f"element {element.name} has no properties")
@@ -97,7 +90,7 @@ def _read_rows(data: bytes, start: int, element: Element) -> tuple[Columns, int]
 
 
 def _equal_rows(data: bytes, start: int, element: Element) -> tuple[Columns, int] | None:
-    """Read rows that are all as long as the first, at once; None if they are not."""
+    """Read rows of equal length at once; None if lengths differ."""
     fields: list[Any] = []
     lengths: dict[str, int] = {}
     at = start
@@ -138,7 +131,7 @@ def _equal_rows(data: bytes, start: int, element: Element) -> tuple[Columns, int
 
 
 def _any_rows(data: bytes, start: int, element: Element) -> tuple[Columns, int]:
-    """Read rows one after the other."""
+    """Read rows one by one."""
     parts: dict[str, list[bytes]] = {each.name: [] for each in element.properties}
     counts: dict[str, list[int]] = {each.name: [] for each in element.properties}
     plan = [
@@ -179,5 +172,5 @@ def _any_rows(data: bytes, start: int, element: Element) -> tuple[Columns, int]:
 
 
 def _code(kind: np.dtype[Any]) -> str:
-    """Return the code of a number in `struct`."""
+    """Return a number's code in `struct`."""
     return ("<" if kind.str[0] == "|" else kind.str[0]) + kind.char

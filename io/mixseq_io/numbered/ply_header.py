@@ -1,4 +1,4 @@
-"""The header of PLY files: which elements follow, and what each of their rows consists of."""
+"""Header of PLY files: the elements and the properties of their rows."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LARGEST_HEADER = 1 << 20
 
 @dataclass(frozen=True)
 class Property:
-    """A property: its type, and of a list the type of its counts."""
+    """Property: its type, and the type of its counts if it is a list."""
 
     name: str
     type: np.dtype[Any]
@@ -27,13 +27,13 @@ class Property:
 
     @property
     def least(self) -> int:
-        """Number of bytes it has at least in a row."""
+        """Minimum size in bytes of a row's entry."""
         return (self.type if self.count is None else self.count).itemsize
 
 
 @dataclass(frozen=True)
 class Element:
-    """What the header says about an element."""
+    """Header entry of an element."""
 
     name: str
     count: int

@@ -1,16 +1,13 @@
 """Numbered STL files: one file per frame, triangles without connectivity, text or binary.
 
-STL holds the three positions of every triangle. Corners at equal positions in the first frame become one vertex;
-vertices are numbered as they first occur. In all later frames the corners of a vertex must still be together: if two
-parts of a mesh only touched in the first frame, STL cannot tell that, and the sequence is refused.
+STL holds the three positions of every triangle. Equal positions in the first frame become one vertex, numbered in order
+of appearance. Sequences are refused if a vertex's corners separate later, as parts that only touch at first do.
+Binary files are float32; text is read as float64, with all solids as one mesh. Written are binary files with normals.
+STL has no place for polygons (they are triangulated), the numbers of vertices, the name, times, frame rate, units, the
+up axis, velocities, texture coordinates, hard edges, face sets, objects and subdivision.
 
-Binary files are float32; text is read as float64. Written are binary files, with the normals of the triangles. STL
-has no place for polygons (they are cut into triangles), the numbers of vertices, the name, times, frame rate, units,
-the up axis, velocities, texture coordinates, hard edges, face sets, objects and subdivision. All solids of a text file
-are read as one mesh.
-
-The parser of text is our own. trimesh 5.2 leaves out what follows a solid without an end, and lines that are no
-vertices: of 732 damaged files it read 100 that are refused here. It refuses a solid with "vertex" in its name.
+The text parser is mixseq's own: trimesh 5.2 skips data after an unclosed solid and lines that are no vertices (of 732
+damaged files it read 100 that are refused here), and refuses a solid with "vertex" in its name.
 
 Specification: https://www.loc.gov/preservation/digital/formats/fdd/fdd000504.shtml
 """
@@ -38,7 +35,7 @@ _PREAMBLE = 80
 
 
 def parse_stl(file: Path, data: bytes, like: MeshFile | None) -> MeshFile:
-    """Parse an STL file, with the vertices of the first frame `like` if this is a later one."""
+    """Parse an STL file, with the vertices of the first frame `like` for later frames."""
     corners = _read_corners(file, data)
     if like is None:
         first, indices = _weld(corners)
@@ -53,7 +50,7 @@ def parse_stl(file: Path, data: bytes, like: MeshFile | None) -> MeshFile:
     points = corners[like.source]
     together = (corners == points[indices]) | (
         np.isnan(corners) & np.isnan(points[indices])
-    )  # nan is told later
+    )  # nan is reported later
     apart = ~together.all(axis=1)
     if apart.any():
         corner = int(np.argmax(apart))
@@ -65,10 +62,7 @@ def parse_stl(file: Path, data: bytes, like: MeshFile | None) -> MeshFile:
 
 
 def _weld(corners: FloatArray) -> tuple[IntArray, IntArray]:
-    """Make vertices of corners ``(3 F, 3)`` at equal positions, in the order in which they first occur.
-
-    Shapes: result ``(V,)``, ``(3 F,)``.
-    """
+    """Merge equal corners ``(3 F, 3)`` in order of appearance: return first corners ``(V,)``, vertices ``(3 F,)``."""
     _, first, indices = np.unique(corners + 0.0, axis=0, return_index=True, return_inverse=True)  # -0 is 0
     order = np.argsort(first)
     rank = np.empty_like(order)
@@ -145,7 +139,7 @@ def _encoder(path: Path, header: SequenceHeader) -> Encoder:
 
 
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return vectors (n, 3) of length 1; those without a direction stay 0."""
+    """Return unit vectors ``(n, 3)``; zero vectors stay 0."""
     lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
     return vectors / np.where(lengths > 0, lengths, 1.0)
 

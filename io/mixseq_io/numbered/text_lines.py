@@ -1,4 +1,4 @@
-"""Lines of OBJ, OFF and STL text: numbers with all their digits, colours behind coordinates, excerpts for messages."""
+"""Lines of OBJ, OFF and STL text: numbers with all digits, colours behind coordinates, excerpts for messages."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from mixseq_io.colours import from_text
 from mixseq_io.numbered.frame_files import MeshFile
 
 WRITTEN_BY = b"# Written by mixseq, "
-"""Begins a comment in our own files, which goes on with the precision of the points: float32 or float64."""
+"""Start of the comment in files of mixseq, followed by the points' precision: float32 or float64."""
 
 
 def excerpt(line: bytes) -> str:
-    """Return the beginning of a line of a file for a message."""
+    """Return the beginning of a line for a message."""
     return repr(line.strip()[:40].decode("ascii", errors="replace"))
 
 
 def number_lines(keyword: str, rows: FloatArray, ends: Sequence[str] = ()) -> bytes:
-    """Return a line for every row of numbers, with the digits that give back the same number; and maybe its end."""
+    """Return a line per row of numbers, with the digits that give back the same number, and optional ends."""
     line = keyword + " ".join(["%.9g" if rows.dtype == np.float32 else "%.17g"] * rows.shape[1])
     lines = "".join(f"{line}{end}\n" for end in ends) if ends else f"{line}\n" * len(rows)
     text: str = lines % tuple(rows.reshape(-1).tolist())
@@ -32,10 +32,7 @@ def number_lines(keyword: str, rows: FloatArray, ends: Sequence[str] = ()) -> by
 def colours_of_words(
     file: Path, vertices: Sequence[int], rows: Sequence[Sequence[bytes]], like: MeshFile | None
 ) -> FloatArray:
-    """Return the colours of some vertices, all of which have three, or all four words.
-
-    In frames after the first, those that cannot be read are no numbers, and so others than in the first.
-    """
+    """Return the colours ``(n, 3)`` or ``(n, 4)`` of some vertices; unreadable ones are NaN in later frames."""
     try:
         return from_text(np.array(rows, dtype=np.float64))
     except ValueError:

@@ -1,1 +1,1 @@
-"""Point caches, which have no faces of their own: PC2 and MDD with a mesh beside them."""
+"""Point caches without faces of their own: PC2 and MDD with a mesh beside them."""

@@ -1,11 +1,9 @@
-"""What point caches have in common: positions only, with the faces in a file of a mesh beside.
+"""Point caches: positions only, with the faces in a mesh file beside.
 
-A cache ``walk.pc2`` goes with ``walk.obj``, or with any other file of that name that mixseq reads a mesh from, or
-with the one that the option `mesh` names. Taken from it are the faces, what is on them (texture coordinates,
-materials, ...), the name, the units and the up axis; an OBJ tells neither of the latter, so Y is up. Points are
-those of the cache as they are, without any transform of the mesh's file.
-
-Written is the cache, and beside it ``<name>.obj`` with the first frame.
+A cache ``walk.pc2`` belongs to ``walk.obj``, or another mesh file of that name, or the one of the option `mesh`, which
+gives the faces, the surface, the name, the units and the up axis; an OBJ has neither of the latter, so Y is up. Points
+are those of the cache, without any transform of the mesh's file. Written are the cache and ``<name>.obj`` with the
+first frame.
 """
 
 from __future__ import annotations
@@ -38,7 +36,7 @@ _MESHES = (".obj", ".ply", ".usdc", ".usda", ".usd", ".usdz", ".abc", ".glb", ".
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the points of a cache are in its file."""
+    """Layout of the points in a cache file."""
 
     start: int
     frames: int
@@ -47,11 +45,11 @@ class Layout:
 
     @property
     def frame_size(self) -> int:
-        """Number of bytes of a frame."""
+        """Size of a frame in bytes."""
         return 12 * self.points
 
     def check_size(self, file: IO[bytes]) -> None:
-        """Check against the size of the file, before anything is allocated."""
+        """Check the layout against the file's size before anything is allocated."""
         if self.frames < 1 or self.points < 1:
             raise ValueError(f"it says that it has {self.frames} frames of {self.points} points")
         size, needed = os.fstat(file.fileno()).st_size, self.start + self.frames * self.frame_size
@@ -63,14 +61,14 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class Timing:
-    """Times (T,) of the frames in seconds, and frames per second, None if nothing tells."""
+    """Times ``(T,)`` of the frames in seconds, and frames per second or None."""
 
     times: NDArray[np.float64]
     fps: float | None
 
 
 class PointCacheReader(SequenceReader):
-    """Reads the points of a cache whose header has been read."""
+    """Reader of the points of a cache whose header has been read."""
 
     def __init__(
         self, path: Path, header: SequenceHeader, file: IO[bytes], layout: Layout, stack: ExitStack
@@ -93,7 +91,7 @@ class PointCacheReader(SequenceReader):
 def open_cache(
     path: Path, kind: str, mesh: MeshPath, read_start: Callable[[IO[bytes]], tuple[Layout, Timing]]
 ) -> SequenceReader:
-    """Open a point cache and the mesh that goes with it."""
+    """Open a point cache and its mesh."""
     with ExitStack() as stack:
         with reading(path, a_file(kind), ValueError):
             file = stack.enter_context(path.open("rb"))
@@ -111,7 +109,7 @@ def open_cache(
 
 
 def _mesh_beside(path: Path, kind: str) -> Path:
-    """Return the file with the cache's name that holds a mesh, the first if there are several."""
+    """Return the first mesh file with the cache's name."""
     places = dict.fromkeys([path, Path(os.path.realpath(path))])
     for place in places:
         beside = {
@@ -145,24 +143,10 @@ def write_cache(
     order: str,
     lost: Iterable[str],
 ) -> None:
-    """Write a point cache, and its mesh beside it: ``<name>.obj`` with the first frame; both or none.
+    """Write a point cache, and ``<name>.obj`` with the first frame beside it; both or none.
 
-    A file of that name is replaced if it holds the same faces.
-
-    Parameters
-    ----------
-    path : Path
-        The cache.
-    kind : str
-        The format's name.
-    header, blocks, velocities
-        See `mixseq_io.write_blocks`; velocities are lost.
-    start : bytes
-        What stands before the points.
-    order : {"<", ">"}
-        Byte order of the numbers.
-    lost : iterable of str
-        What the format cannot hold of the times.
+    An existing OBJ is replaced only if it holds the same faces. `start` is the header in bytes, `order` the byte order
+    "<" or ">", `lost` the properties of the times that the format cannot hold; velocities are lost.
     """
     target = Path(os.path.realpath(path))
     mesh = target.with_suffix(".obj")

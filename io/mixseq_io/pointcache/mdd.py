@@ -9,9 +9,8 @@ times              float32, seconds, one per frame
 points             float32, x, y, z of all points, frame after frame
 =================  ===========================================================
 
-The frame rate is that of the median step of the times. Times that are a whole number of frames but for float32
-rounding are exactly that, in float64. MDD has no place for units, the up axis and velocities; see
-`mixseq_io.pointcache.cache` for the mesh.
+The frame rate is that of the median step. Times that are whole frames within float32 rounding become exactly that, in
+float64. MDD has no place for units, the up axis and velocities; see `mixseq_io.pointcache.cache` for the mesh.
 
 Specification: http://rodolphe-vaillant.fr/?e=134
 """
@@ -37,7 +36,7 @@ _START = struct.Struct(">ii")
 _STEP_ERROR = 1e-2
 """Relative error of a single step between rounded times."""
 _RATE_ERROR = 2e-4
-"""Relative error of a rate from rounded times; less than what is between 24 and 23.976."""
+"""Relative error of a rate from rounded times; less than the gap between 24 and 23.976."""
 
 
 def open_mdd(path: Path, mesh: MeshPath = None) -> SequenceReader:
@@ -58,13 +57,13 @@ def _read_start(file: IO[bytes]) -> tuple[Layout, Timing]:
 
 
 def _rate(times: NDArray[np.float64]) -> float | None:
-    """Return the frame rate of float32 times: a whole number, or one of NTSC's, where one is as near as they tell."""
+    """Return the frame rate of float32 times ``(T,)``, a whole or NTSC rate if it is near enough; None if unknown."""
     step = float(np.quantile(np.diff(times), 0.5, method="lower")) if times.size > 1 else 0.0
     if not (np.isfinite(step) and step > 0):
         return None
     span = float(times[-1] - times[0])
     if not (np.isfinite(span) and span > 0):
-        return None  # times that do not increase are told where they are used
+        return None  # non-increasing times are reported where they are used
     overall = (
         max(1, round(span / step)) / span
     )  # more exact than one step, which is rounded, if steps are even

@@ -12,7 +12,7 @@ number of samples        int32
 points                   float32, x, y, z of all points, sample after sample
 =======================  ===========================================================
 
-Times are frame numbers, evenly spaced; seconds follow from `fps`, which the file does not tell. PC2 has no place for
+Times are evenly spaced frame numbers; `fps`, missing in the file, converts them to seconds. PC2 has no place for
 uneven times, units, the up axis and velocities; see `mixseq_io.pointcache.cache` for the mesh.
 
 Specification: http://www.footools.com/plugins/docs/PointCache2_README.html
@@ -37,7 +37,7 @@ from mixseq_io.reader import SequenceReader
 _MAGIC = b"POINTCACHE2\0"
 _START = struct.Struct("<12siiffi")
 _FRAME_ERROR = 1e-3
-"""How far a time may be off before that is told, in frames."""
+"""Largest unreported error of a time, in frames."""
 
 
 def open_pc2(path: Path, mesh: MeshPath = None, fps: float = DEFAULT_FPS) -> SequenceReader:

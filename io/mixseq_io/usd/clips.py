@@ -1,10 +1,9 @@
 """USD, writing: samples in several files, stitched together by value clips.
 
-A long shot is easier to copy, to resume and to load in pieces. Clip ``i`` holds the frames from its first one to the
-first one of clip ``i + 1``, which both have: between the two, USD interpolates within clip ``i``. Times in clips are
-those of the stage, which is said of every frame: USD before 26.11 otherwise forgets the offset of a shot that refers to
-the file, and with the first and last one alone it rounds those between. A manifest tells which attributes are in clips,
-so that USD does not open all of them to find out.
+Clip ``i`` holds the frames from its first one to the first one of clip ``i + 1``, inclusive, so that USD interpolates
+within a clip. Clip times equal stage times and are authored for every frame: USD before 26.11 otherwise loses the
+offset of referencing shots, and rounds times between the first and the last. A manifest lists the attributes in clips,
+so that USD need not open all of them.
 
 Specification: https://openusd.org/release/api/_usd__page__value_clips.html
 """
@@ -27,13 +26,13 @@ from mixseq_io.usd.layers import Samples, declare
 from mixseq_io.usd.paths import clips_folder
 
 _CLIP_SET = "mixseq"
-"""Not "default", which the file below may have: sets of one name are merged key by key."""
+"""Name other than "default", which the file below may have; sets of one name are merged key by key."""
 
 
 def save_in_clips(
     layer: Sdf.Layer, cast: Cast, frames: Iterable[Frame], length: int, folder: NewFolder
 ) -> None:
-    """Write frames into clips, and save a layer that tells how they follow each other."""
+    """Write frames into clips of `length` frames, and save a layer with their order."""
     starts: list[float] = []
     times: list[float] = []
     clip: Samples | None = None
@@ -73,7 +72,7 @@ def _empty(file: Path, cast: Cast, rate: float) -> Sdf.Layer:
 
 
 class NewFolder:
-    """A folder for the clips of a file, written under another name; it takes its place when it is complete."""
+    """Folder for the clips of a file, written under a temporary name and installed when complete."""
 
     def __init__(self, owner: Path, resources: ExitStack) -> None:
         self.target = self.path = self._old = clips_folder(owner)
@@ -91,11 +90,11 @@ class NewFolder:
         return f"{self._stem}.{number:04d}.usdc"
 
     def asset(self, name: str) -> str:
-        """Return what a layer beside the folder calls a file in it."""
+        """Return the asset path, in a layer beside the folder, of a file in it."""
         return f"./{self.target.name}/{name}"
 
     def make(self) -> None:
-        """Make it, empty."""
+        """Create the folder, empty."""
         if self.target.exists() and not _is_of_clips(self.target, self._stem):
             raise OutputError(
                 f"{self.target} has other files than clips, which are not deleted; move it away, or write to another "
@@ -106,7 +105,7 @@ class NewFolder:
         self.path.mkdir()
 
     def install(self) -> None:
-        """Put it in its place; what was there is kept until the end."""
+        """Move the folder into place; the replaced one is kept until the end."""
         for file in self.path.iterdir():
             with file.open("rb") as stream:
                 os.fsync(stream.fileno())
@@ -116,7 +115,7 @@ class NewFolder:
         self._installed = True
 
     def warn_if_unused(self) -> None:
-        """Warn of clips that an older file of this name has left, and this one does not use."""
+        """Warn of clips left by an older file of this name that this one does not use."""
         with suppress(OSError):
             if _is_of_clips(self.target, self._stem) and (self.target / self.manifest).exists():
                 warn(
@@ -125,7 +124,7 @@ class NewFolder:
                 )
 
     def undo(self) -> None:
-        """Put back what was there before."""
+        """Restore the previous folder."""
         if self._installed:
             self.target.rename(self.path)
         if self._old.exists():
@@ -134,7 +133,7 @@ class NewFolder:
 
 @contextmanager
 def new_folder(owner: Path) -> Iterator[NewFolder]:
-    """Yield a folder for the clips of a file, to make, fill and install; after an exception all is as it was."""
+    """Yield a folder for the clips of a file; after an exception the previous state is restored."""
     with ExitStack() as resources:
         folder = NewFolder(owner, resources)
         try:

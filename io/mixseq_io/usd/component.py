@@ -1,12 +1,9 @@
-"""USD, writing: a file that needs no other, textures apart.
+"""USD, writing: a stand-alone component file, textures apart.
 
-It is a component that other tools can reference: the default prim ``/<name>`` is an Xform, with one Mesh for every
-object in it and the materials in ``/<name>/Looks``. Meshes are right-handed and in world space. Normals are written
-only where the author wanted hard edges on a mesh that is not subdivided; renderers compute the others.
+The default prim ``/<name>`` is an Xform with one Mesh per object and the materials in ``/<name>/Looks``. Meshes are
+right-handed and in world space. Normals are written only for hard edges on meshes without subdivision.
 
-Specifications: https://openusd.org/release/api/class_usd_geom_mesh.html,
-https://openusd.org/release/api/class_usd_geom_subset.html,
-https://openusd.org/release/glossary.html#usdglossary-component
+Specification: https://openusd.org/release/glossary.html#usdglossary-component
 """
 
 from __future__ import annotations
@@ -30,7 +27,7 @@ _LOOKS = "Looks"
 
 
 def define_component(layer: Sdf.Layer, target: Path, header: SequenceHeader, velocities: bool) -> Cast:
-    """Author everything but samples, and return what is to get them."""
+    """Author everything but samples, and return the prims that get them."""
     stage = Usd.Stage.Open(layer)
     name = identifier(header.name)
     root = UsdGeom.Xform.Define(stage, f"/{name}")
@@ -71,7 +68,7 @@ def _define_mesh(stage: Usd.Stage, path: str, scene_mesh: SceneMesh) -> None:
 
 
 def _define_colours(mesh: UsdGeom.Mesh, scene_mesh: SceneMesh, colours: CornerValues) -> None:
-    """Author colours in the interpolation that says the same with the fewest numbers; opacity if some is not full."""
+    """Author colours in the interpolation with the fewest numbers; opacity if any is below 1."""
     vertices, values, rows = scene_mesh.polygons.indices, colours.values, None
     if len(values) == 1:
         interpolation = UsdGeom.Tokens.constant
@@ -91,7 +88,7 @@ def _define_colours(mesh: UsdGeom.Mesh, scene_mesh: SceneMesh, colours: CornerVa
 
 
 def _show_name(prim: Usd.Prim, name: str) -> None:
-    """Keep a name that a prim cannot have."""
+    """Store a name that is invalid for a prim as its display name."""
     if prim.GetName() != name:
         prim.SetDisplayName(name)
 
@@ -110,7 +107,7 @@ def _normals(scene_mesh: SceneMesh) -> Normals | None:
 def _bind(
     prim: Usd.Prim, target: Path, scene_mesh: SceneMesh, materials: Mapping[str, UsdShade.Material]
 ) -> None:
-    """Bind a material to the whole mesh, and others to subsets of its faces, which must not overlap."""
+    """Bind a material to the whole mesh, and others to non-overlapping subsets of its faces."""
     count = len(scene_mesh.polygons.counts)
     whole = next(
         (each for each in scene_mesh.face_sets if each.material and each.polygons.size == count), None
@@ -147,7 +144,7 @@ def _bind(
 
 
 def _unowned(face_set: FaceSet, owners: Sequence[str], place: str) -> list[int]:
-    """Return the faces of a set that are in no set of another material."""
+    """Return the faces of a set that no set of another material owns."""
     faces: list[int] = face_set.polygons.tolist()
     before = dict.fromkeys(repr(owners[face]) for face in faces if owners[face])
     if before:

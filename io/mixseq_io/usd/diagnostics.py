@@ -1,6 +1,4 @@
-"""USD's own reports, kept off the user's terminal and turned into ours.
-
-USD prints warnings to stderr from C++, and raises errors as lists of diagnostics with C++ file names.
+"""USD's diagnostics, printed to stderr from C++ or raised with C++ file names, turned into mixseq's errors.
 
 Specification: https://openusd.org/release/api/page_tf__diagnostic.html
 """
@@ -22,12 +20,12 @@ from mixseq_io.memory import out_of_memory
 _LONGEST_REASON = 200
 
 _TEMPORARY = re.compile(r"\.mixseq\.[\w-]+\.[0-9a-f]{8}(?:(\.new)|\.\w+)")
-"""Names of files that are not yet in their place, see `mixseq_io.atomic` and `mixseq_io.usd.clips`."""
+"""Temporary file names, see `mixseq_io.atomic` and `mixseq_io.usd.clips`."""
 
 
 @contextmanager
 def quiet() -> Iterator[list[str]]:
-    """Collect USD's warnings in the list that is yielded, which is complete when the block ends."""
+    """Yield a list that collects USD's warnings; it is complete when the block ends."""
     messages: list[str] = []
     delegate = UsdUtils.CoalescingDiagnosticDelegate()  # listens as long as it lives
     try:
@@ -39,11 +37,7 @@ def quiet() -> Iterator[list[str]]:
 
 @contextmanager
 def reading_usd(path: Path) -> Iterator[None]:
-    """Translate USD's errors about a file that is read into `FormatError`.
-
-    `Tf.ErrorException` is a `RuntimeError`; the others come from values and messages of damaged files that
-    have no counterpart in Python.
-    """
+    """Translate USD's errors (`RuntimeError`), and those of damaged values, about a file read into `FormatError`."""
     try:
         yield
     except MemoryError:
@@ -56,10 +50,7 @@ def reading_usd(path: Path) -> Iterator[None]:
 
 @contextmanager
 def writing_usd(path: Path) -> Iterator[None]:
-    """Translate USD's errors about a file that is written into `OutputError`, or into what the system says.
-
-    Errors of the system, such as a full disk, are left to `mixseq_io.atomic.replacing` to explain.
-    """
+    """Translate USD's errors about a file that is written into `OutputError`, except for errors of the system."""
     try:
         yield
     except Tf.ErrorException as error:
@@ -73,7 +64,7 @@ def writing_usd(path: Path) -> Iterator[None]:
 
 
 def save_layer(layer: Sdf.Layer) -> None:
-    """Save a layer; an error is raised even where USD gives no reason."""
+    """Save a layer; raise an error even if USD gives no reason."""
     if not layer.Save():
         raise Tf.ErrorException("USD does not save it, and does not say why")
 

@@ -1,11 +1,9 @@
-"""USD, writing: the values of every frame in the spaces of the prims that hold them.
+"""USD, writing: values of every frame in the spaces of their prims.
 
-Points are in world space, attributes in that of their prim: points and velocities of the sequence are multiplied by
-the inverse of the prim's local-to-world transform, extents are computed of what is written, normals of every frame's
-points.
+World-space points and velocities of the sequence are multiplied by the inverse of the prim's local-to-world transform.
+Extents are computed from the written values, normals from every frame's points.
 
-Specifications: https://openusd.org/release/api/class_usd_geom_point_based.html,
-https://openusd.org/release/api/class_usd_geom_boundable.html
+Specification: https://openusd.org/release/api/class_usd_geom_point_based.html
 """
 
 from __future__ import annotations
@@ -30,7 +28,7 @@ Frame = tuple[float, Mapping[str, Any]]
 
 @dataclass(frozen=True, eq=False)
 class Space:
-    """The space of a prim at some time."""
+    """Space of a prim at some time."""
 
     to_world: Float
     to_local: Float
@@ -38,12 +36,12 @@ class Space:
 
 WORLD = Space(np.eye(4), np.eye(4))
 SpaceAt = Callable[[float], Space]
-"""A prim's space at a time in seconds; `WORLD` itself where they are one, so that nothing is rounded."""
+"""Function from a time in seconds to a prim's space; exactly `WORLD` for the identity, to avoid rounding."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Normals:
-    """How a mesh's normals are written."""
+    """Attribute and interpolation of a mesh's normals."""
 
     attribute: str
     interpolation: str
@@ -53,22 +51,9 @@ class Normals:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Placed:
-    """A mesh that gets samples.
+    """Mesh that gets samples, at a prim's path in a space.
 
-    Parameters
-    ----------
-    path : str
-        Path of its prim.
-    scene_mesh : SceneMesh
-        Its faces, and which of the sequence's vertices are its own.
-    of_point : (P,) int, optional
-        Which of its vertices each point of the prim is; by default they are the points.
-    space : SpaceAt
-        Its space.
-    normals : Normals, optional
-        Where its normals are written; by default they are not.
-    velocities : bool
-        Whether its velocities are written.
+    `of_point` ``(P,)`` are the mesh's vertices of the prim's points, by default the same; `normals` may be None.
     """
 
     path: str
@@ -80,20 +65,20 @@ class Placed:
 
     @property
     def attributes(self) -> tuple[str, ...]:
-        """Names of the attributes that get samples."""
+        """Names of the sampled attributes."""
         velocities = ("velocities",) if self.velocities else ()
         normals = (self.normals.attribute,) if self.normals else ()
         return ("points", "extent", *velocities, *normals)
 
     def points(self, values: FloatArray) -> FloatArray:
-        """Return of values (V, 3) of the sequence's vertices those of the prim's points."""
+        """Return the values ``(P, 3)`` of the prim's points, given values ``(V, 3)`` of the sequence's vertices."""
         own = values[self.scene_mesh.vertices]
         return own if self.of_point is None else own[self.of_point]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Bounds:
-    """A prim above meshes that has an extent of its own: the root of a skeleton."""
+    """Prim above meshes with an extent of its own: the root of a skeleton."""
 
     path: str
     scene_meshes: tuple[SceneMesh, ...]
@@ -112,7 +97,7 @@ class Cast:
 def frames(
     cast: Cast, codes: NDArray[np.float64], times: NDArray[np.float64], numbered: Iterable[Numbered]
 ) -> Iterator[Frame]:
-    """Yield the values of every frame: codes, times ``(T,)``."""
+    """Yield the values of every frame: time codes, times in s ``(T,)``."""
     for first, block, speeds in numbered:
         for frame, points in enumerate(block, first):
             velocities = None if speeds is None else speeds[frame - first]
@@ -142,7 +127,7 @@ def _values(
 
 
 def _in_spaces(vectors: FloatArray, placed: list[tuple[Placed, Space]], *, direction: bool) -> FloatArray:
-    """Return positions, or directions, (V, 3) of the world in the spaces of their meshes."""
+    """Transform world-space positions, or directions, ``(V, 3)`` into the spaces of their meshes."""
     if all(space is WORLD for _, space in placed):
         return vectors
     local = vectors.astype(np.float64)
@@ -156,7 +141,7 @@ def _in_spaces(vectors: FloatArray, placed: list[tuple[Placed, Space]], *, direc
 def _normals(
     normals: Normals, points: FloatArray, scene_mesh: SceneMesh, space: Space
 ) -> NDArray[np.float32]:
-    """Return normals in a mesh's space: x' = x M turns normals n into n' = n M⁻ᵀ, so that n = n' Mᵀ."""
+    """Return normals in a mesh's space: for x' = x M normals are n' = n M⁻ᵀ, hence n = n' Mᵀ."""
     unit = shared_normals(points[None], scene_mesh.polygons, normals.groups)[0]
     if space is not WORLD:
         local = unit @ space.to_world[:3, :3].T
@@ -165,7 +150,7 @@ def _normals(
 
 
 def _box(bounds: Bounds, points: FloatArray, time: float) -> FloatArray:
-    """Return the corners of boxes around everything below a prim, in the prim's space."""
+    """Return the corners ``(n, 3)`` of boxes around everything below a prim, in the prim's space."""
     own = [points[scene_mesh.vertices] for scene_mesh in bounds.scene_meshes if scene_mesh.vertex_count]
     sides = [zip(each.min(axis=0), each.max(axis=0), strict=True) for each in own]
     corners = np.array([corner for box in sides for corner in product(*box)], dtype=np.float64).reshape(-1, 3)
@@ -174,7 +159,7 @@ def _box(bounds: Bounds, points: FloatArray, time: float) -> FloatArray:
 
 
 def extent_of(points: FloatArray) -> Any:
-    """Return the box around points ``(n, 3)``, as USD has it."""
+    """Return the bounding box of points ``(n, 3)`` as USD's extent."""
     if not len(points):
         return Vt.Vec3fArray([Gf.Range3f().GetMin(), Gf.Range3f().GetMax()])  # USD's box around nothing
     return Vt.Vec3fArrayFromBuffer(np.stack([points.min(axis=0), points.max(axis=0)]).astype(np.float32))

@@ -1,17 +1,9 @@
-"""USD, writing: meshes are held still where transforms above them move.
+"""USD, writing: hold meshes still below moving transforms, since the layer's points are their whole motion.
 
-The points of a layer are all of a mesh's motion. Transforms that move at times of their own would move it between its
-frames and beyond them, at another speed than a retimed mesh, and its velocities would not be the whole truth. So
-operations that move nothing but this mesh are held as they are in the first frame. Those that move other things, too,
-are undone: the outermost prim that has nothing but the mesh below it gets their inverses, copies with the same samples,
-so that both together are none at any time (`transforms`).
-
-``!resetXformStack!`` would be shorter, but Blender 5 does not heed it, nor does Hydra 2 where it stands alone [1]_, and
-it would cut the mesh off from whatever the layer is referenced under.
-
-References
-----------
-.. [1] https://github.com/PixarAnimationStudios/OpenUSD/issues/3781
+Operations that move this mesh only are held at their first frame. Others are inverted: the outermost prim with nothing
+but the mesh below it gets their inverses with the same samples (`transforms`). ``!resetXformStack!`` is unsuitable:
+Blender 5 ignores it, Hydra 2 does where it stands alone (https://github.com/PixarAnimationStudios/OpenUSD/issues/3781),
+and it would detach the mesh from any referencing prim.
 """
 
 from __future__ import annotations
@@ -31,7 +23,7 @@ _INVERSE = "!invert!"
 
 @dataclass(frozen=True, eq=False)
 class Holding:
-    """How a mesh is held still."""
+    """Operations that hold a mesh still."""
 
     carrier: Usd.Prim
     own: Operations
@@ -39,11 +31,11 @@ class Holding:
     fixed: Operations
 
     def to_world(self, code: float) -> Gf.Matrix4d:
-        """Return the transform from the mesh to the world, where it is held as it is at a time code."""
+        """Return the mesh-to-world transform of a mesh that is held as at a time code."""
         return product((*self.own, *self.fixed), code)
 
     def author(self, layer: Sdf.Layer, shown: Shown) -> None:
-        """Author it in a layer, the operations held as they are in its first frame."""
+        """Author the operations in a layer, held as in its first frame."""
         for attribute in dict.fromkeys(each.GetAttr() for each in self.own):
             if varies(attribute):
                 held = attribute_in(layer, str(attribute.GetPath()), attribute.GetTypeName())
@@ -60,7 +52,7 @@ class Holding:
         authored.default = Vt.TokenArray([*undoing, *(order.Get() or ())])
 
     def _copy(self, layer: Sdf.Layer, attribute: Usd.Attribute, shown: Shown) -> str:
-        """Give the carrier a copy of an attribute of a prim above it, and return its name."""
+        """Copy an attribute of an ancestor to the carrier, and return its name."""
         name = f"{attribute.GetName()}:undo{attribute.GetPath().pathElementCount - 1}"
         while self.carrier.HasAttribute(name):
             name += "_"
@@ -80,7 +72,7 @@ class Holding:
 
 
 def holding_of(mesh: Usd.Prim) -> Holding | None:
-    """Return how a mesh can be held still; None where nothing moves it, or where other things are below it."""
+    """Return how a mesh can be held still; None if nothing moves it, or other prims are below it."""
     carrier = _carrier(mesh)
     if carrier is None or not Placement(mesh).moves:
         return None
@@ -91,7 +83,7 @@ def holding_of(mesh: Usd.Prim) -> Holding | None:
 
 
 def _carrier(mesh: Usd.Prim) -> Usd.Prim | None:
-    """Return the outermost prim with a transform below which nothing has one but this mesh, if any."""
+    """Return the outermost transformed prim with no other transforms below it but this mesh's, if any."""
     carrier = None
     for each in lineage(mesh):
         within = Usd.PrimRange(each, Usd.TraverseInstanceProxies())

@@ -1,7 +1,7 @@
-"""The joints of a UsdSkel skeleton, as they were when meshes were bound to them.
+"""Joints of a UsdSkel skeleton in the bind pose.
 
-Bind transforms are in the space of the skeleton, which its own transform takes to the world, at the start of the
-stage. Matrices of USD act on rows.
+Bind transforms are in skeleton space, placed in the world by the skeleton's transform at the start of the stage. USD's
+matrices act on row vectors.
 
 Specification: https://openusd.org/release/api/_usd_skel__schemas.html#UsdSkel_Skeleton
 """
@@ -48,13 +48,13 @@ def read_skel_joints(path: Path, name: str | None) -> Skeleton:
 
 
 def skeleton_prim(path: Path, stage: Usd.Stage, name: str | None) -> Usd.Prim:
-    """Return the skeleton that is meant; see `mixseq_io.skeletons.choose_skeleton`."""
+    """Return the chosen skeleton; see `mixseq_io.skeletons.choose_skeleton`."""
     prims = [prim for prim in prims_of(path, stage) if UsdSkel.Skeleton(prim)]
     names = [(str(prim.GetPath()), prim.GetName(), prim.GetDisplayName()) for prim in prims]
     return prims[choose_skeleton(path, names, name)]
 
 
 def _names(skeleton: UsdSkel.Skeleton, joints: list[str]) -> list[str]:
-    """Return the names that joints are shown under: those told, or else the ends of their paths."""
+    """Return the display names of joints: their `jointNames`, or the ends of their paths."""
     told = list(skeleton.GetJointNamesAttr().Get() or [])
     return told if len(told) == len(joints) else [Sdf.Path(joint).name for joint in joints]

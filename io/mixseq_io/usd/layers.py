@@ -1,13 +1,9 @@
-"""USD, writing: layers with samples, and packages of them (.usdz).
+"""USD, writing: layers with samples, and packages of them (.usdz), uncompressed zip files of a layer and textures.
 
-Values go into Sdf layers directly, past the stage: a layer that is laid over another file must not compose that file
-anew with every sample. Binary layers are saved every now and then while they are written, upon which USD lets go of
-the samples: of 400 frames of 50 000 vertices (240 MB) it held 34 MB at most when saved every 20 frames, against
-268 MB when saved once. Text layers are held in memory whole.
-
-A package is an uncompressed zip file of a layer and of the textures that it names. It goes out of the house, and the
-names come from a file that may have come from elsewhere: only what lies in its folder, or in a folder that the user
-names, is packed.
+Values go into Sdf layers directly, so that an overlay need not compose its file anew for every sample. Binary layers
+are saved repeatedly while written, which frees samples: 400 frames of 50 000 vertices (240 MB) took 34 MB when saved
+every 20 frames, 268 MB when saved once. Text layers are held in memory. Since original files may be untrusted, only
+textures in their folder, or in folders that the user names, are packed.
 
 Specifications: https://openusd.org/release/api/class_sdf_layer.html, https://openusd.org/release/spec_usdz.html
 """
@@ -40,7 +36,7 @@ _TYPES = {
 
 
 class Samples:
-    """A layer that takes frames, and does not grow in memory if it is binary."""
+    """Layer that takes frames in bounded memory, if it is binary."""
 
     def __init__(self, layer: Sdf.Layer) -> None:
         self._layer = layer
@@ -57,13 +53,13 @@ class Samples:
             self.save()
 
     def save(self) -> None:
-        """Save what has been put."""
+        """Save the layer."""
         save_layer(self._layer)
         self._unsaved = 0
 
 
 def save(layer: Sdf.Layer, frames: Iterable[Frame]) -> None:
-    """Save a layer with frames."""
+    """Save a layer with the samples of frames."""
     samples = Samples(layer)
     for frame in frames:
         samples.put(frame)
@@ -71,7 +67,7 @@ def save(layer: Sdf.Layer, frames: Iterable[Frame]) -> None:
 
 
 def declare(layer: Sdf.Layer, cast: Cast) -> None:
-    """Author the attributes that are to have samples, without values."""
+    """Author sampled attributes without values."""
     for mesh in cast.meshes:
         for name in mesh.attributes:
             attribute = attribute_in(layer, f"{mesh.path}.{name}", _TYPES[name])
@@ -87,18 +83,18 @@ def attribute_in(
     kind: Sdf.ValueTypeName,
     variability: Sdf.Variability = Sdf.VariabilityVarying,
 ) -> Sdf.AttributeSpec:
-    """Return the opinions of a layer on an attribute; made, with overs above, if it has none yet."""
+    """Return the spec of an attribute in a layer, created with overs above it if missing."""
     Sdf.JustCreatePrimAttributeInLayer(layer, Sdf.Path(path), kind, variability)
     return layer.GetAttributeAtPath(path)
 
 
 def pack(layer: Sdf.Layer, package: Path, name: str, folders: Sequence[Path]) -> list[str]:
-    """Write a package of a saved layer."""
+    """Write a package of a saved layer; return the files left out."""
     left_out: dict[str, None] = {}
 
     def packed(asset: str, folder: Path) -> str:
         files = _files_of(layer, asset)
-        # Of scenes USD would pack what they name, wherever that is.
+        # USD would pack all files that scenes refer to, from anywhere.
         refused = files if _is_scene(asset) else [file for file in files if not _within(file, folders)]
         left_out.update(dict.fromkeys(refused))
         return "" if refused else _unpacked(layer, asset, folder)
@@ -114,7 +110,7 @@ def pack(layer: Sdf.Layer, package: Path, name: str, folders: Sequence[Path]) ->
 
 
 def _files_of(layer: Sdf.Layer, asset: str) -> list[str]:
-    """Return the files that USD finds for a name in a layer: one, none, or tiles of a texture."""
+    """Return the files of an asset path in a layer: one, none, or the tiles of a texture."""
     outer, _ = Ar.SplitPackageRelativePathOuter(asset)
     named = layer.ComputeAbsolutePath(outer) if outer else ""
     if TILES in named:
@@ -127,19 +123,19 @@ def _files_of(layer: Sdf.Layer, asset: str) -> list[str]:
 
 
 def _is_scene(asset: str) -> bool:
-    """Whether what is called a texture is one of the files that USD makes a stage of."""
+    """Whether a texture's asset path is a USD file."""
     inner = Ar.SplitPackageRelativePathInner(asset)[1]
     return Sdf.FileFormat.FindByExtension(Path(inner or asset).suffix.lstrip(".")) is not None
 
 
 def _within(file: str, folders: Sequence[Path]) -> bool:
-    """Whether a file, and not a pipe or a device, lies in one of some folders; links count as what they lead to."""
+    """Whether a path is a regular file in one of some folders, with links resolved."""
     real = Path(file).resolve()
     return real.is_file() and any(real.is_relative_to(folder.resolve()) for folder in folders)
 
 
 def _unpacked(layer: Sdf.Layer, asset: str, folder: Path) -> str:
-    """Return where a texture is, taken out if it is in a package: packages in packages are not for all viewers."""
+    """Return the path of a texture, extracted from a package since few viewers read nested ones."""
     outer, inner = Ar.SplitPackageRelativePathOuter(asset)
     if not inner:  # USD would take tiles of other folders into the package as "../wool.1001.png"
         return layer.ComputeAbsolutePath(asset) if TILES in asset else asset

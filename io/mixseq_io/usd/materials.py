@@ -1,7 +1,7 @@
-"""USD, writing: materials of a stand-alone file, copied from where they were.
+"""USD, writing: materials of a stand-alone file, copied from the original.
 
-Networks come from the composed file, flattened: what references, layers and variants say of them. Connections that
-leave the material are lost. Textures stay where they are; the copy names them anew.
+Networks are taken from the composed file, flattened. Connections that leave the material are lost. Textures stay in
+place; asset paths are rewritten.
 
 Specification: https://openusd.org/release/api/class_usd_shade_material.html
 """
@@ -25,13 +25,13 @@ _UV_READERS = {
     "ND_UsdPrimvarReader_vector2": "inputs:varname",
     "ND_geompropvalue_vector2": "inputs:geomprop",
 }
-"""The inputs of shaders that name the texture coordinates to read."""
+"""Shader inputs that name texture coordinates."""
 
 
 def define_materials(
     stage: Usd.Stage, target: Path, scope: str, names: Iterable[str], origin: Origin | None
 ) -> Mapping[str, UsdShade.Material]:
-    """Define materials below a scope."""
+    """Define materials below a scope; return them by name."""
     wanted = list(dict.fromkeys(names))
     if not wanted:
         return {}
@@ -56,12 +56,12 @@ def define_materials(
 
 
 def is_gone(origin: Origin | None) -> bool:
-    """Whether there was a USD file to copy from, and is none now."""
+    """Whether the original USD file existed and is now missing."""
     return origin is not None and origin.format == "USD" and not Path(origin.path).is_file()
 
 
 def _networks(origin: Path, materials: Iterable[str]) -> Sdf.Layer | None:
-    """Return a layer with the materials, and not with everything else of a large file; None if it is gone."""
+    """Return a layer with the materials only; None if the file is missing."""
     try:
         with reading_usd(origin):
             whole = open_stage(origin)
@@ -96,7 +96,7 @@ def _copy(source: Sdf.Layer, name: str, layer: Sdf.Layer, path: Sdf.Path) -> Non
 
 
 def _read_st(shader: Sdf.PrimSpec) -> None:
-    """Let a reader of texture coordinates read ``st``, which they are called whatever they were called before."""
+    """Rename the texture coordinates of a reader to ``st``."""
     kind = shader.attributes.get("info:id")
     name = _UV_READERS.get(kind.default) if kind else None
     if name:
@@ -113,7 +113,7 @@ def _prims(prim: Sdf.PrimSpec) -> Iterator[Sdf.PrimSpec]:
 
 
 def _from(target: Path, asset: str, origin: str) -> str:
-    """Return how the target names a texture, which may be inside of a .usdz file."""
+    """Return the path of a texture, possibly inside a .usdz file, as named from the target."""
     # USD has made paths absolute, but not those in packages that stand for several files.
     if TILES in asset and origin.endswith(".usdz") and not Path(asset).is_absolute():
         asset = Ar.JoinPackageRelativePath(origin, asset)

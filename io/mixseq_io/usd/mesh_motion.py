@@ -1,4 +1,4 @@
-"""USD, motion: what moves a mesh, and where its points are in the world.
+"""USD, motion: sources of a mesh's motion, and its points in world space.
 
 Specification: https://openusd.org/release/api/class_usd_geom_point_based.html (velocities)
 """
@@ -21,21 +21,21 @@ from mixseq_io.usd.transforms import Placement, varies
 
 @dataclass(frozen=True, eq=False)
 class Mover:
-    """A mesh and what moves it."""
+    """Mesh and its sources of motion."""
 
     mesh: UsdGeom.Mesh
     skin: Skin | None
 
     @cached_property
     def placement(self) -> Placement:
-        """Where the space of the points is: that of the skeleton, if joints move them."""
+        """Placement of the points' space: the skeleton's if joints move them, else the mesh's."""
         return Placement(
             self.skin.skeleton.prim if self.skin and self.skin.has_joints else self.mesh.GetPrim()
         )
 
     @cached_property
     def sources(self) -> tuple[Usd.Attribute, ...]:
-        """The attributes that change over time and move it."""
+        """Attributes that move the mesh over time."""
         deforming = self.skin.attributes() if self.skin else ()
         transforms = (each.GetAttr() for each in self.placement.operations)
         every = (self.mesh.GetPointsAttr(), *transforms, *deforming)
@@ -43,13 +43,13 @@ class Mover:
 
     @property
     def only_points_move(self) -> bool:
-        """Whether no transform, skeleton or blend shape moves it."""
+        """Whether neither transforms nor skeletons nor blend shapes move the mesh."""
         return all(each == self.mesh.GetPointsAttr() for each in self.sources)
 
 
 @dataclass(frozen=True, eq=False)
 class AnimatedMesh:
-    """A mesh over the frames of a sequence."""
+    """Mesh over the frames of a sequence."""
 
     mover: Mover
     codes: NDArray[np.float64]
@@ -66,7 +66,7 @@ class AnimatedMesh:
 
     @cached_property
     def weld(self) -> Weld:
-        """Which points, in the first frame and to be in all others, are which vertex."""
+        """Map of points to vertices, from the first frame, for all frames."""
         value = self.mesh.GetPointsAttr().Get(Usd.TimeCode(self.start))
         return weld(self.mesh, np.array(value or (), dtype=np.float32).reshape(-1, 3))
 
@@ -82,19 +82,19 @@ class AnimatedMesh:
 
     @cached_property
     def _first_determinant(self) -> float:
-        """That of the first frame in which there is one: things pop up by a scale that starts at zero."""
+        """Determinant in the first frame with a nonzero one, since objects may appear by scaling up from zero."""
         every = (self.mover.placement.to_world(code).GetDeterminant3() for code in self.codes.tolist())
         return next((each for each in every if each), 1.0)
 
     @property
     def mirrored(self) -> bool:
-        """Whether the way to the world turns left into right."""
+        """Whether the transform to the world mirrors."""
         skin = self.mover.skin
         bind = skin.bind_transform(self.start).GetDeterminant3() if skin and skin.has_joints else 1.0
         return bool(self._first_determinant * bind < 0)
 
     def points(self, code: float, pose: Pose | None) -> NDArray[np.float32]:
-        """Return the vertices (V, 3) in the world at a time code, the skeleton being in a pose."""
+        """Return the vertices ``(V, 3)`` in world space at a time code, with the skeleton in a pose."""
         path = self.mesh.GetPath()
         value = self.mesh.GetPointsAttr().Get(Usd.TimeCode(code))
         if value is None:
@@ -115,7 +115,7 @@ class AnimatedMesh:
         return _placed(value, matrix, 1.0)[self.weld.representatives]
 
     def velocities(self, code: float) -> NDArray[np.float32]:
-        """Return the velocities (V, 3) in the world, in units per second."""
+        """Return the velocities ``(V, 3)`` in world space, in units per second."""
         value = self.mesh.GetVelocitiesAttr().Get(Usd.TimeCode(code))
         if value is None or len(value) != self.point_count:
             raise InvalidSequenceError(
@@ -124,7 +124,7 @@ class AnimatedMesh:
         return _placed(value, self.mover.placement.to_world(code), 0.0)[self.weld.representatives]
 
     def has_velocities(self, notes: Notes) -> bool:
-        """Whether velocities can be read; those that cannot are noted."""
+        """Whether velocities can be read; problems are noted."""
         velocities = self.mesh.GetVelocitiesAttr()
         if not velocities.HasAuthoredValue():
             return False
@@ -142,10 +142,10 @@ class AnimatedMesh:
 
 
 def _placed(value: Vt.Vec3fArray, to_world: Gf.Matrix4d, weight: float) -> NDArray[np.float32]:
-    """Return points (weight 1), or vectors (weight 0), in the world."""
+    """Return points (weight 1) or vectors (weight 0) ``(n, 3)`` in world space."""
     rows = np.array(value, dtype=np.float32).reshape(-1, 3)
     if to_world == Gf.Matrix4d(1.0):
         return rows
     matrix = np.array(to_world, dtype=np.float64)
-    with np.errstate(all="ignore"):  # what overflows is reported by the reader, with its vertex
+    with np.errstate(all="ignore"):  # overflow is reported by the reader, with its vertex
         return np.asarray(rows @ matrix[:3, :3] + weight * matrix[3, :3], dtype=np.float32)

@@ -1,9 +1,6 @@
-"""USD, surfaces: the polygons of a mesh and what is on them.
+"""USD, surfaces: polygons, texture coordinates, colours, hard edges and face sets of a mesh.
 
-Specifications: https://openusd.org/release/api/class_usd_geom_mesh.html,
-https://openusd.org/release/api/class_usd_geom_primvar.html (interpolation),
-https://openusd.org/release/api/class_usd_geom_subset.html,
-https://openusd.org/release/api/class_usd_shade_material_binding_a_p_i.html
+Specification: https://openusd.org/release/api/class_usd_geom_primvar.html (interpolation)
 """
 
 from __future__ import annotations
@@ -48,10 +45,7 @@ _PURPOSES = (UsdShade.Tokens.allPurpose, UsdShade.Tokens.full, UsdShade.Tokens.p
 def scene_mesh_of(
     animated: AnimatedMesh, first_vertex: int, codes: NDArray[np.float64], notes: Notes
 ) -> SceneMesh:
-    """Return a mesh as it is in the first frame, its faces counter-clockwise seen from outside in world space.
-
-    Shapes: codes ``(T,)``.
-    """
+    """Return a mesh as in the first frame, faces counter-clockwise from outside in world space: codes ``(T,)``."""
     mesh, code = animated.mesh, Usd.TimeCode(animated.start)
     path = str(mesh.GetPath())
     with naming(path):
@@ -101,7 +95,7 @@ def _polygons(animated: AnimatedMesh, codes: NDArray[np.float64]) -> Polygons:
 
 
 def _constant(attribute: Usd.Attribute, codes: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Return the value of an attribute that must not change; some exporters repeat it at every sample."""
+    """Return the value of an attribute that must be constant; some exporters repeat it at every sample."""
     first = np.array(attribute.Get(Usd.TimeCode(codes[0])) or (), dtype=np.int32)
     for code in attribute.GetTimeSamples():
         if not np.array_equal(first, np.array(attribute.Get(Usd.TimeCode(code)) or (), dtype=np.int32)):
@@ -113,7 +107,7 @@ def _constant(attribute: Usd.Attribute, codes: NDArray[np.float64]) -> NDArray[n
 
 
 def _colours(animated: AnimatedMesh, polygons: Polygons, notes: Notes) -> CornerValues | None:
-    """Return the colours ``displayColor``, or the first that there are, with the opacity that may be beside them."""
+    """Return the colours of ``displayColor``, or the first colour primvar, with its opacity if any."""
     colours = _chosen_values(animated, polygons, notes, "colours", _COLOUR_TYPES, "displayColor")
     opacity = UsdGeom.PrimvarsAPI(animated.mesh).FindPrimvarWithInheritance("displayOpacity")
     if colours is None:
@@ -132,7 +126,7 @@ def _chosen_values(
     types: Sequence[Sdf.ValueTypeName],
     usual: str,
 ) -> CornerValues | None:
-    """Return the values of some type that have the usual name, or the first that there are."""
+    """Return the values of the usually named primvar of some types, or of the first one."""
     prim = animated.mesh.GetPrim()
     every = UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance()
     sets = [each for each in every if each.GetTypeName() in types and each.HasAuthoredValue()]
@@ -147,7 +141,7 @@ def _chosen_values(
 def _values(
     animated: AnimatedMesh, polygons: Polygons, notes: Notes, what: str, primvar: UsdGeom.Primvar
 ) -> CornerValues | None:
-    """Return what a primvar has at the corners in the first frame, None if it does not fit the faces."""
+    """Return a primvar's values at corners in the first frame, None if it does not fit the faces."""
     prim, code = animated.mesh.GetPrim(), Usd.TimeCode(animated.start)
     if primvar.ValueMightBeTimeVarying():
         notes.add(prim, f"{what} that change over time stay as they are in the first frame")
@@ -166,7 +160,7 @@ def _values(
 
 
 def _hard_edges(animated: AnimatedMesh, polygons: Polygons, notes: Notes) -> NDArray[np.int32] | None:
-    """Return which corners share a normal; ``primvars:normals`` come before ``normals``."""
+    """Return the normal's index at every corner; ``primvars:normals`` takes precedence over ``normals``."""
     mesh, code = animated.mesh, Usd.TimeCode(animated.start)
     primvar = UsdGeom.PrimvarsAPI(mesh.GetPrim()).GetPrimvar("normals")
     if primvar and primvar.HasAuthoredValue():
@@ -185,7 +179,7 @@ def _hard_edges(animated: AnimatedMesh, polygons: Polygons, notes: Notes) -> NDA
 
 
 def rows_of_corners(interpolation: str, polygons: Polygons) -> NDArray[np.int32]:
-    """Return the row of a primvar's value for every corner."""
+    """Return the row of a primvar's value for every corner ``(corners,)``."""
     if interpolation == UsdGeom.Tokens.faceVarying:
         return np.arange(polygons.indices.size, dtype=np.int32)
     if interpolation == UsdGeom.Tokens.uniform:
@@ -196,12 +190,12 @@ def rows_of_corners(interpolation: str, polygons: Polygons) -> NDArray[np.int32]
 
 
 def within(rows: IntArray, count: int) -> bool:
-    """Whether all rows are there."""
+    """Whether all rows are in range."""
     return not rows.size or bool(rows.min() >= 0 and rows.max() < count)
 
 
 def _face_sets(mesh: UsdGeom.Mesh, polygon_count: int, code: Usd.TimeCode, notes: Notes) -> list[FaceSet]:
-    """Return the mesh's own material on the faces that no subset gives another, and the subsets of its faces."""
+    """Return the mesh's material on faces without a subset's material, and the subsets of its faces."""
     sets, bound = [], []
     for subset in UsdGeom.Subset.GetAllGeomSubsets(mesh):
         if subset.GetElementTypeAttr().Get() != UsdGeom.Tokens.face:
@@ -231,7 +225,7 @@ def _face_sets(mesh: UsdGeom.Mesh, polygon_count: int, code: Usd.TimeCode, notes
 
 
 def _material(prim: Usd.Prim) -> UsdShade.Material | None:
-    """Return the material for all purposes, or that for final renders, or for previews, whichever there is first."""
+    """Return the first material among those for all purposes, final renders, and previews."""
     bindings = UsdShade.MaterialBindingAPI(prim)
     found = (bindings.ComputeBoundMaterial(purpose)[0] for purpose in _PURPOSES)
     return next(filter(None, found), None)

@@ -1,4 +1,4 @@
-"""USD, writing: the file that new points are laid over, and its meshes that a sequence fits."""
+"""USD, writing: the original file that new points are laid over, and its meshes matched with a sequence's."""
 
 from __future__ import annotations
 
@@ -22,22 +22,10 @@ from mixseq_io.usd.seams import Weld, unwelded, weld
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A mesh of the sequence and the mesh of the file that it is laid over.
+    """Mesh of the sequence matched with a mesh of the file.
 
-    Parameters
-    ----------
-    scene_mesh : SceneMesh
-        That of the sequence.
-    mesh : UsdGeom.Mesh
-        The mesh.
-    corner_points : (C,) int
-        The point at every corner of the mesh.
-    match : PolygonMatch
-        Which of its polygons and corners those of the mesh are, which may be in another order.
-    turned : bool
-        Whether the mesh lists its corners the other way round.
-    weld : Weld
-        Which of its vertices each point of the mesh is.
+    `corner_points` ``(C,)`` are the points at the file's corners, `match` maps its polygons and corners to the
+    sequence's, `turned` means reversed corner order, `weld` maps points to vertices.
     """
 
     scene_mesh: SceneMesh
@@ -50,7 +38,7 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class Original:
-    """A file that a sequence fits."""
+    """File that fits a sequence."""
 
     path: Path
     stage: Usd.Stage
@@ -58,12 +46,12 @@ class Original:
 
     @property
     def rate(self) -> float:
-        """Its time codes per second."""
+        """Time codes per second."""
         return self.stage.GetTimeCodesPerSecond()
 
 
 def open_original(path: Path, header: SequenceHeader) -> Original:
-    """Open a file on which a sequence may be laid."""
+    """Open a file that a sequence may be laid over."""
     try:
         with reading_usd(path):
             stage = open_stage(path)
@@ -91,7 +79,7 @@ def open_original(path: Path, header: SequenceHeader) -> Original:
 
 
 def _difference(scene_mesh: SceneMesh, mesh: UsdGeom.Mesh) -> str:
-    """Return what the first difference is to the only mesh that could have been meant."""
+    """Return the first difference from the only candidate mesh, in words."""
     stored, places = _stored(mesh)
     if stored is None:
         return ""
@@ -103,7 +91,7 @@ def _difference(scene_mesh: SceneMesh, mesh: UsdGeom.Mesh) -> str:
 
 
 def _fitted(scene_mesh: SceneMesh, mesh: UsdGeom.Mesh) -> Fit | None:
-    """Lay a mesh of the sequence over one of the file; None if it has other faces."""
+    """Match a mesh of the sequence with one of the file; None if faces differ."""
     stored, places = _stored(mesh)
     if stored is None:
         return None
@@ -127,7 +115,7 @@ def _fitted(scene_mesh: SceneMesh, mesh: UsdGeom.Mesh) -> Fit | None:
 
 
 def _stored(mesh: UsdGeom.Mesh) -> tuple[Polygons | None, FloatArray]:
-    """Return the faces of a mesh by its points, None if they are no faces on them, and the points."""
+    """Return a mesh's faces by points, None if they are invalid, and its points ``(P, 3)``."""
     earliest = Usd.TimeCode.EarliestTime()
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get(earliest) or (), dtype=np.int32)
     points = np.array(mesh.GetFaceVertexIndicesAttr().Get(earliest) or (), dtype=np.int32)

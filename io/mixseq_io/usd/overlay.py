@@ -1,18 +1,9 @@
-"""USD, writing: new points laid over an existing file, of which everything else stays.
+"""USD, writing: a layer with new points over an existing file, which keeps everything else.
 
-The layer has the file as its sublayer and stronger opinions on little: points and extents of the meshes, velocities,
-and normals where the file has them and renderers use them. USD scales the time codes of a sublayer that has another
-``timeCodesPerSecond``, so that its cameras keep their seconds.
-
-What the file itself would do to the points is switched off: meshes are unbound from skeletons and blend shapes
-[1]_, velocities and accelerations that belong to the old points are blocked [2]_, instances that would share
-their points with others become prims of their own [3]_.
-
-References
-----------
-.. [1] https://openusd.org/release/api/_usd_skel__schemas.html
-.. [2] https://openusd.org/release/api/class_sdf_value_block.html
-.. [3] https://openusd.org/release/api/_usd__page__scenegraph_instancing.html
+The file is a sublayer; the layer overrides points, extents, velocities, and authored normals that renderers use. USD
+scales time codes of sublayers with another ``timeCodesPerSecond``, so that its cameras keep their seconds. Meshes are
+unbound from skeletons and blend shapes, old velocities and accelerations are blocked
+(https://openusd.org/release/api/class_sdf_value_block.html), and instances are made unique.
 """
 
 from __future__ import annotations
@@ -45,11 +36,11 @@ _COPIED = (
     "colorConfiguration",
     "colorManagementSystem",
 )
-"""What USD takes from the root layer only, and not from sublayers."""
+"""Metadata that USD reads from the root layer only."""
 
 
 def lay_over(layer: Sdf.Layer, target: Path, original: Original, shown: Shown, velocities: bool) -> Cast:
-    """Author everything but samples, and return what is to get them."""
+    """Author everything but samples, and return the prims that get them."""
     put_over(layer, target, original)
     moving = [fit for fit in original.fits if Placement(fit.mesh.GetPrim()).moves]
     holdings = {fit: held for fit in moving if (held := holding_of(fit.mesh.GetPrim()))}
@@ -80,7 +71,7 @@ def lay_over(layer: Sdf.Layer, target: Path, original: Original, shown: Shown, v
 
 
 def put_over(layer: Sdf.Layer, target: Path, original: Original) -> None:
-    """Make a file the sublayer of an empty layer, of which everything stays."""
+    """Make a file the sublayer of an empty layer."""
     layer.subLayerPaths.append(reference_to(original.path, target))
     below = original.stage.GetRootLayer()
     for key in _COPIED:
@@ -90,7 +81,7 @@ def put_over(layer: Sdf.Layer, target: Path, original: Original) -> None:
 
 
 def split_instances(layer: Sdf.Layer, target: Path, prims: Iterable[Usd.Prim]) -> None:
-    """Give instances with some prims below them prims of their own, on which there can be opinions."""
+    """Turn instances above some prims into ordinary prims, which can have opinions."""
     above = [each for prim in prims for each in lineage(prim) if each.IsInstance()]
     paths = list(dict.fromkeys(str(prim.GetPath()) for prim in above))
     for path in paths:
@@ -130,7 +121,7 @@ def _space(original: Original, prim: Usd.Prim, shown: Shown, holding: Holding | 
 
 
 def _normals(fit: Fit) -> Normals | None:
-    """Return how to replace authored normals, which would be stale; subdivided meshes have none that count."""
+    """Return how to replace authored normals, None without any; subdivided meshes have none that matter."""
     mesh, scene_mesh = fit.mesh, fit.scene_mesh
     if mesh.GetSubdivisionSchemeAttr().Get() != UsdGeom.Tokens.none:
         return None
@@ -160,7 +151,7 @@ def _normals(fit: Fit) -> Normals | None:
 
 
 def _switch_off(layer: Sdf.Layer, mesh: UsdGeom.Mesh, placed: Placed) -> None:
-    """Block what belongs to the old points, or would move the new ones."""
+    """Block stale attributes of the old points, and unbind skeletons and blend shapes."""
     prim = mesh.GetPrim()
     skinned = any(UsdSkel.BindingAPI(each) for each in lineage(prim))
     stale = [prim.GetAttribute(name) for name in ("velocities", "accelerations", "primvars:normals:indices")]
@@ -187,7 +178,7 @@ def _is_of_skeletons(name: str) -> bool:
 
 
 def _orient(layer: Sdf.Layer, fit: Fit, placed: Placed, start: float) -> None:
-    """Turn faces that would be inside out: those of a mesh that its skeleton mirrored, or its transform does not."""
+    """Set the orientation of faces mirrored by their skeleton, or no longer by their transform."""
     if not fit.corner_points.size:
         return
     tokens, orientation = UsdGeom.Tokens, fit.mesh.GetOrientationAttr()
@@ -202,7 +193,7 @@ def _orient(layer: Sdf.Layer, fit: Fit, placed: Placed, start: float) -> None:
 
 
 def _tell_vertices(layer: Sdf.Layer, fit: Fit) -> None:
-    """Tell which points are one vertex, which cannot be seen any more where points have samples."""
+    """Store the vertex of every point, which readers cannot derive from sampled points."""
     if fit.weld.is_identity:
         return
     path = f"{fit.mesh.GetPath()}.{VERTICES}"
@@ -218,7 +209,7 @@ def _block(layer: Sdf.Layer, attribute: Usd.Attribute) -> None:
 
 
 def _bounds(original: Original, shown: Shown) -> tuple[Bounds, ...]:
-    """Return the roots of skeletons: their extents follow the skeleton, and count instead of those of the meshes."""
+    """Return the roots of skeletons, whose extents take precedence over those of their meshes."""
     below: dict[Usd.Prim, list[SceneMesh]] = {}
     for fit in original.fits:
         for prim in lineage(fit.mesh.GetPrim()):
@@ -236,7 +227,7 @@ def _bounds(original: Original, shown: Shown) -> tuple[Bounds, ...]:
 
 
 def _others(root: Usd.Prim, shown: Shown, count: int) -> Callable[[float], FloatArray]:
-    """Return the extent that a root has in the file, if there is more below it than meshes that get new points."""
+    """Return a root's extent in the file over time, empty unless it has other gprims below than the `count` meshes."""
     nothing = np.zeros((0, 3))
     gprims = [each for each in Usd.PrimRange(root, Usd.TraverseInstanceProxies()) if UsdGeom.Gprim(each)]
     if len(gprims) <= count:

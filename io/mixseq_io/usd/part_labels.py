@@ -1,10 +1,6 @@
-"""USD: labels of parts, read and written.
+"""USD, labels of parts: reads families of subsets and joints, writes a family that partitions every mesh's faces.
 
-Read is what tells parts of meshes apart besides materials and colours: families of subsets, joints of skeletons.
-Written are parts as a family of subsets that partitions the faces of every mesh.
-
-Specifications: https://openusd.org/release/api/class_usd_geom_subset.html (families and their types),
-https://openusd.org/release/api/class_usd_skel_binding_a_p_i.html
+Specification: https://openusd.org/release/api/class_usd_geom_subset.html (families and their types)
 """
 
 from __future__ import annotations
@@ -36,11 +32,11 @@ from mixseq_io.usd.paths import Identifiers
 from mixseq_io.usd.stage_meshes import display_name
 
 NUMBER = "mixseq:part"
-"""Number of a part in the custom data of its subset."""
+"""Key of a part's number in the custom data of its subset."""
 
 
 def markings_of(header: SequenceHeader, meshes: Sequence[AnimatedMesh]) -> Markings:
-    """Return what tells parts of the meshes of a stage apart."""
+    """Return the families of subsets and the joints of a stage's meshes."""
     polygons = [_polygons(animated) for animated in meshes]
     skinned = any(_is_skinned(animated) for animated in meshes)
     materials = {source: sets for source, sets in sets_of(header).items() if source == MATERIALS}
@@ -51,7 +47,7 @@ def markings_of(header: SequenceHeader, meshes: Sequence[AnimatedMesh]) -> Marki
 
 
 def _polygons(animated: AnimatedMesh) -> Polygons:
-    """Return the faces by points, as they are in the file."""
+    """Return the faces by points, as in the file."""
     code = Usd.TimeCode(animated.start)
     counts = animated.mesh.GetFaceVertexCountsAttr().Get(code)
     indices = animated.mesh.GetFaceVertexIndicesAttr().Get(code)
@@ -59,7 +55,7 @@ def _polygons(animated: AnimatedMesh) -> Polygons:
 
 
 def _families(meshes: Sequence[AnimatedMesh], polygons: Sequence[Polygons]) -> dict[str, tuple[FaceSet, ...]]:
-    """Return subsets of faces by family; ours in the order of their numbers."""
+    """Return subsets of faces by family; those written by mixseq in the order of their numbers."""
     found: dict[str, list[tuple[int, FaceSet]]] = {}
     first = 0
     for animated, own in zip(meshes, polygons, strict=True):
@@ -78,7 +74,7 @@ def _families(meshes: Sequence[AnimatedMesh], polygons: Sequence[Polygons]) -> d
 
 
 def _subsets(mesh: UsdGeom.Mesh) -> Iterator[UsdGeom.Subset]:
-    """Yield the subsets of a mesh's faces that are none of materials."""
+    """Yield the subsets of a mesh's faces that bind no materials."""
     for subset in UsdGeom.Subset.GetAllGeomSubsets(mesh):
         of_faces = subset.GetElementTypeAttr().Get() == UsdGeom.Tokens.face
         if of_faces and subset.GetFamilyNameAttr().Get() != UsdShade.Tokens.materialBind:
@@ -124,7 +120,7 @@ def _skinning(animated: AnimatedMesh) -> Skinning:
 
 
 def _above(root: str, joint: str, skeleton: UsdSkel.SkeletonQuery) -> str:
-    """Return the path of the joint above a joint of a skeleton, "" if there is none."""
+    """Return the path of a joint's parent joint, "" if it has none."""
     every = [str(each) for each in skeleton.GetJointOrder()]
     parent = skeleton.GetTopology().GetParent(every.index(joint)) if joint in every else -1
     return f"{root}/{every[parent]}" if parent >= 0 else ""
@@ -139,7 +135,7 @@ class Parts:
 
 
 def define_parts(layer: Sdf.Layer, meshes: Sequence[str], parts: Parts) -> None:
-    """Author a subset for every part of every mesh; those that the meshes have from before are replaced."""
+    """Author a subset for every part of every mesh, in place of earlier ones."""
     stage = Usd.Stage.Open(layer)
     for path, of_polygon in zip(meshes, parts.of_polygon, strict=True):
         _define(UsdGeom.Mesh(stage.GetPrimAtPath(path)), of_polygon, parts.names)

@@ -1,4 +1,4 @@
-"""USD, writing: names of prims, time codes, and how one file names another.
+"""USD, writing: names of prims, time codes, and paths between files.
 
 Specification: https://openusd.org/release/api/class_sdf_asset_path.html
 """
@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from pxr import Sdf
 
 TILES = "<UDIM>"
-"""In the name of a texture: it stands for several files, tiles of one picture, with numbers from 1001 on."""
+"""Placeholder in a texture's name for the number of its tiles, from 1001 on."""
 
 
 def time_codes(times: NDArray[np.float64], fps: float) -> NDArray[np.float64]:
-    """Return ``times * fps``, whole numbers where only rounding keeps them from being whole.
+    """Return ``times * fps`` ``(T,)``, rounded where only floating-point error keeps them from whole numbers.
 
     Examples
     --------
@@ -32,13 +32,7 @@ def time_codes(times: NDArray[np.float64], fps: float) -> NDArray[np.float64]:
 
 
 def identifier(name: str) -> str:
-    """Return the closest name that a prim can have: letters of any script, digits, underscores.
-
-    Examples
-    --------
-    >>> identifier("Männchen"), identifier("Cylinder.002"), identifier("2nd try"), identifier("")
-    ('Männchen', 'Cylinder_002', '_2nd_try', 'mesh')
-    """
+    """Return the closest valid prim name, letters of any script, digits, underscores: "2nd try" becomes "_2nd_try"."""
     cleaned = (
         "".join(letter if Sdf.Path.IsValidIdentifier("_" + letter) else "_" for letter in name) or "mesh"
     )
@@ -46,21 +40,14 @@ def identifier(name: str) -> str:
 
 
 class Identifiers:
-    """Gives siblings names that prims can have, all different.
-
-    Examples
-    --------
-    >>> names = Identifiers("leg_1")
-    >>> names.take("leg"), names.take("leg"), names.take("a b")
-    ('leg', 'leg_2', 'a_b')
-    """
+    """Unique valid prim names of siblings: a second "leg" becomes "leg_2"."""
 
     def __init__(self, *taken: str) -> None:
         self._taken = set(taken)
         self._next: dict[str, int] = {}
 
     def take(self, name: str) -> str:
-        """Return the closest name that is free, which is taken from here on."""
+        """Return the closest free name, and reserve it."""
         free = identifier(name)
         number = self._next.get(free, 0)
         while (numbered := f"{free}_{number}" if number else free) in self._taken:
@@ -71,22 +58,13 @@ class Identifiers:
 
 
 def is_prim_path(text: str) -> bool:
-    """Whether a text is the absolute path of a prim.
-
-    Examples
-    --------
-    >>> is_prim_path("/world/fox"), is_prim_path("fox"), is_prim_path("/a.points"), is_prim_path("")
-    (True, False, False, False)
-    """
+    """Whether a text is the absolute path of a prim, such as "/world/fox"."""
     path = Sdf.Path(text) if Sdf.Path.IsValidPathString(text) else Sdf.Path()
     return bool(path.IsAbsolutePath() and path.IsPrimPath())
 
 
 def reference_to(file: Path, target: Path) -> str:
-    """Return how `target` names `file`: from its own folder if both share one, so that they can move together.
-
-    Where symbolic links are in between, folders above are not what they seem, and the path is absolute.
-    """
+    """Return the path of `file` in `target`: relative in a shared folder, absolute where symbolic links interfere."""
     absolute, folder = file.absolute(), target.absolute().parent
     try:
         relative = os.path.relpath(absolute, folder)
@@ -101,21 +79,18 @@ def reference_to(file: Path, target: Path) -> str:
 
 
 def sublayer_of(path: Path) -> str:
-    """Return the file that a USD file is a layer over, as the file names it; "" if it stands alone."""
+    """Return the path of the file that a USD file is a layer over, as written there; "" if it stands alone."""
     layer = Sdf.Layer.FindOrOpen(str(path))
     return next(iter(layer.subLayerPaths), "") if layer else ""
 
 
 def clips_folder(path: Path) -> Path:
-    """Return the folder in which the value clips of a USD file are, if it has some of ours.
-
-    It has the extension in its name, else x.usda and x.usdc would take each other's clips away.
-    """
+    """Return the folder for a USD file's value clips; it includes the extension, to keep x.usda and x.usdc apart."""
     return path.with_name(f"{path.name}.clips")
 
 
 def clips_of(path: Path) -> list[Path]:
-    """Return the files in the folder of clips that a USD file uses, with their manifest; none if it has no clips."""
+    """Return the clips and the manifest that a USD file uses; none without clips."""
     folder = clips_folder(path)
     layer = Sdf.Layer.FindOrOpen(str(path)) if folder.is_dir() else None
     if not layer:

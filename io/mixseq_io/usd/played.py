@@ -1,4 +1,4 @@
-"""USD, writing: at which rate, and from when to when, a file is played."""
+"""USD, writing: frame rate and time range of a file."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from mixseq_io.usd.shown import Shown
 from mixseq_io.usd.skeletons import skins_of
 
 _SAME_END = 1.0 - 1e-3
-"""Fraction of a frame by which frames, at whole time codes, may miss the end of a motion."""
+"""Fraction of a frame by which frames at whole time codes may miss the end of a motion."""
 
 
 def author_times(layer: Sdf.Layer, header: SequenceHeader, shown: Shown, original: Original | None) -> None:
-    """Author units, rates and the range.
+    """Author units, rates and the time range.
 
-    The range is that of the frames: beyond them meshes would stand still. Where they reach as far as the meshes' motion
-    in the file, its range is kept on that side, if it is longer: the meshes stood still there before.
+    The range is that of the frames. On a side where they cover the meshes' motion in the file, the file's range is kept
+    if it is longer, since the meshes are at rest there.
     """
     layer.timeCodesPerSecond = layer.framesPerSecond = header.fps
     start, end = float(shown.codes[0]), float(shown.codes[-1])
@@ -43,7 +43,7 @@ def author_times(layer: Sdf.Layer, header: SequenceHeader, shown: Shown, origina
 
 
 def _motion(original: Original, *otherwise: float) -> tuple[float, float]:
-    """Return the first and the last time code at which something moves the meshes, by default others."""
+    """Return the first and last time code of the meshes' motion, or the given defaults."""
     meshes = [fit.mesh for fit in original.fits]
     skins = skins_of(meshes, Notes(original.path))
     sources = [each for mesh in meshes for each in Mover(mesh, skins.get(mesh.GetPath())).sources]
@@ -52,7 +52,7 @@ def _motion(original: Original, *otherwise: float) -> tuple[float, float]:
 
 
 def _scaled(code: float, scale: float, inwards: Callable[[float], float]) -> float:
-    """Return an end of a range at another rate; whole if it was, so that players show whole frames, all of the range.
+    """Return an end of a range at another rate, kept whole and within the range if it was whole.
 
     Examples
     --------

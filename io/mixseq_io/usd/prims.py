@@ -1,4 +1,4 @@
-"""USD, prims: opening a stage, walking through its prims, defining them, and telling about what they hold.
+"""USD, prims: open a stage, traverse and define prims, and collect warnings about them.
 
 Specification: https://openusd.org/release/api/class_usd_stage.html
 """
@@ -18,17 +18,17 @@ from mixseq_io.blocks import warn
 from mixseq_io.reader import check_regular
 
 _MOST_PRIMS = 1_000_000
-"""Instances of instances can be more than atoms in the universe, in a file of a few lines."""
+"""Largest number of prims visited; nested instances multiply without bound in a few lines."""
 
 _LONGEST_LIST = 20
 
 
 def open_stage(path: Path) -> Usd.Stage:
-    """Open a file as it is on the disk, with all payloads."""
+    """Open a file as it is on disk, with all payloads."""
     if not path.is_file():
         raise FormatError(f"{path} does not exist")
-    # A process shares its layers by their identifier, with an application's unsaved edits in them, or with
-    # what the file held before it was replaced. An argument that no one else gives makes this one our own.
+    # A process shares layers by identifier, with unsaved edits of an application or contents that were replaced on
+    # disk. A unique argument makes this one private.
     layer = Sdf.Layer.FindOrOpen(absolute(path), {"mixseq": token_hex(8)})
     if not layer:
         raise FormatError(f"{path} cannot be read as USD; it is damaged, truncated or of another type")
@@ -38,16 +38,15 @@ def open_stage(path: Path) -> Usd.Stage:
 
 
 def absolute(path: Path) -> str:
-    """Return the path by which USD opens a file.
+    """Return the absolute path by which USD opens a file, without resolving links.
 
-    Links are not followed: what a file refers to is searched from the folder in which it is named, and stores of data
-    (git-annex, DVC) keep the file itself elsewhere, without its extension.
+    References start at the link's folder, and data stores (git-annex, DVC) keep files elsewhere, without extension.
     """
     return os.path.abspath(path)  # noqa: PTH100 - Path.resolve follows links
 
 
 def prims_of(path: Path, stage: Usd.Stage) -> Iterator[Usd.Prim]:
-    """Yield the prims of a stage depth-first: native instances resolved, prototypes of point instancers left out."""
+    """Yield a stage's prims depth-first, native instances resolved, without point instancers' prototypes."""
     prims = iter(Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()))
     for count, prim in enumerate(prims):
         if count == _MOST_PRIMS:
@@ -58,25 +57,21 @@ def prims_of(path: Path, stage: Usd.Stage) -> Iterator[Usd.Prim]:
 
 
 def lineage(prim: Usd.Prim) -> Iterator[Usd.Prim]:
-    """Yield a prim and all that are above it."""
+    """Yield a prim and its ancestors."""
     while prim and not prim.IsPseudoRoot():
         yield prim
         prim = prim.GetParent()
 
 
 def define(layer: Sdf.Layer, path: Sdf.Path, type_name: str) -> None:
-    """Define a prim in a layer.
-
-    Unlike ``Usd.Stage.DefinePrim`` it can be used in an `Sdf.ChangeBlock`: a stage composes all siblings anew for every
-    prim that is added to them, or once for a block of them.
-    """
+    """Define a prim in a layer, also within an `Sdf.ChangeBlock`, where a stage recomposes siblings only once."""
     spec = Sdf.CreatePrimInLayer(layer, path)
     spec.specifier, spec.typeName = Sdf.SpecifierDef, type_name
 
 
 @dataclass(frozen=True)
 class Notes:
-    """What is to be told about prims: one warning for all that have the same problem."""
+    """Warnings about prims, merged by problem."""
 
     path: Path
     found: dict[str, list[str]] = field(default_factory=dict)
@@ -92,12 +87,6 @@ class Notes:
 
 
 def shortened(paths: list[str]) -> str:
-    """Return a list for a message, cut where it gets long.
-
-    Examples
-    --------
-    >>> shortened(["/a", "/b"])
-    '/a, /b'
-    """
+    """Return a list of paths for a message, truncated if long."""
     more = len(paths) - _LONGEST_LIST
     return ", ".join(paths[:_LONGEST_LIST]) + (f" and {more} more" if more > 0 else "")

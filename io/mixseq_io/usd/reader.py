@@ -1,13 +1,9 @@
 """USD, reading: meshes over time, in world space (.usd, .usda, .usdc, .usdz).
 
-Values come from the composed stage, so that references, layers, variants and value clips count. Several meshes are
-joined; see `mixseq_io.usd.stage_meshes` for which, `mixseq_io.usd.mesh_motion` for where, `mixseq_io.usd.skeletons`
-for characters, and `mixseq_io.usd.mesh_surface` for what is on them. Points are float32, which is USD's precision.
-
-Frames are all times at which something that moves a mesh has a sample: its points, the transforms above it, its
-skeleton, its blend shapes. Where one of them has none, USD interpolates. Between two samples of a rotation points
-move on arcs, so where there is more than points that moves, the frames at which the stage is played are added in the
-gaps between samples, as `UsdSkel.BakeSkinning` does.
+Values come from the composed stage with references, layers, variants and value clips. Several meshes are joined. Points
+are float32, as in USD. Frames are at all samples of points, transforms, skeletons and blend shapes that move a mesh,
+interpolated by USD. Where more than points moves, points follow arcs, and gaps between samples are filled with the
+frames of the stage's rate, as in `UsdSkel.BakeSkinning`.
 
 Specification: https://openusd.org/release/api/class_usd_stage.html (time codes and frames per second)
 """
@@ -50,7 +46,7 @@ def open_usd(path: Path, prim: str | None = None) -> SequenceReader:
         shot = _shot(path, open_stage(path), prim, notes)
         header = _header(path, shot, notes)
         speeds = [mesh.has_velocities(notes) for mesh in shot.meshes]
-    # What could not be found (a layer, a reference) may matter or not: reading goes on, but not in silence.
+    # Missing layers and references may be irrelevant, so reading continues with a warning.
     if reports:
         warn(f"{path}: USD reports: {'; '.join(reports[:3])}")
     notes.warn()
@@ -60,7 +56,7 @@ def open_usd(path: Path, prim: str | None = None) -> SequenceReader:
 
 
 def open_usd_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
-    """Open the meshes of a skeleton as they were bound to it; see `mixseq_io.read_bind_pose`."""
+    """Open the meshes of a skeleton in their bind pose; see `mixseq_io.read_bind_pose`."""
     notes = Notes(path)
     with quiet(), reading_usd(path), naming(path):
         stage = open_stage(path)
@@ -78,7 +74,7 @@ def open_usd_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
 
 @dataclass(frozen=True)
 class _Shot:
-    """Where the frames come from."""
+    """Source of a sequence's frames."""
 
     stage: Usd.Stage
     meshes: Sequence[AnimatedMesh]
@@ -86,7 +82,7 @@ class _Shot:
     posed: Callable[[Skeleton, float], Pose] = Skeleton.pose
 
     def points(self, code: float) -> Iterator[FloatArray]:
-        """Yield the points of all meshes at a time code; every skeleton is posed once."""
+        """Yield the points ``(V, 3)`` of each mesh at a time code; every skeleton is posed once."""
         skeletons = {mesh.mover.skin.skeleton for mesh in self.meshes if mesh.mover.skin}
         poses = {skeleton: self.posed(skeleton, code) for skeleton in skeletons}
         for mesh in self.meshes:
@@ -94,7 +90,7 @@ class _Shot:
             yield mesh.points(code, poses[skin.skeleton] if skin else None)
 
     def velocities(self, code: float) -> Iterator[FloatArray]:
-        """Yield the velocities of all meshes at a time code."""
+        """Yield the velocities ``(V, 3)`` of each mesh at a time code."""
         for mesh in self.meshes:
             yield mesh.velocities(code)
 
@@ -105,13 +101,13 @@ class _UsdReader(SequenceReader):
         self._shot: _Shot | None = shot
 
     def markings(self) -> Markings:
-        """Return what tells parts of the meshes apart."""
+        """Return the families of subsets and the joints of the meshes."""
         assert self._shot is not None, "the file is open"
         with quiet(), reading_usd(self.path):
             return markings_of(self.header, self._shot.meshes)
 
     def close(self) -> None:
-        """Let the stage go."""
+        """Release the stage."""
         super().close()
         self._shot = None
 
@@ -173,7 +169,7 @@ def _header(path: Path, shot: _Shot, notes: Notes) -> SequenceHeader:
 
 
 def _frame_codes(path: Path, stage: Usd.Stage, movers: Sequence[Mover]) -> NDArray[np.float64]:
-    """Return the time codes (T,) of the frames in which all meshes are to be read."""
+    """Return the time codes ``(T,)`` of the frames."""
     sources = list(dict.fromkeys(each for mover in movers for each in mover.sources))
     for each in sources:
         if is_spline(each):
@@ -189,7 +185,7 @@ def _frame_codes(path: Path, stage: Usd.Stage, movers: Sequence[Mover]) -> NDArr
 
 
 def _played(stage: Usd.Stage, first: float, last: float) -> tuple[NDArray[np.float64], float]:
-    """Return the time codes at which the stage is played, from `first` to `last`, and the step between them."""
+    """Return the time codes at the stage's frame rate from `first` to `last`, and their step."""
     start, rate = stage.GetStartTimeCode(), stage.GetFramesPerSecond()
     step = stage.GetTimeCodesPerSecond() / rate if rate else 0.0
     if not (stage.HasAuthoredTimeCodeRange() and np.isfinite(step) and step > 0 and np.isfinite(start)):

@@ -1,6 +1,6 @@
-"""USD, writing: what else moves in the file below: cameras, hair, lights, materials.
+"""USD, writing: other motion in the file below: cameras, hair, lights, materials.
 
-What the layer tells itself, the points of meshes and what is held or undone for them, is not the rest.
+Attributes authored by the layer itself, such as points and held transforms, are excluded.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from mixseq_io.usd.transforms import Placement
 
 
 def what_else_moves(original: Original) -> list[str]:
-    """Return the paths of what can be seen to move, or to change, besides the meshes of a sequence."""
+    """Return the paths of visible prims, other than the sequence's meshes, that move or change."""
     ours = {fit.mesh.GetPath() for fit in original.fits}
     prims = [each for each in prims_of(original.path, original.stage) if each.GetPath() not in ours]
     skins = skins_of([mesh for each in prims if (mesh := UsdGeom.Mesh(each))], Notes(original.path))
@@ -38,7 +38,7 @@ def what_else_moves(original: Original) -> list[str]:
 def warn_of_rest(
     target: Path, header: SequenceHeader, original: Original, times: NDArray[np.float64]
 ) -> None:
-    """Tell what else moves in a file, if the frames of a sequence show `times` of it that are not their own."""
+    """Warn of other motion in a file if a sequence shows `times` ``(T,)`` in s that differ from its own."""
     if not is_retimed(header, times):
         return
     cure = "; whole_stage=True (--whole-stage) retimes everything" if np.isfinite(times).all() else ""
@@ -47,7 +47,7 @@ def warn_of_rest(
 
 
 def retime_rest(layer: Sdf.Layer, target: Path, original: Original, shown: Shown) -> None:
-    """Give what moves in a file, as far as its layer does not tell it itself, samples at the layer's frames."""
+    """Author samples, at the layer's frames, of moving attributes that the layer does not author itself."""
     every = Usd.PrimRange.Stage(original.stage, Usd.TraverseInstanceProxies())
     moving = [
         each for prim in every for each in _animated(prim) if not layer.GetAttributeAtPath(each.GetPath())
@@ -62,7 +62,7 @@ def retime_rest(layer: Sdf.Layer, target: Path, original: Original, shown: Shown
 
 
 def _is_seen(prim: Usd.Prim) -> bool:
-    """Whether a prim shows something itself, which groups, skeletons and their animations do not."""
+    """Whether a prim is visible itself, unlike groups, skeletons and their animations."""
     groups = (UsdGeom.Scope, UsdSkel.Root, UsdSkel.Skeleton, UsdSkel.Animation)
     return prim.GetTypeName() not in ("", "Xform") and not any(kind(prim) for kind in groups)
 
@@ -79,7 +79,7 @@ def _animated(prim: Usd.Prim) -> Iterator[Usd.Attribute]:
 
 
 def _as_named_from(target: Path, value: Any) -> Any:
-    """Return a value, a file in it as another file names it."""
+    """Return a value with asset paths rewritten for another file."""
     if isinstance(value, Sdf.AssetPath) and value.resolvedPath:
         return Sdf.AssetPath(reference_to(Path(value.resolvedPath), target))
     return value

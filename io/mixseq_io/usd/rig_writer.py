@@ -1,6 +1,6 @@
-"""USD, writing: files of skins and morphs (.usd and .usdc binary, .usda text, .usdz packages).
+"""USD, writing: stand-alone files of skins and morphs (.usd and .usdc binary, .usda text, .usdz packages).
 
-They stand alone; materials of a USD file that the sequence came from are copied, as to other files that do.
+Materials are copied from the sequence's original USD file.
 """
 
 from __future__ import annotations

@@ -1,12 +1,8 @@
-"""USD, seams: points that are one vertex, split where texture coordinates or normals differ.
+"""USD, seams: weld points that are split where texture coordinates or normals differ.
 
-Characters from engines have a point for every combination of position, texture coordinates and normal. Cut open along
-all these seams a mesh falls to pieces, so what moves as one vertex is read as one vertex: the same position, the same
-joints and weights, the same blend shapes, bit for bit. So are only the meshes of skeletons: of points with time samples
-it could not be told without reading all frames.
-
-A layer that lays new points over such a mesh tells the vertex of every point in the attribute `VERTICES`, and so
-reads as the same vertices.
+Meshes of skeletons are welded where position, joints, weights and blend shapes are bit-identical; game-engine
+characters would otherwise be cut open along all seams. Other meshes are not, since points with time samples would all
+have to be read. A layer with new points stores the vertex of every point in the attribute `VERTICES`.
 """
 
 from __future__ import annotations
@@ -26,19 +22,19 @@ VERTICES = "mixseq:vertices"
 
 @dataclass(frozen=True, eq=False)
 class Weld:
-    """Which points of a mesh are which vertex."""
+    """Map of a mesh's points to its vertices."""
 
     of_point: IntArray
     representatives: IntArray
 
     @property
     def is_identity(self) -> bool:
-        """Whether every point is a vertex of its own."""
+        """Whether every point is a separate vertex."""
         return len(self.of_point) == len(self.representatives)
 
     @property
     def vertex_count(self) -> int:
-        """Number of vertices W."""
+        """Number W of vertices."""
         return len(self.representatives)
 
     def polygons(self, polygons: Polygons) -> Polygons:
@@ -47,12 +43,12 @@ class Weld:
 
 
 def unwelded(count: int) -> Weld:
-    """Return a weld in which every point is a vertex of its own."""
+    """Return the identity map of `count` points."""
     return Weld(np.arange(count), np.arange(count))
 
 
 def weld(mesh: UsdGeom.Mesh, points: NDArray[np.float32]) -> Weld:
-    """Return which points of a mesh, at ``(P, 3)`` in some frame, are one vertex."""
+    """Return the weld of a mesh's points ``(P, 3)`` in some frame."""
     labels = _told(mesh, len(points))
     if labels is None:
         labels = _found(mesh, points)
@@ -64,7 +60,7 @@ def weld(mesh: UsdGeom.Mesh, points: NDArray[np.float32]) -> Weld:
 
 
 def _told(mesh: UsdGeom.Mesh, count: int) -> IntArray | None:
-    """Return what a layer of ours says, if it is about as many points."""
+    """Return the vertices ``(P,)`` stored by a layer of mixseq, None if absent or of another size."""
     attribute = mesh.GetPrim().GetAttribute(VERTICES)
     if not attribute or attribute.GetTypeName() != Sdf.ValueTypeNames.IntArray:
         return None
@@ -83,7 +79,7 @@ def _found(mesh: UsdGeom.Mesh, points: NDArray[np.float32]) -> IntArray:
 
 
 def _influences(mesh: UsdGeom.Mesh, count: int) -> Iterator[NDArray[np.float32] | None]:
-    """Yield what moves the points, an array ``(P, n)`` each; None for what changes or does not fit."""
+    """Yield arrays ``(P, n)`` of each influence on the points; None for one that is time-sampled or does not fit."""
     binding = UsdSkel.BindingAPI(mesh.GetPrim())
     for primvar in (binding.GetJointIndicesPrimvar(), binding.GetJointWeightsPrimvar()):
         if not primvar or primvar.GetInterpolation() != UsdGeom.Tokens.vertex:

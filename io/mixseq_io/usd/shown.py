@@ -1,8 +1,7 @@
-"""USD, writing: which time of the file below a layer shows when.
+"""USD, writing: map from a layer's time to the time of the file below.
 
-A sublayer keeps its seconds, whatever the rate of the layer above. Where the whole stage is retimed, what moves in it
-gets samples in the layer instead: its values at the times that the frames show. A layer offset would do for a constant
-speed, forwards; samples do for ramps, pauses and backwards, too.
+A sublayer keeps its seconds at any rate of the layer above. When the whole stage is retimed, its moving attributes get
+samples in the layer, taken at the times that the frames show; a layer offset suffices for constant speed forwards only.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from mixseq_io.usd.paths import time_codes
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """Which time codes of the file below those of a layer show."""
+    """Time codes of the file below, by those of a layer."""
 
     rate_below: float
     rate: float
@@ -35,13 +34,13 @@ class Shown:
         return float(self.codes[0]) / self.rate
 
     def below(self, time: float) -> float:
-        """Return the time code of the file that is shown at a time of the layer, in seconds."""
+        """Return the file's time code at a time of the layer, in seconds."""
         if self.sources is None:
             return time * self.rate_below
         return float(np.interp(time * self.rate, self.codes, self.sources)) * self.rate_below
 
     def samples(self, attribute: Usd.Attribute) -> Iterator[tuple[float, Any]]:
-        """Yield time codes of the layer, and what an attribute of the file that varies is then."""
+        """Yield the layer's time codes with the values of a varying attribute of the file."""
         if self.sources is None:
             every = np.array(attribute.GetTimeSamples(), dtype=np.float64)
             codes = every * (self.rate / self.rate_below)
@@ -53,7 +52,7 @@ class Shown:
 
 
 def source_times(header: SequenceHeader, sources: ArrayLike) -> NDArray[np.float64]:
-    """Return the times (T,) that frames show, in seconds."""
+    """Return the times ``(T,)`` of the original that frames show, in seconds."""
     times = np.asarray(sources, dtype=np.float64)
     if times.shape != header.times.shape:
         raise SettingsError(
@@ -63,7 +62,7 @@ def source_times(header: SequenceHeader, sources: ArrayLike) -> NDArray[np.float
 
 
 def shown_by(header: SequenceHeader, rate_below: float, sources: NDArray[np.float64] | None = None) -> Shown:
-    """Return what the frames of a sequence show of a file with a rate."""
+    """Return the map from a sequence's frames to a file with a rate."""
     if sources is not None and not np.isfinite(sources).all():
         frame = int(np.argmin(np.isfinite(sources)))
         raise SettingsError(

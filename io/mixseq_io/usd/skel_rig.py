@@ -1,15 +1,12 @@
 r"""USD, writing: a mesh that follows joints and blend shapes (UsdSkel).
 
-Below a SkelRoot are the meshes, a Skeleton and a SkelAnimation. The Skeleton tells where joints are at rest: bind
-transforms in the world, with the axes ``A_b`` at the pivot ``p_b``, and rest transforms relative to the parent. The
-animation turns and moves every joint relative to its parent, by `mixseq.rigging.rigs.Skin.local`, so that UsdSkel takes
-a point from the bind pose to ``R_tb (r_v - p_b) + c_tb``, which is the formula of `mixseq.rigging.rigs.Skin`. As there,
-blend shapes move the points before joints do. A morph has a Skeleton without joints, which only names the animation.
+A SkelRoot holds the meshes, a Skeleton and a SkelAnimation. Bind transforms are in world space, with the axes ``A_b``
+at the pivot ``p_b``. The animation moves joints relative to their parents by `mixseq.rigging.rigs.Skin.local`, so that
+UsdSkel takes a point from the bind pose to ``R_tb (r_v - p_b) + c_tb``, the formula of `mixseq.rigging.rigs.Skin`;
+blend shapes come before joints. A morph has a Skeleton without joints. Joints are named by paths (``hips/leg``) of
+valid names; ``jointNames`` keeps the others.
 
-Joints are named by paths (``hips/leg``) of names that USD has letters for; ``jointNames`` keeps the others.
-
-Specifications: https://openusd.org/release/api/_usd_skel__schemas.html,
-https://openusd.org/release/api/_usd_skel__skinning.html
+Specification: https://openusd.org/release/api/_usd_skel__schemas.html
 """
 
 from __future__ import annotations
@@ -64,7 +61,7 @@ def define_rig(layer: Sdf.Layer, target: Path, rig: Skin | Morph) -> None:
 
 
 def _put_base(layer: Sdf.Layer, cast: Cast, shape: Morph) -> None:
-    """Give the meshes the points of the base, and what follows from them, at no time in particular."""
+    """Author the base points of the meshes and derived attributes, without time samples."""
     declare(layer, cast)
     ((_, values),) = frames(cast, np.zeros(1), np.zeros(1), [(0, shape.base[None], None)])
     for path, value in values.items():
@@ -85,7 +82,7 @@ def _define_joints(skeleton: UsdSkel.Skeleton, joints: Skeleton) -> None:
 
 
 def _matrices(rotations: Float, translations: Float) -> Any:
-    """Return transforms of quaternions ``(B, 4)`` and translations ``(B, 3)``, for rows: x' = x M."""
+    """Return matrices of quaternions ``(B, 4)`` and translations ``(B, 3)`` for row vectors: x' = x M."""
     matrices = np.tile(np.eye(4), (len(rotations), 1, 1))
     matrices[:, :3, :3] = rotation_matrices(rotations).swapaxes(1, 2)
     matrices[:, 3, :3] = translations
@@ -117,7 +114,7 @@ def _animate_shapes(
 
 
 def _set(attribute: Usd.Attribute, values: list[Any], codes: NDArray[np.float64]) -> None:
-    """Give an attribute a value at every time, or a single one where it stands still."""
+    """Set an attribute at every time code, or a single value if it is constant."""
     if all(value == values[0] for value in values):
         attribute.Set(values[0])
         return
@@ -137,7 +134,7 @@ def _add_influences(binding: UsdSkel.BindingAPI, mesh: Placed, skin: Skin) -> No
 def _add_shapes(
     stage: Usd.Stage, binding: UsdSkel.BindingAPI, mesh: Placed, modes: list[str], targets: Float
 ) -> None:
-    """Add the targets that move a mesh, each with the points that it moves."""
+    """Add the targets that move a mesh, each with its moved points only."""
     path = Sdf.Path(mesh.path)
     names = Identifiers(*(child.GetName() for child in stage.GetPrimAtPath(path).GetChildren()))
     used, paths = [], []
@@ -157,7 +154,7 @@ def _add_shapes(
 
 
 def _extents(rig: Skin | Morph) -> Iterator[Vt.Vec3fArray]:
-    """Yield the box around every frame."""
+    """Yield the bounding box of every frame."""
     for block in rig.blocks():
         for points in block:
             yield extent_of(points)

@@ -1,11 +1,9 @@
-"""USD, skinning: skeletons and blend shapes that move meshes (UsdSkel).
+"""USD, skinning: skeletons and blend shapes that move meshes (UsdSkel), computed by USD's own implementation.
 
-A skinned mesh ignores its own transform: its points are blended from its shapes, taken by ``geomBindTransform``
-into the space of the skeleton, moved there by the joints, linearly or by dual quaternions, and placed in the world
-by the skeleton's transform. USD's own implementation does the sums.
+The points of a skinned mesh are blended from its shapes, taken by ``geomBindTransform`` into skeleton space, moved by
+the joints (linear or dual quaternion skinning), and placed by the skeleton's transform instead of the mesh's.
 
-Specifications: https://openusd.org/release/api/_usd_skel__intro.html,
-https://openusd.org/release/api/class_usd_skel_skinning_query.html
+Specification: https://openusd.org/release/api/_usd_skel__intro.html
 """
 
 from __future__ import annotations
@@ -23,7 +21,7 @@ from mixseq_io.usd.prims import Notes, lineage
 
 @dataclass(frozen=True)
 class Pose:
-    """A skeleton at one time."""
+    """Pose of a skeleton at one time."""
 
     joints: Vt.Matrix4dArray
     weights: Vt.FloatArray
@@ -31,27 +29,19 @@ class Pose:
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
-    """A skeleton and the animation that is bound to it.
-
-    Parameters
-    ----------
-    prim : Usd.Prim
-        The skeleton; that of an instance, where several share a prototype.
-    query : UsdSkel.SkeletonQuery
-        What USD knows of it, or of the prototype.
-    """
+    """Skeleton prim, that of the instance where several share a prototype, its query, and its bound animation."""
 
     prim: Usd.Prim
     query: UsdSkel.SkeletonQuery
 
     @cached_property
     def has_joints(self) -> bool:
-        """Whether there is a pose: one of an animation, or one of rest."""
+        """Whether it has a pose of an animation or of rest."""
         return len(self.query.ComputeSkinningTransforms(Usd.TimeCode.EarliestTime())) > 0
 
     @cached_property
     def animation(self) -> UsdSkel.Animation | None:
-        """The animation, if there is one."""
+        """Bound animation, or None."""
         query = self.query.GetAnimQuery()
         return UsdSkel.Animation(query.GetPrim()) if query else None
 
@@ -63,7 +53,7 @@ class Skeleton:
 
 
 def bound(skeleton: Skeleton, _: float) -> Pose:
-    """Return the pose in which meshes were bound: joints stay there, and no blend shape is mixed in."""
+    """Return the bind pose, without blend shapes."""
     joints = len(skeleton.query.GetJointOrder())
     query = skeleton.query.GetAnimQuery()
     shapes = len(query.GetBlendShapeOrder()) if query else 0
@@ -72,17 +62,7 @@ def bound(skeleton: Skeleton, _: float) -> Pose:
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """How a skeleton moves a mesh.
-
-    Parameters
-    ----------
-    skeleton : Skeleton
-        The skeleton.
-    query : UsdSkel.SkinningQuery
-        The joints and blend shapes of the mesh.
-    cache : UsdSkel.Cache
-        Held, because it owns what the queries look at.
-    """
+    """Skeleton and skinning query of a mesh; the cache is kept since it owns the queries' data."""
 
     skeleton: Skeleton
     query: UsdSkel.SkinningQuery
@@ -101,7 +81,7 @@ class Skin:
         return weighted and self.query.HasBlendShapes()
 
     def attributes(self) -> Iterator[Usd.Attribute]:
-        """Yield the attributes that the shape in the skeleton's space depends on, besides the points."""
+        """Yield the attributes, besides points, that determine the shape in skeleton space."""
         animation = self.skeleton.animation
         if self.has_joints:
             if animation is not None:
@@ -116,16 +96,13 @@ class Skin:
             yield animation.GetBlendShapeWeightsAttr()
 
     def bind_transform(self, code: float) -> Gf.Matrix4d:
-        """Return the transform from the mesh to the skeleton at bind time."""
+        """Return the mesh-to-skeleton transform at bind time."""
         return self.query.GetGeomBindTransform(Usd.TimeCode(code))
 
     def deformed(self, points: Vt.Vec3fArray, pose: Pose, code: float) -> Vt.Vec3fArray:
-        """Return the mesh's points in a pose; in the skeleton's space if there are joints, else in the mesh's.
+        """Return the mesh's posed points, in skeleton space if it has joints, else in mesh space.
 
-        Raises
-        ------
-        InvalidSequenceError
-            If joints or shapes do not fit the points.
+        Raises `InvalidSequenceError` if joints or shapes do not fit the points.
         """
         moved = Vt.Vec3fArray(points)  # USD works in place; copies are made when they are written to
         if self.has_shapes and not self._blend(moved, pose):
@@ -156,7 +133,7 @@ class Skin:
 
 
 def skins_of(meshes: Sequence[UsdGeom.Mesh], notes: Notes) -> dict[Sdf.Path, Skin]:
-    """Return how skeletons move meshes, by the meshes' paths; bindings are inherited as USD has it."""
+    """Return the skins of meshes by path; bindings are inherited as in USD."""
     roots = {
         each.GetPath(): UsdSkel.Root(each)
         for mesh in meshes
@@ -183,7 +160,7 @@ def skins_of(meshes: Sequence[UsdGeom.Mesh], notes: Notes) -> dict[Sdf.Path, Ski
 
 
 def _wants_skeleton(prim: Usd.Prim) -> bool:
-    """Whether a mesh has something for a skeleton to move; layers of new points block it."""
+    """Whether a mesh has a binding to joints or blend shapes; layers of new points block it."""
     binding = UsdSkel.BindingAPI(prim)
     parts = (binding.GetJointIndicesAttr(), binding.GetBlendShapesAttr()) if binding else ()
     return any(part.HasAuthoredValue() for part in parts)

@@ -20,9 +20,9 @@ from mixseq_io.usd.prims import Notes, lineage, prims_of, shortened
 
 
 def meshes_of(path: Path, stage: Usd.Stage, prim: str | None, notes: Notes) -> list[UsdGeom.Mesh]:
-    """Return the meshes of a stage, or those at or below `prim`, in the order of the stage.
+    """Return the meshes of a stage, or those at or below `prim`, in stage order.
 
-    Hidden meshes, guides, proxies, and meshes without points count only where there is nothing else.
+    Hidden meshes, guides, proxies, and meshes without points are used only if there are no others.
     """
     prims = list(prims_of(path, stage))
     meshes = [mesh for each in prims if (mesh := UsdGeom.Mesh(each))]
@@ -47,7 +47,7 @@ def meshes_of(path: Path, stage: Usd.Stage, prim: str | None, notes: Notes) -> l
 
 
 def places_of(objects: Sequence[UsdGeom.Mesh | Usd.Prim]) -> list[SceneObject]:
-    """Return where meshes or other prims are in the scene; what is above several is one object."""
+    """Return meshes or other prims as scene objects with shared ancestors."""
     places: dict[Sdf.Path, SceneObject] = {}
     for each in objects:
         new = takewhile(lambda prim: prim.GetPath() not in places, lineage(each.GetPrim()))
@@ -58,19 +58,19 @@ def places_of(objects: Sequence[UsdGeom.Mesh | Usd.Prim]) -> list[SceneObject]:
 
 
 def display_name(prim: Usd.Prim) -> str:
-    """Return the name that a prim is shown under."""
+    """Return the display name of a prim."""
     return prim.GetDisplayName() or prim.GetName()
 
 
 def _is_hidden(prim: Usd.Prim, visibility: Callable[[Usd.Prim], frozenset[str]]) -> bool:
-    """Whether a prim is always invisible, or only a helper of its authors."""
+    """Whether a prim is always invisible, a guide or a proxy."""
     if UsdGeom.Imageable(prim).ComputePurpose() in (UsdGeom.Tokens.guide, UsdGeom.Tokens.proxy):
         return True
     return any(visibility(each) == {UsdGeom.Tokens.invisible} for each in lineage(prim))
 
 
 def _visibility(prim: Usd.Prim) -> frozenset[str]:
-    """Return the values that a prim's own visibility has; some exporters repeat one at every frame."""
+    """Return the values of a prim's own visibility over time; some exporters repeat one at every frame."""
     attribute = prim.GetAttribute(UsdGeom.Tokens.visibility)
     return frozenset(attribute.Get(code) for code in attribute.GetTimeSamples() or [0.0])
 

@@ -1,7 +1,7 @@
-"""USD, transforms: where prims are in the world, and what moves them.
+"""USD, transforms: placement of prims in the world, and its sources of motion.
 
-Layers of ours undo the motion of parents, see `mixseq_io.usd.holding`: where an operation undoes the next one at all
-times, neither counts. So the way to the world is exact, and their times make no frames.
+Operations that invert the next one at all times, as written by `mixseq_io.usd.holding`, are dropped with it, so that
+the transform is exact and their samples make no frames.
 
 Specification: https://openusd.org/release/api/class_usd_geom_xformable.html
 """
@@ -22,13 +22,13 @@ Operations = tuple[UsdGeom.XformOp, ...]
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """The way from a prim's space to the world."""
+    """Transform from a prim's space to the world."""
 
     prim: Usd.Prim
 
     @cached_property
     def operations(self) -> Operations:
-        """What is applied to points, the innermost operation first, without those that undo each other."""
+        """Operations on points, the innermost first, without mutually inverse ones."""
         left: list[UsdGeom.XformOp] = []
         for operation in self._all:
             if left and _undo_each_other(left[-1], operation):
@@ -39,11 +39,11 @@ class Placement:
 
     @property
     def moves(self) -> bool:
-        """Whether it changes over time."""
+        """Whether the transform changes over time."""
         return any(varies(each.GetAttr()) for each in self.operations)
 
     def to_world(self, code: float) -> Gf.Matrix4d:
-        """Return the transform to the world at a time code, for rows: p' = p M."""
+        """Return the local-to-world transform at a time code, for row vectors: p' = p M."""
         if len(self.operations) == len(self._all):
             return UsdGeom.XformCache(Usd.TimeCode(code)).GetLocalToWorldTransform(self.prim)
         return product(self.operations, code)
@@ -54,7 +54,7 @@ class Placement:
 
 
 def operations_of(prim: Usd.Prim) -> Iterator[UsdGeom.XformOp]:
-    """Yield what is applied to the points of a prim on their way to the world, the innermost operation first."""
+    """Yield the operations on a prim's points, the innermost first."""
     for each in lineage(prim):
         if xformable := UsdGeom.Xformable(each):
             yield from reversed(xformable.GetOrderedXformOps())
@@ -63,7 +63,7 @@ def operations_of(prim: Usd.Prim) -> Iterator[UsdGeom.XformOp]:
 
 
 def product(operations: Operations, code: float) -> Gf.Matrix4d:
-    """Return the transform that some operations, the innermost first, are together at a time code."""
+    """Return the product of operations, the innermost first, at a time code."""
     matrix = Gf.Matrix4d(1.0)
     for each in operations:
         matrix *= each.GetOpTransform(Usd.TimeCode(code))
@@ -71,17 +71,17 @@ def product(operations: Operations, code: float) -> Gf.Matrix4d:
 
 
 def varies(attribute: Usd.Attribute) -> bool:
-    """Whether an attribute changes over time. A single sample holds at all times."""
+    """Whether an attribute changes over time; a single sample is constant."""
     return attribute.GetNumTimeSamples() > 1 or is_spline(attribute)
 
 
 def is_spline(attribute: Usd.Attribute) -> bool:
-    """Whether an attribute changes over time without samples."""
+    """Whether an attribute is animated by a spline instead of samples."""
     return bool(attribute.ValueMightBeTimeVarying()) and not attribute.GetNumTimeSamples()
 
 
 def _undo_each_other(one: UsdGeom.XformOp, other: UsdGeom.XformOp) -> bool:
-    """Whether one of two operations of different prims is the inverse of the other at all times."""
+    """Whether two operations of different prims are inverse at all times."""
     mine, theirs = one.GetAttr(), other.GetAttr()
     if one.IsInverseOp() == other.IsInverseOp() or mine.GetPrim() == theirs.GetPrim():
         return False

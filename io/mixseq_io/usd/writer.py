@@ -1,8 +1,7 @@
 """USD, writing (.usd and .usdc binary, .usda text, .usdz packages).
 
-A sequence that was read from a USD file is written as a layer over that file (`overlay`), other sequences as files
-that stand alone (`standalone`). Either has its samples (`frames`) in itself (`layers`) or in value clips (`clips`).
-USD's points are float32; larger precision is rounded to that.
+Sequences from a USD file become a layer over it (`overlay`), others a stand-alone file (`component`). Samples
+(`frame_values`) are in the file itself (`layers`) or in value clips (`clips`). Points are rounded to float32.
 """
 
 from __future__ import annotations
@@ -60,16 +59,14 @@ def write_usd(
     onto : path-like, optional
         The USD file to lay the points over; by default the one that the sequence was read from.
     clips : int
-        Put the samples into files of this many frames each, in a folder ``<file>.clips`` beside the file; 0: into
-        the file itself.
+        Frames per sample file in a folder ``<file>.clips`` beside the file; 0: all samples in the file itself.
     pack_from : path-like, optional
-        Folder from which textures may be packed into a .usdz, besides that of the file that the sequence was read from
-        and those below.
+        Folder from which textures may be packed into a .usdz, besides the original file's folder and those below.
     sources : (T,) array-like, optional
-        Time of the original that every frame shows, in seconds, where that is another one than its own; NaN where it
-        shows no single one. What else moves in the original is told, or retimed.
+        Time of the original that every frame shows, in seconds, if it differs from its own; NaN for no single time.
+        Other motion of the original is reported, or retimed.
     whole_stage : bool
-        Retime everything else that moves in the original, too: cameras, hair, lights, other meshes.
+        Retime all other motion of the original, too: cameras, hair, lights, other meshes.
     parts : Parts, optional
         Parts to write as subsets of the faces, see `mixseq_io.labels.writing`.
     """
@@ -133,7 +130,7 @@ def write_usd(
 
 
 def write_usd_parts(path: Path, header: SequenceHeader, parts: Parts) -> bool:
-    """Write a layer over the file that a sequence was read from, which adds parts and changes nothing else."""
+    """Write a layer over a sequence's original file that only adds parts; return whether that was possible."""
     original = _original(path, header, flatten=False, onto=None)
     if original is None:
         return False
@@ -147,7 +144,7 @@ def write_usd_parts(path: Path, header: SequenceHeader, parts: Parts) -> bool:
 
 
 def check_up_axis(path: Path, header: SequenceHeader) -> None:
-    """Refuse an up axis that USD does not know."""
+    """Raise an error for an up axis that USD does not support."""
     if header.up_axis == "X":
         raise OutputError(
             f"{path}: USD stages have Y or Z up, this mesh has X; turn it with convert_units (--convert-axes Y), or "
@@ -156,7 +153,7 @@ def check_up_axis(path: Path, header: SequenceHeader) -> None:
 
 
 def warn_of_unpacked(path: Path, files: list[str]) -> None:
-    """Warn of what `pack` left out."""
+    """Warn of files that `pack` left out."""
     if files:
         warn(
             f"{path}: what is no texture in the original's folder is not packed: {shortened(files)}; if textures "
@@ -165,7 +162,7 @@ def warn_of_unpacked(path: Path, files: list[str]) -> None:
 
 
 def folders_of(header: SequenceHeader, pack_from: str | PathLike[str] | None = None) -> list[Path]:
-    """Return where textures may be that are packed, and the file itself, which may be a package."""
+    """Return the folders of textures that may be packed, and the file itself, which may be a package."""
     origin = header.surface.origin
     file = [Path(origin.path)] if origin and origin.format == "USD" else []
     return [*file, *(each.parent for each in file), *([] if pack_from is None else [Path(pack_from)])]
@@ -193,7 +190,7 @@ def _check_options(packed: bool, flatten: bool, onto: object, clips: int, pack_f
 def _original(
     path: Path, header: SequenceHeader, flatten: bool, onto: str | PathLike[str] | None
 ) -> Original | None:
-    """Return the file to lay the points over, None if there is none."""
+    """Return the file to lay the points over, None for a stand-alone file."""
     origin = header.surface.origin
     known = origin.path if origin and origin.format == "USD" else None
     if onto is None and known is None:
@@ -222,7 +219,7 @@ def _original(
 
 
 def check_not_needed(path: Path, original: Path) -> None:
-    """Refuse to replace an original, or a layer that it uses."""
+    """Raise an error if an original, or a layer that it uses, would be replaced."""
     if not path.exists():
         return
     stage = None

@@ -1,1 +1,1 @@
-"""Vertex animation textures: frames in pictures, which graphics cards look up in the vertex shader."""
+"""Vertex animation textures: frames in pictures for vertex shaders."""

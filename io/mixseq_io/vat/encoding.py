@@ -1,7 +1,7 @@
-r"""Numbers as pixels, and what a shader makes of them: :math:`o + s\,p` of a pixel :math:`p` between 0 and 1.
+r"""Numbers as pixels, decoded by shaders as :math:`o + s\,p` of a pixel :math:`p` between 0 and 1.
 
-PNG holds `p` in 16 bits (8 for normals of single frames), EXR the numbers themselves, so that o = 0 and s = 1. What is
-rounded is returned together with the pixels, which is what errors are measured of.
+PNG holds `p` in 16 bits (8 for normals of single frames), EXR the numbers themselves, with o = 0 and s = 1. Decoded
+numbers are returned with the pixels, for measuring errors.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Encoded:
 
     @property
     def numbers(self) -> NDArray[np.float64]:
-        """What a shader sees."""
+        """Numbers decoded by a shader."""
         largest = {"f": 1, "u": 2 ** (8 * self.pixels.itemsize) - 1}[self.pixels.dtype.kind]
         return np.asarray(self.offset + self.scale * (self.pixels.astype(np.float64) / largest))
 
@@ -54,8 +54,8 @@ def encoded(
 def in_two(numbers: NDArray[np.floating], largest: float, kind: Kind) -> tuple[Encoded, NDArray[np.float64]]:
     """Encode numbers ``(T, n, 3)`` up to a largest magnitude in twice as many rows ``(2 T, n, 3)``.
 
-    A shader's number is :math:`o + s (p + p' / 65535)` with the pixel `p'` that is T rows below `p`. It has 6 bits, as
-    more are noise that cannot be compressed; of EXR it is 0.
+    Shaders decode :math:`o + s (p + p' / 65535)` with the pixel `p'`, T rows below `p`. It has 6 bits, since more are
+    incompressible noise; in EXR it is 0.
     """
     if kind is np.float32:
         made = encoded(np.concatenate([numbers, np.zeros_like(numbers)]), 0, 1, np.float32)

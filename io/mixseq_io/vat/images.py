@@ -1,7 +1,7 @@
-"""Pictures whose pixels are numbers: PNG with 8 or 16 bits, and EXR with 32-bit floats.
+"""Pictures of numbers: PNG with 8 or 16 bits, and EXR with 32-bit floats.
 
-Pillow cannot write PNG with 16 bits in three channels, so this does, with zlib: every row is filtered as it is, by the
-pixel to the left, or by the one above, whichever has the smallest sum of magnitudes, as libpng chooses.
+PNG is written here with zlib, since Pillow has no 16 bits in three channels. Each row is filtered by none, the pixel to
+the left, or the one above, whichever has the smallest sum of magnitudes, as in libpng.
 
 Specifications: https://www.w3.org/TR/png-3/, https://openexr.com/en/latest/OpenEXRFileLayout.html
 """
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mixseq.errors import MissingExtraError
 
 LARGEST = 16384
-"""Pixels of a side: more than many graphics cards have."""
+"""Largest side in pixels, above the limit of many graphics cards."""
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _COLOUR_TYPES = {3: 2, 4: 6}
@@ -27,7 +27,7 @@ _NONE, _SUB, _UP = 0, 1, 2
 
 
 def png_of(pixels: NDArray[Any]) -> bytes:
-    """Return a PNG of pixels ``(height, width, 3 or 4)``, from the top left, of 8 or 16 bits."""
+    """Return a PNG of pixels ``(height, width, 3 or 4)``, from the top left, uint8 or uint16."""
     height, width, channels = pixels.shape
     size = pixels.dtype.itemsize * channels
     rows = np.ascontiguousarray(pixels.astype(pixels.dtype.newbyteorder(">"))).view(np.uint8)

@@ -1,4 +1,4 @@
-"""Shaders for vertex animation textures, with the numbers of one of them filled in."""
+"""Shaders for vertex animation textures, with the numbers of one filled in."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from importlib.resources import files
 from typing import Any
 
 SHADERS = ("webgl2.js", "godot.gdshader", "unity.shader", "unreal.hlsl")
-"""Their names."""
+"""Names of the shaders."""
 
 
 def shader(name: str, told: dict[str, Any]) -> str:
-    """Return the text of a shader; `told` is what ``vat.json`` holds."""
+    """Return the text of a shader, given the contents of ``vat.json``."""
     text = files("mixseq_io.vat").joinpath("shaders", name).read_text(encoding="utf-8")
     values = {key.upper(): str(told[key]) for key in ("frames", "width", "height", "rows", "layers", "fps")}
     values["FPS"] = (

@@ -1,9 +1,8 @@
-"""Where in a texture the vertices are: texels, and the mesh that knows them.
+"""Texels: places of vertices in a texture, and the mesh that refers to them.
 
-A texel is a vertex with one normal: glTF vertices that differ by texture coordinates or materials only have the same. A
-*layer* is one number of everything, a frame or four basis vectors: some rows of the texture. Layers are stacked, so
-that a shader finds a vertex in layer `n` so many rows below its place in the first one, which is the second set of
-texture coordinates.
+A texel is a vertex with one normal; glTF vertices that differ only by texture coordinates or materials share it. A
+*layer* is one value of all texels, a frame or four basis vectors, in some rows of the texture. Layers are stacked:
+shaders find a vertex in layer `n` by an offset in rows from the first one, the second set of texture coordinates.
 """
 
 from __future__ import annotations
@@ -29,22 +28,9 @@ _CHANNELS = 4
 
 @dataclass(frozen=True, eq=False)
 class Texels:
-    """Texels of a sequence.
+    """Texels of a sequence, N vertices ``(N,)`` and normals ``(N,)`` (`normals_of`), in a glTF document without points.
 
-    Parameters
-    ----------
-    header : SequenceHeader
-        The mesh and its times.
-    layout : Layout
-        A glTF document of the mesh, without points and normals.
-    meshes : list of MovingMesh
-        The meshes in it.
-    vertices : (N,) int
-        The vertex of every texel.
-    normals : (N,) int
-        Its normal, counted through the normals of all meshes, see `normals_of`.
-    of_primitive : list of (n,) int
-        The texel of every glTF vertex, primitive by primitive.
+    `of_primitive` are the texels ``(n,)`` of every primitive's glTF vertices.
     """
 
     header: SequenceHeader
@@ -77,11 +63,11 @@ class Texels:
 
     @property
     def count(self) -> int:
-        """Number of texels N."""
+        """Number N of texels."""
         return len(self.vertices)
 
     def normals_of(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Return the normals ``(n, N, 3)`` of texels in frames of points ``(n, V, 3)``."""
+        """Return the normals ``(n, N, 3)`` of texels for points ``(n, V, 3)``."""
         found = [
             shared_normals(
                 points[:, mesh.scene_mesh.vertices].astype(np.float32),
@@ -94,16 +80,16 @@ class Texels:
 
     @cached_property
     def width(self) -> int:
-        """Width of textures: no more than needed for the rows of a layer."""
+        """Width of textures, no more than a layer's rows need."""
         return -(-self.count // self.rows)
 
     @cached_property
     def rows(self) -> int:
-        """Rows of a layer."""
+        """Rows of a layer in the texture."""
         return -(-self.count // _USUAL_WIDTH)
 
     def stacked(self, layers: NDArray[np.floating], what: str) -> NDArray[np.floating]:
-        """Return layers ``(n, N, channels)`` as pixels ``(n * rows, width, channels)``, filled up with zeros."""
+        """Return layers ``(n, N, channels)`` as pixels ``(n * rows, width, channels)``, padded with zeros."""
         count, _, channels = layers.shape
         if count * self.rows > LARGEST:
             raise SettingsError(
@@ -115,7 +101,7 @@ class Texels:
         return filled.reshape(count * self.rows, self.width, channels)
 
     def add_vertices(self, points: NDArray[np.floating], layers: int) -> None:
-        """Give the document points ``(V, 3)``, their normals, and the places in a texture of so many layers."""
+        """Give the document points ``(V, 3)``, their normals, and their places in a texture of `layers` layers."""
         normals = self.normals_of(points[None])[0]
         places = np.arange(self.count)
         lookup = np.column_stack(
@@ -136,7 +122,7 @@ class Texels:
 
 
 def in_fours(numbers: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Return numbers ``(N, K)`` as layers ``(ceil(K / 4), N, 4)``, filled up with zeros."""
+    """Return numbers ``(N, K)`` as layers ``(ceil(K / 4), N, 4)``, padded with zeros."""
     count, rank = numbers.shape
     layers = -(-rank // _CHANNELS)
     padded = np.zeros((count, layers * _CHANNELS), numbers.dtype)

@@ -1,11 +1,11 @@
-r"""The numbers of vertex animation textures: of points and normals, as they are, or as sums of few basis vectors.
+r"""Vertex animation textures of points and normals, plain or as sums of basis vectors.
 
 Plain
-    A texel for every vertex and frame: its point between the bounds of all frames, and its normal.
+    A texel per vertex and frame: its point between the bounds of all frames, and its normal.
 Low rank
-    :math:`x_t(v) = \sum_k b_k(v) u_{tk p_v}` (`mixseq.rigging.low_rank`): four basis vectors are a texel of every
-    vertex, behind one that tells its part; coefficients are a texture of their own, with two rows for a frame. Normals
-    are sums with the same coefficients, whose basis vectors are those that come closest to them (least squares).
+    :math:`x_t(v) = \sum_k b_k(v) u_{tk p_v}` (`mixseq.rigging.low_rank`): a texel per vertex and four basis vectors,
+    after one with its part; coefficients are a separate texture of two rows per frame. Normals are sums with the same
+    coefficients, their basis vectors fitted by least squares.
 """
 
 from __future__ import annotations
@@ -24,35 +24,35 @@ from mixseq_io.vat.images import LARGEST
 from mixseq_io.vat.texels import Texels, in_fours
 
 _NEGLIGIBLE = 1e-4
-"""Coefficients this small, relative to the largest of a part, say nothing of normals; ours."""
+"""Singular values of coefficients below this fraction of a part's largest are ignored for normals."""
 
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """What textures shall show, in float64."""
+    """Points and normals to show, in float64."""
 
     points: NDArray[np.float64]  # (T, N, 3) positions of the N texels in every frame
     normals: NDArray[np.float64]  # (T, N, 3) normals of the N texels in every frame
 
     @classmethod
     def of(cls, points: FloatArray, texels: Texels) -> Frames:
-        """Take them from points ``(T, V, 3)``."""
+        """Make frames of points ``(T, V, 3)``."""
         normals = np.concatenate([texels.normals_of(each[None]) for each in points])
         return cls(np.asarray(points, dtype=np.float64)[:, texels.vertices], normals.astype(np.float64))
 
 
 @dataclass(frozen=True, eq=False)
 class Textures:
-    """Textures, and what they show."""
+    """Textures and their decoded numbers."""
 
     images: dict[str, Encoded]  # by name
-    told: dict[str, Any]  # what vat.json tells besides
+    told: dict[str, Any]  # further contents of vat.json
     rank: int  # number of basis vectors, 0 of plain textures
     shown: Frames  # points and normals as a shader has them
 
 
 def plain(frames: Frames, texels: Texels, kind: Kind) -> Textures:
-    """Return textures with a texel for every vertex and frame."""
+    """Return textures with a texel per vertex and frame."""
     low, high = frames.points.min(axis=(0, 1)), frames.points.max(axis=(0, 1))
     coarse = np.uint8 if kind is np.uint16 else kind
     images = {
@@ -108,7 +108,7 @@ def low_rank(fitted: LowRank, frames: Frames, texels: Texels, kind: Kind) -> Tex
 def _summed(
     basis: NDArray[np.float64], parts: NDArray[np.int64], coefficients: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return what a shader makes of basis vectors ``(layers, N, 4)``: ``(T, N, 3)``."""
+    """Return the shader's sums ``(T, N, 3)`` of basis vectors ``(layers, N, 4)``."""
     flat = basis.swapaxes(0, 1).reshape(len(parts), -1)
     return np.stack([np.einsum("nk,nki->ni", flat, each[parts]) for each in coefficients])
 
@@ -116,7 +116,7 @@ def _summed(
 def _normal_basis(
     normals: NDArray[np.float64], parts: NDArray[np.int64], coefficients: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return basis vectors ``(N, K)`` whose sums come closest to normals ``(T, N, 3)``."""
+    """Return basis vectors ``(N, K)`` fitted to normals ``(T, N, 3)``."""
     found = np.zeros((normals.shape[1], coefficients.shape[2]))
     for part in np.unique(parts).tolist():
         own = parts == part

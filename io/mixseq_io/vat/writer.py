@@ -1,7 +1,7 @@
-"""Vertex animation textures, writing: pictures, the mesh that looks them up, ``vat.json``, shaders.
+"""Vertex animation textures, writing: pictures, the mesh that refers to them, ``vat.json``, shaders.
 
-How they hold points and normals is told in `mixseq_io.vat.textures`. What is told of errors is that of the numbers in
-the pictures, as a shader sees them but for its float32.
+`mixseq_io.vat.textures` describes the encoding. Errors are those of the pictures' numbers, without float32 rounding in
+shaders.
 """
 
 from __future__ import annotations
@@ -36,18 +36,18 @@ OWN = {
     *("vat.json", "mesh.glb", *SHADERS),
     *(f"{name}.{suffix}" for name in ("points", "normals", "coefficients") for suffix in ("png", "exr")),
 }
-"""Names of the files that are written, or removed where they are of an older run."""
+"""Names of the written files; those of an older run are removed."""
 
 _TRIES = 6
 _CAUTION = 0.98
-"""What of the error is left to the fit at first; the rest is for rounding."""
+"""Initial share of the error bound for the fit; the rest is for rounding."""
 
 _UNEVEN = 1e-3
 
 
 @dataclass(frozen=True)
 class VatReport:
-    """What was written, and how far it is off."""
+    """Written files and their error."""
 
     kind: str  # see mixseq_io.vat.textures
     rank: int  # number of basis vectors, 0 of plain textures
@@ -76,12 +76,11 @@ def write_vat(
     sequence : MeshSequence
         What to write.
     max_error : float, optional
-        Write low-rank textures that are off by at most so many diagonals, in all frames; by default a texel for every
-        vertex and frame.
+        Error bound of low-rank textures in diagonals, for all frames; by default a texel for every vertex and frame.
     texture : {"png16", "exr"}
         PNG with 16 bits, or EXR with 32-bit floats.
     progress : callable
-        Told how far the work is.
+        Receives the progress.
 
     Raises
     ------
@@ -130,7 +129,7 @@ def write_vat(
 
 
 def check_vat_target(path: Path) -> None:
-    """Refuse what is no name of a folder of textures."""
+    """Raise an error for a path that is not a folder name of textures."""
     if path.suffix.lower() != VAT_EXTENSION:
         raise OutputError(f"{path}: vertex animation textures are a folder; end its name in {VAT_EXTENSION}")
     if path.exists() and not path.is_dir():
@@ -140,7 +139,7 @@ def check_vat_target(path: Path) -> None:
 def _bounded(
     sequence: MeshSequence, frames: Frames, texels: Texels, kind: Kind, max_error: float, progress: Progress
 ) -> tuple[Textures, VatReport]:
-    """Return low-rank textures within an error, of which rounding takes a share."""
+    """Return low-rank textures within an error in diagonals, including rounding."""
     if not max_error > 0:
         raise SettingsError(f"max_error is {max_error:g}; a positive number of diagonals is expected")
     bound, diagonal = _CAUTION * max_error, _diagonal(sequence)
@@ -181,7 +180,7 @@ def _measured(frames: Frames, diagonal: float, textures: Textures) -> VatReport:
 
 
 def _memory(texture: Encoded) -> int:
-    """Return the bytes of a texture on a graphics card, which has four channels."""
+    """Return the size in bytes of a texture on a graphics card, with four channels."""
     pixels = texture.pixels
     height, width, _ = pixels.shape
     return int(height * width * 4 * pixels.itemsize)
@@ -206,7 +205,7 @@ def _file(name: str, texture: TextureName) -> str:
 def _told(
     sequence: MeshSequence, texels: Texels, textures: Textures, texture: TextureName, report: VatReport
 ) -> dict[str, Any]:
-    """Return what ``vat.json`` holds."""
+    """Return the contents of ``vat.json``."""
     header = sequence.header
     points = np.asarray(sequence.points)
     images = {}

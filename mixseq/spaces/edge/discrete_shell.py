@@ -1,17 +1,16 @@
-r"""Discrete shells (DSO, Froehlich and Botsch 2011): every piece of a mesh as a whole, nothing of it held.
+r"""Discrete shells (DSO, Froehlich and Botsch 2011): every piece of a mesh as a whole, without fixed vertices.
 
-Linear initialisation (`mixseq.shells.reconstruction`), then Gauss-Newton on all lengths and angles, and on the volume
-if that is a target. The start matters more than the steps: from a pose that is far away they get trapped (the paper's
-Figure 17); the linear one looks at no pose, and is exact where there is a mesh with these lengths and angles.
+Linear initialisation (`mixseq.shells.reconstruction`) is followed by Gauss-Newton on all lengths and angles, and on the
+volume if that is a target. Gauss-Newton gets trapped from distant poses (the paper's Figure 17); the linear start uses
+no pose, and is exact where a mesh has these lengths and angles.
 
 With :math:`c` the mean of a piece's vertices its signed volume is
 
 .. math:: V(x) = \tfrac16 \sum_{ijk} \det(x_i - c,\; x_j - c,\; x_k - c) .
 
-Of a closed surface this is the volume, whatever c is; of an open one it is that of the cone from its centre, which a
-rigid motion does not change either. The term is one residual :math:`w\,(V - V^*) / \bar V`, with :math:`\bar V` the
-volume of the reference. Faces of opposite orientations cancel, so that sheets have hardly any volume; where
-:math:`|\bar V|` is below `FLAT` times area to the 3/2 there is no term.
+For a closed surface this is independent of c; for an open one it is the volume of the cone from its centre, invariant
+under rigid motions. The volume term is one residual :math:`w\,(V - V^*) / \bar V`, with :math:`\bar V` the volume of
+the reference. Sheets, with :math:`|\bar V|` below `FLAT` times area to the 3/2, have no volume term.
 """
 
 from __future__ import annotations
@@ -35,25 +34,18 @@ from mixseq.spaces.pieces import Pieces
 from mixseq.topology import Topology
 
 FLAT = 1e-3
-"""Volume over area to the 3/2 below which a surface is a sheet; that of a sphere is 0.094. The number is ours."""
+"""Least ratio of volume to area to the 3/2 of a surface with a volume term; that of a sphere is 0.094."""
 
 
 def volume(points: FloatArray, faces: IntArray) -> float:
-    """Return the signed volume of points ``(n, 3)`` about their mean, over faces ``(m, 3)``.
-
-    Examples
-    --------
-    >>> corner = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
-    >>> round(6 * volume(corner, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])), 9)
-    1.0
-    """
+    """Return the signed volume of points ``(n, 3)`` about their mean, over faces ``(m, 3)``."""
     x = points - points.mean(axis=0)
     a, b, c = (x[corner] for corner in faces.T)
     return float(np.einsum("fi,fi->", a, np.cross(b, c))) / 6.0
 
 
 def volume_gradient(points: FloatArray, faces: IntArray) -> Float:
-    """Return the derivatives ``(n, 3)`` of `volume`; they add up to zero, as moving all vertices changes nothing."""
+    """Return the derivatives ``(n, 3)`` of `volume`; they add up to zero."""
     x = points - points.mean(axis=0)
     a, b, c = (x[corner] for corner in faces.T)
     pulls = np.concatenate([np.cross(b, c), np.cross(c, a), np.cross(a, b)]) / 6.0
@@ -69,13 +61,13 @@ def surface_area(points: FloatArray, faces: IntArray) -> float:
 
 
 def is_sheet(points: FloatArray, faces: IntArray) -> bool:
-    """Say whether a surface holds too little to be told by its volume; see the module."""
+    """Return whether a surface has too little volume for a volume term; see the module."""
     return bool(abs(volume(points, faces)) <= FLAT * surface_area(points, faces) ** 1.5)
 
 
 @dataclass(frozen=True, eq=False)
 class VolumeTerm:
-    """The residual of a volume, a `DenseTerm` of `mixseq.shells.fitting`."""
+    """The residual of the volume, a `DenseTerm` of `mixseq.shells.fitting`."""
 
     faces: NDArray[np.int64]  # (m, 3) triangles of the surface
     target: float  # volume that is wanted
@@ -92,7 +84,7 @@ class VolumeTerm:
 
 
 class ShellPiece(NamedTuple):
-    """A hinge-connected piece: its rows, its patch, and which of the mesh's edges and hinges the patch has."""
+    """A hinge-connected piece: its rows, its patch, and the mesh's edges and hinges in the patch."""
 
     rows: slice
     patch: Patch
@@ -102,14 +94,14 @@ class ShellPiece(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class DiscreteShell(PickledWithoutCaches):
-    """An `EdgeProjection`: one Gauss-Newton over each piece of a mesh."""
+    """An `EdgeProjection` by Gauss-Newton over each piece of a mesh."""
 
     topology: Topology  # connectivity of the mesh
     pieces: Pieces  # its hinge-connected pieces
 
     @cached_property
     def shells(self) -> tuple[ShellPiece | None, ...]:
-        """All pieces; None for a vertex that no face uses."""
+        """All pieces; None for vertices without faces."""
         nowhere = np.zeros(self.topology.vertex_count, dtype=bool)
         shells: list[ShellPiece | None] = []
         for rows, faces in zip(self.pieces.slices, self.pieces.faces, strict=True):
@@ -128,12 +120,12 @@ class DiscreteShell(PickledWithoutCaches):
         return [piece.patch for piece in self.shells if piece is not None]
 
     def volumes(self, x: FloatArray) -> Float:
-        """Return the volumes ``(p,)`` of the pieces of a frame ``(V, 3)``, 0 of a vertex; see `volume`."""
+        """Return the volumes ``(p,)`` of the pieces of a frame ``(V, 3)``, 0 of single vertices; see `volume`."""
         pairs = zip(self.pieces.vertices, self.shells, strict=True)
         return np.array([0.0 if piece is None else volume(x[own], piece.patch.faces) for own, piece in pairs])
 
     def volume_weights(self, x: FloatArray) -> Float:
-        """Return one over the volumes ``(p,)`` of the pieces of a typical frame ``(V, 3)``, 0 where `is_sheet`."""
+        """Return inverse volumes ``(p,)`` of the pieces of a typical frame ``(V, 3)``, 0 where `is_sheet`."""
         weights = np.zeros(len(self.shells))
         for number, (own, piece) in enumerate(zip(self.pieces.vertices, self.shells, strict=True)):
             if piece is not None and not is_sheet(x[own], piece.patch.faces):
@@ -162,7 +154,7 @@ class DiscreteShell(PickledWithoutCaches):
     def problem(
         self, number: int, piece: ShellPiece, wanted: Wanted, settings: ShellSettings
     ) -> ShellProblem:
-        """Return what to fit one of the pieces to."""
+        """Return the fitting problem of one piece."""
         weights = wanted.weights[piece.edge_ids]
         term = None
         if wanted.volumes.size and wanted.volume_weights[number]:

@@ -1,11 +1,10 @@
 """The space S_e of edge lengths and dihedral angles (Winkler et al. 2010; Froehlich and Botsch 2011).
 
 A vector is ``[edge lengths | dihedral angles | volumes | pose]``, in diagonals, radians and cubic diagonals; volumes
-are there only where settings ask for them. The paper counts ``2 E + 6`` numbers: a closed surface has as many hinges as
-edges.
+are optional. The paper counts ``2 E + 6`` numbers: a closed surface has as many hinges as edges.
 
-Lengths and angles fix a mesh up to its pose, unless a triangle has no area: its normal is anything, and what it joins
-may come back bent.
+Lengths and angles determine a mesh up to its pose, except at triangles without area: their normals are undefined, and
+the surface around them may come back bent.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ class EdgeSettings:
         DSO: weight of a relative change of volume against that of a length; 0 for no volume term. There are thousands
         of lengths for one volume: half way between poses of animals 10 halves its error, 100 leaves less than 0.1 %.
     shell : ShellSettings, optional
-        DSO: weight of the angles, and when Gauss-Newton stops.
+        DSO: weight of the angles, and convergence limits of Gauss-Newton.
 
     Raises
     ------
@@ -70,46 +69,38 @@ class EdgeSettings:
 
 @dataclass(frozen=True, eq=False)
 class EdgeSpace(PosedSpace):
-    """Shapes by their edge lengths and dihedral angles.
+    """Shapes by edge lengths and dihedral angles."""
 
-    Attributes
-    ----------
-    reference_lengths : (E,) float64
-        Mean lengths of all edges; their inverses weigh lengths in the fits.
-    settings : EdgeSettings
-        Which projection, and what else it is told.
-    """
-
-    reference_lengths: Float
+    reference_lengths: Float  # (E,) mean lengths of all edges; their inverses weigh lengths in the fits
     settings: EdgeSettings
     name = "edge"
 
     @property
     def shell(self) -> ShellSettings:
-        """How lengths and angles are fitted."""
+        """Settings of the fits to lengths and angles."""
         return self.settings.shell or ShellSettings()
 
     @cached_property
     def projection(self) -> EdgeProjection:
-        """What turns lengths and angles into a mesh."""
+        """The projection of lengths and angles to a mesh."""
         if self.settings.projection == "dso":
             return self.discrete
         return RelaxedShell(self.topology, self.pieces, self.reference_lengths, Relaxation().bending)
 
     @cached_property
     def discrete(self) -> DiscreteShell:
-        """The mesh for Gauss-Newton, which knows volumes."""
+        """The mesh as a discrete shell, which measures volumes."""
         return DiscreteShell(self.topology, self.pieces)
 
     @cached_property
     def _volume_weights(self) -> Float:
-        """Weights ``(p,)`` of the volumes of all pieces, 0 where there is none; empty where no volumes are told."""
+        """Weights ``(p,)`` of the volumes of all pieces, 0 for sheets; empty without volume terms."""
         told = self.settings.volume > 0
         return self.settings.volume * self.discrete.volume_weights(self.reference) if told else np.zeros(0)
 
     @property
     def sizes(self) -> tuple[int, int, int]:
-        """Numbers of lengths, angles and volumes."""
+        """Numbers of lengths, angles and volumes of a shape."""
         return len(self.topology.edges), len(self.topology.hinges), len(self._volume_weights)
 
     @property
@@ -119,12 +110,12 @@ class EdgeSpace(PosedSpace):
 
     @property
     def paper_dimension(self) -> int:
-        """The dimension as the paper counts it: a length and an angle for every edge, and a pose."""
+        """Dimension as the paper counts it: a length and an angle for every edge, and a pose."""
         return 2 * len(self.topology.edges) + 6
 
     @property
     def shape_metric(self) -> Float:
-        """Implement `PosedSpace.shape_metric`; a volume moves vertices by its change over the area."""
+        """Implement `PosedSpace.shape_metric`; a change of volume moves vertices by its ratio to the area."""
         lengths, volumes = edge_lengths(self.reference, self.topology.edges), np.zeros(0)
         if len(self._volume_weights):
             areas = self.discrete.areas(self.reference)
@@ -158,11 +149,11 @@ class EdgeSpace(PosedSpace):
     def rebuilt_with_reports(
         self, shape: Float, shell: ShellSettings | None = None
     ) -> tuple[Float, list[ShellReport]]:
-        """Return what `rebuilt` does, or what other settings make of it, and how the fits went."""
+        """Return the result of `rebuilt`, with optional other settings, and reports of the fits."""
         return self.projection.fit(self.wanted(shape), shell or self.shell)
 
     def wanted(self, shape: Float) -> Wanted:
-        """Return what the mesh of a shape ``(S,)`` should have."""
+        """Return the target lengths, angles and volumes of a shape ``(S,)``."""
         lengths, angles, volumes = np.split(shape, np.cumsum(self.sizes)[:-1])
         weights = length_weights(self.reference_lengths)
         return Wanted(lengths, weights, angles, volumes, self._volume_weights)
@@ -174,10 +165,7 @@ class EdgeSpace(PosedSpace):
     def decode_with_reports(
         self, vectors: Float, progress: Progress = silent, shell: ShellSettings | None = None
     ) -> tuple[Float, list[list[ShellReport]]]:
-        """Decode vectors ``(T, D)`` into points ``(T, V, 3)`` and tell how the fits of every frame went.
-
-        Other settings of the fits may be given.
-        """
+        """Decode vectors ``(T, D)`` to points ``(T, V, 3)``, and return the reports of the fits of every frame."""
         shapes, turns, centres = self.split(np.asarray(vectors, dtype=np.float64))
         points, reports = np.empty((len(shapes), self.topology.vertex_count, 3)), []
         with one_blas_thread():

@@ -1,7 +1,6 @@
-"""What turns lengths and angles that no mesh may have into a mesh: the projections of the space S_e.
+"""Projections of the space S_e: from lengths and angles that no mesh may have to the nearest mesh.
 
-Blends of the lengths and angles of meshes are those of no mesh. A projection finds one that has nearly these; there are
-two, `mixseq.spaces.edge.relaxed_shell` and `mixseq.spaces.edge.discrete_shell`.
+There are two, `mixseq.spaces.edge.relaxed_shell` and `mixseq.spaces.edge.discrete_shell`.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from mixseq.shells.fitting import ShellReport, ShellSettings
 
 
 class Wanted(NamedTuple):
-    """What a mesh should have, and how much of it counts."""
+    """Targets of a mesh, and their weights."""
 
     lengths: Float  # (E,) edge lengths
     weights: Float  # (E,) weights of the lengths: one over the typical length
@@ -32,24 +31,7 @@ class EdgeProjection(Protocol):
         """Compute what all frames share, as `PickledWithoutCaches.prepared`."""
 
     def fit(self, wanted: Wanted, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
-        """Find the mesh with nearly these lengths and angles.
+        """Fit rows ``(N, 3)``, every piece in any pose, to lengths and angles, and return reports.
 
-        Parameters
-        ----------
-        wanted : Wanted
-            What the mesh should have.
-        settings : ShellSettings
-            Weight of the angles, and when to stop.
-
-        Returns
-        -------
-        rows : (N, 3) float64
-            Vertices of all pieces, every piece anywhere.
-        reports : list of ShellReport
-            How the fits went.
-
-        Raises
-        ------
-        ReconstructionError
-            If lengths or angles are not finite.
+        Raises `ReconstructionError` if lengths or angles are not finite.
         """

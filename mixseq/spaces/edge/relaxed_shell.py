@@ -1,10 +1,9 @@
-"""Steps by a constant matrix: what the space S_e makes meshes of lengths and angles with.
+"""The projection of the space S_e by steps with constant matrices.
 
-Faces are rebuilt from their lengths and turned as angles tell: frames are chained from the middle of every piece, and
-what does not fit is divided among them (`mixseq.shells.face_frames`). Vertices follow from their sides, and steps make
-lengths and angles agree (`mixseq.shells.shell`). From there frames and steps are taken once more, a few times: frames
-pass on what is wrong over long ways, and steps do what is near. Where there is a mesh with these lengths and angles
-the first one is it. All matrices are constant.
+Faces are rebuilt from their lengths and rotated by the angles: frames are chained from the middle of every piece, and
+averaged (`mixseq.shells.face_frames`). Vertices follow from the sides of faces, and relaxation steps reduce the errors
+of lengths and angles (`mixseq.shells.shell`). Then frames and steps alternate a few times: frames distribute errors
+globally, steps locally. The first mesh is exact where a mesh has these lengths and angles. All matrices are constant.
 """
 
 from __future__ import annotations
@@ -29,13 +28,13 @@ from mixseq.spaces.pieces import Pieces
 from mixseq.topology import Topology
 
 ROUNDS = 10
-"""So often what does not fit is divided among frames that were chained; ours, as the numbers below."""
+"""Rounds of rotation averaging of chained frames."""
 
 CYCLES = 4
-"""So often, at most, steps are taken; between, frames are those of the mesh, and what does not fit is divided once."""
+"""Largest number of cycles of steps; in between, frames of the mesh are averaged once."""
 
 STEPS = 20
-"""So many steps at a time."""
+"""Relaxation steps per cycle."""
 
 NOTHING = np.zeros((0, 3))
 
@@ -73,7 +72,7 @@ class RelaxedShell(PickledWithoutCaches):
 
     @cached_property
     def shell(self) -> Shell:
-        """The mesh, whose lengths and angles are to agree; one vertex of every piece is held."""
+        """The mesh as a shell, with one fixed vertex per piece."""
         topology, edge_ids, _ = self._rows
         position_weights = np.zeros(topology.vertex_count)
         position_weights[[rows.start for rows in self.pieces.slices]] = 1.0
@@ -84,7 +83,7 @@ class RelaxedShell(PickledWithoutCaches):
 
     @cached_property
     def _crossing(self) -> Index:
-        """Hinges ``(h,)`` that tell how frames are turned: the sound ones, and others where there is no other."""
+        """Hinges ``(h,)`` between frames: the sound ones, and others where they alone connect faces."""
         hinge_faces = self._rows.topology.hinge_faces
         return np.flatnonzero(bridging(len(self.topology.faces), hinge_faces, self.shell.sound))
 
@@ -110,7 +109,7 @@ class RelaxedShell(PickledWithoutCaches):
         return self.graph, self.shell
 
     def fit(self, wanted: Wanted, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
-        """Implement `EdgeProjection.fit`; of the settings only the tolerance says when to stop."""
+        """Implement `EdgeProjection.fit`; of the settings only the tolerance is used."""
         topology, edge_ids, hinge_ids = self._rows
         lengths = sound_lengths(wanted.lengths, wanted.weights)[edge_ids]
         angles = wanted.angles[hinge_ids]
@@ -133,14 +132,14 @@ class RelaxedShell(PickledWithoutCaches):
 
 
 def _places(rows: Index, table: Index) -> Index:
-    """Return where in a table ``(n, k)`` rows ``(n, k)`` are, which are all of it in another order."""
+    """Return the places of rows ``(n, k)`` in a table ``(n, k)`` with the same rows in another order."""
     places = np.empty(len(rows), dtype=np.int64)
     places[np.lexsort(rows.T)] = np.lexsort(table.T)
     return places
 
 
 def _middles(count: int, pairs: Index) -> Index:
-    """One of ``count`` for everything that pairs ``(h, 2)`` connect, in the middle of the longest way through it."""
+    """Return one node for every component connected by pairs ``(h, 2)``, in the middle of its longest path."""
     graph = sparse.coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count)).tocsr()
     component = connected(count, pairs)
 

@@ -1,17 +1,16 @@
 r"""Part poses relative to their bodies, and relations of neighbouring parts.
 
-Parts that meet are a *body*: across boundaries of parts, and where components of the mesh touch in the reference frame,
-as eyes and shoes do. The pose of a body is the rigid motion from the reference frame that fits its parts best,
+Adjacent parts form a *body*: parts with a common boundary, and those of components that touch in the reference frame,
+such as eyes and shoes. The pose of a body is the rigid motion from the reference frame that fits its parts best,
 
 .. math:: \min_{Q, C} \sum_i m_i\, |Q\, (\bar c_i - \bar C) + C - c_i|^2 + m_i r_i^2\, |Q - T_i|^2 ,
 
 with the rotations :math:`T_i` of parts since the reference frame, their centres :math:`c_i`, numbers of vertices
-:math:`m_i` and radii of gyration :math:`r_i`. *Articulation* is how parts stand as seen from it, rotations
-:math:`t_i = Q^T T_i` and centres :math:`Q^T (c_i - C)`, and how each part j stands as its neighbour i sees it, a
-*relation*: the rotation :math:`t_i^T t_j` and the place of a pivot of j, the middle of their boundary. A rigid motion
-of a body changes neither.
+:math:`m_i` and radii of gyration :math:`r_i`. *Articulation* is the poses of parts in the axes of their body, rotations
+:math:`t_i = Q^T T_i` and centres :math:`Q^T (c_i - C)`, and *relations* of each part j to its neighbour i: the rotation
+:math:`t_i^T t_j` and the place of a pivot of j, the middle of their boundary. Both are invariant under rigid motions.
 
-Blends of poses and blends of relations disagree. *Agreement* is found as for the faces of joints
+Blends of poses and blends of relations disagree. The agreeing poses are found as for the faces of joints
 (`mixseq.spaces.mixed.joint_projection`): rotations are averaged, then centres follow from the pivots, by constant
 matrices of the weights :math:`m_i r_i^2` and :math:`m_i`.
 """
@@ -49,7 +48,7 @@ CONTACT_DISTANCE = 0.1
 """Largest distance of components of one body in the reference frame, in diagonals."""
 
 MOTION_FLOOR = 1e-2
-"""Root mean square motion, in diagonals, that is added to all."""
+"""Root mean square motion added to all variances, in diagonals."""
 
 STEADINESS_RANGE = (1e-8, MOTION_FLOOR**-2)
 """Range of steadiness, in 1 / squared diagonals."""
@@ -75,13 +74,13 @@ class Steadiness(NamedTuple):
 
     @classmethod
     def equal(cls, parts: int, relations: int) -> Steadiness:
-        """Return one for all."""
+        """Return unit weights for all poses and relations."""
         return cls(*(np.ones(count) for count in (parts, parts, relations, relations)))
 
 
 @dataclass(frozen=True, eq=False)
 class Articulation:
-    """Bodies, and neighbouring parts; make it with `articulation_of`."""
+    """Bodies, and neighbouring parts; made by `articulation_of`."""
 
     rest_centres: Float  # (p, 3) centres of the parts in the reference frame, in diagonals
     radii: Float  # (p,) radii of gyration of the parts, in diagonals
@@ -150,7 +149,7 @@ class Articulation:
 
     @cached_property
     def _systems(self) -> tuple[Float, ...]:
-        """Weights ``(p,)`` and ``(n,)`` and inverses ``(p, p)`` of rotations, and the last two of centres."""
+        """Weights ``(p,)``, ``(n,)`` and inverse ``(p, p)`` of rotations; weights ``(n,)`` and inverse of centres."""
         i, j = self.pairs.T
         found: list[Float] = []
         sizes = self.masses * np.square(self.radii), self.masses
@@ -209,7 +208,7 @@ class Articulation:
         return Poses(product(turns, poses.rotations), centres)
 
     def with_relations(self, poses: Poses) -> PartPoses:
-        """Return poses ``(T, p)``, in whatever axes, with the relations that they have."""
+        """Return poses ``(T, p)``, in any axes, with their relations."""
         i, j = self.pairs.T
         back = inverse(poses.rotations[:, i])
         pivots = turned(rotations_of(poses.rotations[:, j]), self.pivots) + poses.centres[:, j]
@@ -269,7 +268,7 @@ class Articulation:
     def motions(self, poses: PartPoses, bodies: tuple[Numbers, Numbers], correction: Numbers) -> Numbers:
         """Return the motions of parts in one frame as unit dual quaternions ``(p, 8)``.
 
-        Shapes: bodies ``((B, 4), (B, 3)``; correction ``(6 p,)``.
+        Shapes: bodies ``(B, 4), (B, 3)``; correction ``(6 p,)``.
         """
         turns, centres = self._agreed(poses)
         spins, shifts = correction.reshape(2, -1, 3)
@@ -286,20 +285,9 @@ def articulation_of(
     steadiness: Steadiness | None = None,
     relation_weight: float = 1.0,
 ) -> Articulation:
-    """Find bodies and neighbouring parts.
+    """Find bodies and neighbouring parts: reference ``(V, 3)``, rest centres and radii ``(p, 3), (p,)``, in diagonals.
 
-    Parameters
-    ----------
-    topology, decomposition : Topology, Decomposition
-        The mesh and its parts.
-    reference : (V, 3) float64
-        The reference frame, in diagonals.
-    rest_centres, radii : (p, 3), (p,) float64
-        Where its parts are, and their radii of gyration.
-    steadiness : Steadiness, optional
-        Inverse variances of poses and relations; by default all equal.
-    relation_weight : float
-        Weight of a relation against a pose.
+    `relation_weight` is the weight of a relation against a pose; by default all are equally steady.
     """
     labels, count = decomposition.part_of_face, len(decomposition.parts)
     boundaries = Boundaries.of(topology, labels)

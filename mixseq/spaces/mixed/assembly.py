@@ -1,12 +1,11 @@
-r"""The projection P_m of the free placement: where parts and joints go, from lengths, angles and rigid parts alone.
+"""The projection P_m of the free placement: a mesh from lengths, angles and rigid parts alone.
 
 1. *Frames.* Every rigid part, and every other face, is a rotation. Across hinges they differ by rotations from
    lengths and angles. They are chained from one part of every component, and averaged (`mixseq.shells.face_frames`).
 2. *Vertices*, from the sides of all faces, by one back-substitution.
-3. *Relaxation*: a fixed number of steps makes lengths and angles agree, those of parts and those of joints
-   (`mixseq.shells.shell`).
+3. *Relaxation*: a fixed number of steps reduces the errors of lengths and angles (`mixseq.shells.shell`).
 
-Components are then moved to where that part is posed. At frames of the sequence the first two are exact. All matrices
+Components are then moved to the pose of that part. At frames of the sequence the first two are exact. All matrices
 are constant. The paper solves every joint by itself, registers joints and parts, and stitches them (Section 3.4);
 `scripts/paper` has that.
 """
@@ -34,7 +33,7 @@ AVERAGING_ROUNDS = 3
 """Rounds of rotation averaging over parts and faces."""
 
 NOISE_HEIGHT_RATIO = 1e-4
-"""Least height over side of triangles without area; lower heights are rounding errors of lengths."""
+"""Height over side of triangles below which heights are rounding errors of lengths."""
 
 
 class FreeFrame(NamedTuple):
@@ -61,7 +60,7 @@ class Assembly(PickledWithoutCaches):
 
     @cached_property
     def _parts(self) -> list[Index]:
-        """Vertices of the rigid parts: of faces that are not of joints, part by part."""
+        """Vertices of the rigid parts: of faces outside joints, part by part."""
         rigid = self.topology.faces[~self.joint_faces]
         kept = np.unique(rigid)
         labels = self.part_of_vertex[kept]
@@ -69,7 +68,7 @@ class Assembly(PickledWithoutCaches):
 
     @cached_property
     def _node(self) -> Index:
-        """The node ``(F,)`` of every face: its rigid part, or a node of its own after all parts."""
+        """Node ``(F,)`` of every face: its rigid part, or a node of its own after all parts."""
         node = np.empty(len(self.topology.faces), dtype=np.int64)
         number = np.full(self.topology.vertex_count, -1, dtype=np.int64)
         for part, vertices in enumerate(self._parts):
@@ -91,7 +90,7 @@ class Assembly(PickledWithoutCaches):
 
     @cached_property
     def _seeds(self) -> Index:
-        """The first node ``(r,)`` of everything that is connected across hinges: a part, if it has one."""
+        """First node ``(r,)`` of every component connected across hinges: a part, if it has one."""
         component = connected(self._count, self._node[self.topology.hinge_faces])
         return np.unique(component, return_index=True)[1]
 
@@ -128,7 +127,7 @@ class Assembly(PickledWithoutCaches):
 
     @cached_property
     def _ties(self) -> Index:
-        """Pairs of vertices ``(t, 2)`` that hold those of a part together where no edges do."""
+        """Pairs of vertices ``(t, 2)`` that connect those of a part where no edges do."""
         component = self.topology.component_of_vertex
         ties = []
         for part in self._parts:
@@ -138,7 +137,7 @@ class Assembly(PickledWithoutCaches):
 
     @cached_property
     def _tied_parts(self) -> Index:
-        """The part ``(t,)`` that each tie is of."""
+        """Part ``(t,)`` of each tie."""
         first = self._ties[:, 0]
         return np.array(
             [next(k for k, part in enumerate(self._parts) if v in part) for v in first], dtype=np.int64
@@ -160,7 +159,7 @@ class Assembly(PickledWithoutCaches):
         return self.graph, self.shell, self._bodies, self._tied_parts
 
     def targets(self, frame: FreeFrame) -> tuple[Float, Float]:
-        """Return the lengths ``(E,)`` and angles ``(H,)`` that all edges and hinges should have."""
+        """Return the target lengths ``(E,)`` and angles ``(H,)`` of all edges and hinges."""
         lengths, angles = lengths_and_angles(frame.unposed, self.topology.edges, self.topology.hinges)
         lengths[self.edge_ids] = sound_lengths(frame.lengths, self.shell.stretch[self.edge_ids])
         angles[self.hinge_ids] = frame.angles
@@ -174,7 +173,7 @@ class Assembly(PickledWithoutCaches):
         return relaxed._replace(points=self.placed(frame.posed, relaxed.points))
 
     def start(self, frame: FreeFrame, lengths: Float, angles: Float) -> Float:
-        """Return vertices ``(V, 3)`` from frames of faces, components anywhere."""
+        """Return vertices ``(V, 3)`` from frames of faces, each component in any pose."""
         t, loose, crossing, parts = self.topology, self.joint_faces, self._crossing, len(self._parts)
         flat = flat_triangles(lengths[t.face_edges])
         heights = flat[self.shell.thin, 2, 1]
@@ -209,7 +208,7 @@ class Assembly(PickledWithoutCaches):
         return np.array(found).reshape(-1, 4)
 
     def placed(self, posed: Float, points: Float) -> Float:
-        """Move components of points ``(V, 3)`` to where their seeds are posed; vertices of no face are posed alone."""
+        """Move components of points ``(V, 3)`` to the poses of their seeds, and vertices without faces to their own."""
         result = posed.copy()
         for vertices, seeds in self._bodies:
             first = self._seed_vertices[seeds[0]]

@@ -1,8 +1,8 @@
-r"""Derivatives by a complex step: exact to rounding, of any function that is made of analytic operations.
+r"""Derivatives of analytic functions by a complex step, exact to rounding (Squire and Trapp 1998).
 
 .. math:: f'(x)\, \dot x = \mathrm{Im}\, f(x + i h \dot x) / h + O(h^2)
 
-No difference is taken, so h can be so small that the error is far below rounding (Squire and Trapp 1998).
+Without a difference, h can be so small that the error is far below rounding.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from mixseq.arrays import Float
 from mixseq.shells.solvers import Factor
 
 STEP = 2.0**-400
-"""Step h. Its square is nothing beside any number, and products with it are no denormal numbers."""
+"""Step h; its square is below rounding, and products with it are normal numbers."""
 
 Numbers = NDArray[Any]
 """Real numbers, or complex ones whose imaginary parts are rates times `STEP`."""
 
 
 def with_rates(values: Float, rates: Float) -> Numbers:
-    """Return numbers that change with rates."""
+    """Return complex numbers with values and rates."""
     return np.asarray(values + 1j * (STEP * rates))
 
 
@@ -33,7 +33,7 @@ def values_and_rates(numbers: Numbers) -> tuple[Float, Float]:
 
 
 def solve(factor: Factor, right: Numbers) -> Numbers:
-    """Solve a real system for right-hand sides ``(n, k)``, which may be complex."""
+    """Solve a real system for real or complex right-hand sides ``(n, k)``."""
     if not np.iscomplexobj(right):
         return np.asarray(factor.solve(right))
     columns = right.shape[1]

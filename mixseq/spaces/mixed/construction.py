@@ -88,23 +88,10 @@ def mixed_space(
     purpose: Purpose = "sequence",
     progress: Progress = silent,
 ) -> MixedSpace:
-    """Make the mixed shape space of a sequence.
+    """Make the mixed shape space of points ``(T, V, 3)`` in any unit.
 
-    Parameters
-    ----------
-    points : (T, V, 3) float
-        The sequence, in any unit.
-    topology : Topology
-        Its connectivity.
-    decomposition : Decomposition
-        Its parts.
-    placement : {"anchored", "free"}
-        How parts are placed.
-    purpose : {"sequence", "reduced", "blends"}
-        Use of the space. Reduced models ignore lengths and angles, which they do not have accurately enough; blends
-        follow them all the way.
-    progress : callable, optional
-        Told about every stage.
+    Purpose "reduced" ignores lengths and angles, which reduced models do not have accurately enough; "blends" follows
+    them fully.
     """
     if placement not in PLACEMENTS:
         raise SettingsError(f"placement is {placement!r}; {' or '.join(map(repr, PLACEMENTS))} is expected")
@@ -163,7 +150,7 @@ def _rounded(x: Float) -> Float:
 
 
 def _within_budget(posed: MixedSpace, wrong: Float) -> Mask:
-    """Mark the faces with the largest errors above 1 as joint faces, at most as many as `SIZE_REDUCTION` allows."""
+    """Mark the faces with the largest errors above 1 as joint faces, up to the limit of `SIZE_REDUCTION`."""
     topology = posed.topology
     budget = (len(topology.edges) + len(topology.hinge_faces)) / SIZE_REDUCTION - posed.dim
     worst = np.argsort(-wrong, kind="stable")[: int(np.count_nonzero(wrong > 1.0))]
@@ -206,7 +193,7 @@ def at_winding_hinges(topology: Topology, frames: FloatArray) -> Mask:
 
 
 def are_far(space: MixedSpace, frames: LargeArray) -> bool:
-    """Whether more than `FAR_TORN_SHARE` of faces is torn half-way between neighbours of frames ``(T, V, 3)``."""
+    """Whether more than `FAR_TORN_SHARE` of faces are torn half-way between neighbours of frames ``(T, V, 3)``."""
     pairs = list(_neighbours(frames))
     for middle in (_plain_mean, _middle):  # plain means are quick, and show most animations to be near
         if not sum(_torn(space, pair, middle) for pair in pairs) > FAR_TORN_SHARE * len(pairs):
@@ -217,7 +204,7 @@ def are_far(space: MixedSpace, frames: LargeArray) -> bool:
 def half_way_errors(space: MixedSpace, pairs: Iterable[FloatArray], stretch: float, bend: float) -> Float:
     """Return the largest errors of faces ``(F,)`` half-way between pairs of frames ``(2, V, 3)``.
 
-    Errors of edges, relative, are divided by the limit `stretch`, errors of hinges, in degrees, by the limit `bend`.
+    Relative errors of edges are divided by `stretch`, errors of hinges in degrees by `bend`.
     """
     topology = space.topology
     wrong = np.zeros(len(topology.faces))
@@ -232,14 +219,14 @@ def half_way_errors(space: MixedSpace, pairs: Iterable[FloatArray], stretch: flo
 
 
 def _all_pairs(frames: FloatArray) -> Iterator[FloatArray]:
-    """Yield all pairs of few frames ``(S, V, 3)``, or neighbours of many."""
+    """Yield all pairs of a few frames ``(S, V, 3)``, or neighbours of many."""
     count = len(frames)
     pairs = combinations(range(count), 2) if count <= MAX_POSES_FOR_ALL_PAIRS else pairwise(range(count))
     return (frames[[first, second]] for first, second in pairs)
 
 
 def _neighbours(frames: LargeArray) -> Iterator[FloatArray]:
-    """Yield pairs of neighbours among frames ``(T, V, 3)``, evenly spread."""
+    """Yield evenly spread pairs of neighbours among frames ``(T, V, 3)``."""
     return (frames[first : first + 2] for first in frames_to_look_at(len(frames) - 1, MAX_NEIGHBOUR_PAIRS))
 
 
@@ -257,7 +244,7 @@ def _middle(space: MixedSpace, pair: FloatArray) -> Float:
 
 
 def _plain_mean(space: MixedSpace, pair: FloatArray) -> Float:
-    """Return the mean of the vertices of two frames, in no shape space."""
+    """Return the mean vertices of two frames."""
     return np.asarray(pair.mean(axis=0, dtype=np.float64))
 
 

@@ -1,7 +1,7 @@
-"""The inner loops of `joint_projection`, compiled: frames of joint faces from lengths and angles.
+"""Compiled inner loops of `joint_projection`: frames of joint faces from lengths and angles.
 
-Rotations are unit quaternions (w, x, y, z), lengths in diagonals. Arrays are of real or of complex numbers: a complex
-step gives derivatives (`complex_step`).
+Rotations are unit quaternions (w, x, y, z), lengths in diagonals. Arrays are real or complex, for derivatives by a
+complex step (`complex_step`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ MIN_HEIGHT_RATIO = 1e-12
 """Least height over side of triangles; lower ones have no area, and the unit quaternion as their frame."""
 
 SLIVER_AREA_RATIO = 1e-4
-"""Area over squared sides at which lengths and angles of a triangle count half; of slivers they are noise."""
+"""Area over squared sides at which lengths and angles of a triangle have half their weight; slivers are noise."""
 
 
 @compiled
@@ -68,7 +68,7 @@ def soundness(flat: Float) -> Float:
 
 @compiled
 def frames_of(x: Float, faces: Index) -> Float:
-    """Return the frames ``(m, 4)`` of triangles: axes along side 01, across it in the plane, and along the normal."""
+    """Return the frames ``(m, 4)`` of triangles: axes along side 01, across it in the plane, along the normal."""
     frames = np.empty((len(faces), 4), x.dtype)
     for f in range(len(faces)):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -141,24 +141,8 @@ def target_turns(
 ) -> Float:
     """Return target rotations ``(h, 4)`` of the second face of each hinge relative to the first.
 
-    Parameters
-    ----------
-    frames, pairs : (m, 4), (h, 2) int64
-        Frames of the posed faces, and the two faces of every hinge.
-    flat, target_flat : (m, 3)
-        The posed triangles in the plane, and those with target lengths, as `flatten` lays them.
-    sound : (m,)
-        Weights of lengths and angles of the posed triangles, see `soundness`.
-    sides, backward : (h, 2) int64
-        Which side of both faces the hinge's edge is, and whether it runs against it.
-    reversed_normals : (h,) float64
-        Half a turn where normals are on opposite sides, else zero.
-    known : (h,) int64
-        Number of the hinge among the target angles, -1 where it has none and keeps that of the posed mesh.
-    angles : (k,)
-        Target angles in radians.
-    share : float
-        How far angles go from the posed to the target ones, from 0 to 1.
+    Frames ``(m, 4)``, flat triangles ``(m, 3)``, weights ``(m,)``: of posed faces. Sides, backward ``(h, 2)``: the edge
+    in both faces. Known ``(h,)``: index of the target angle ``(k,)`` in radians, -1 for none.
     """
     turns = np.empty((len(pairs), 4), frames.dtype)
     for k in range(len(pairs)):
@@ -241,7 +225,7 @@ def misfits(frames: Float, pairs: Index, turns: Float, weights: Float, count: in
 
 @compiled
 def turn_on(frames: Float, steps: Float) -> Float:
-    """Return frames ``(m, 4)`` of which the first n are turned by small rotation vectors ``(n, 3)``."""
+    """Return frames ``(m, 4)`` with the first n rotated by small rotation vectors ``(n, 3)``."""
     turned = frames.copy()
     for f in range(len(steps)):
         a, b, c = 0.5 * steps[f, 0], 0.5 * steps[f, 1], 0.5 * steps[f, 2]
@@ -259,7 +243,7 @@ def turn_on(frames: Float, steps: Float) -> Float:
 
 @inlined
 def _corner(frames: Float, f: int, u: float, v: float) -> tuple[float, float, float]:
-    """Turn a point (u, v) of a flat triangle by the frame of the triangle."""
+    """Rotate a point (u, v) of a flat triangle by the frame of the triangle."""
     w, x, y, z = frames[f, 0], frames[f, 1], frames[f, 2], frames[f, 3]
     return (
         (1.0 - 2.0 * (y * y + z * z)) * u + 2.0 * (x * y - w * z) * v,
@@ -281,16 +265,8 @@ def side_changes(
 ) -> Float:
     """Return the right-hand side ``(count, 3)`` of displacements, from weighted changes of sides of faces.
 
-    Parameters
-    ----------
-    frames, flat, target_frames, target_flat : (m, 4), (m, 3), (m, 4), (m, 3)
-        Frames and flat triangles of the posed faces, and the target ones.
-    faces, weights : (n, 3) int64, (n, 3) float64
-        Corners of the first n of the faces, and weights of sides 01, 12, 20; zero for faces without area.
-    numbers : (V,) int64
-        Number of every vertex among those that move, -1 for others.
-    count : int
-        Number of moving vertices.
+    Frames ``(m, 4)``, flat triangles ``(m, 3)``: posed and target ones. Weights ``(n, 3)``: of sides 01, 12, 20, zero
+    without area. Numbers ``(V,)``: places among the moving vertices, -1 for others.
     """
     right = np.zeros((count, 3), frames.dtype)
     for f in range(len(faces)):

@@ -1,16 +1,16 @@
-r"""The projection P_m at the joints: posed vertices, moved so that lengths and angles of joints are as they should be.
+r"""The projection P_m at the joints: move posed vertices so that joints have the target lengths and angles.
 
-Joint faces, and one ring of faces around them, move; all else stays where it is posed. Lengths and angles go a *share*
-of the way from those of the posed mesh to the target ones; a share of 0 leaves the posed mesh.
+Joint faces, and one ring of faces around them, move; all else stays posed. Lengths and angles go a *share* of the way
+from those of the posed mesh to the targets; a share of 0 leaves the posed mesh.
 
-1. *Faces.* The frames of the posed faces are turned until they differ across hinges as lengths and angles say, by
-   rotation averaging (`mixseq.shells.face_frames`): two rounds with one constant matrix.
-2. *Vertices*, from how much the sides of faces change, by one back-substitution with a constant matrix,
+1. *Faces.* The frames of the posed faces are rotated to the differences across hinges that follow from lengths and
+   angles, by rotation averaging (`mixseq.shells.face_frames`): two rounds with one constant matrix.
+2. *Vertices*, from the changes of sides of faces, by one back-substitution with a constant matrix,
 
    .. math:: \min_d \sum_f \sum_{ab} w_{ab}\, |d_b - d_a - (s'_{ab} - s_{ab})|^2 + \eta\, w \sum_v |d_v|^2 .
 
-Everything is a difference against the posed mesh, so that frames of the sequence, where lengths and angles are those of
-the posed mesh, come out exactly. Posed triangles with hardly any area keep their shapes and angles, which are noise.
+Everything is a difference against the posed mesh, so frames of the sequence, with the lengths and angles of the posed
+mesh, are exact. Posed triangles with hardly any area keep their shapes and angles, which are noise.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ AVERAGING_ROUNDS = 2
 """Rounds of rotation averaging over faces."""
 
 MOVING_RINGS = 1
-"""Rings of faces around joint faces that move with them; with none joints are too stiff."""
+"""Rings of faces around joint faces that move with them; without them joints are too stiff."""
 
 BENDING_WEIGHT = 0.25
 """Weight of an angle in radians against a relative length."""
@@ -56,17 +56,17 @@ class JointProjection(PickledWithoutCaches):
 
     @cached_property
     def edge_ids(self) -> Index:
-        """Edges ``(E',)`` that have a target length: those of joint faces, ascending."""
+        """Edges ``(E',)`` with a target length: those of joint faces, ascending."""
         return np.unique(self.topology.face_edges[self.joint_faces]).astype(np.int64)
 
     @cached_property
     def hinge_ids(self) -> Index:
-        """Hinges ``(H',)`` that have a target angle: those of joint faces, ascending."""
+        """Hinges ``(H',)`` with a target angle: those of joint faces, ascending."""
         return np.flatnonzero(self.joint_faces[self.topology.hinge_faces].any(axis=1))
 
     @cached_property
     def shell(self) -> Shell:
-        """The mesh as a shell, which has the weights of sides and hinges."""
+        """The mesh as a shell, for the weights of sides and hinges."""
         lengths = edge_lengths(self.reference, self.topology.edges)
         held = np.full(self.topology.vertex_count, self.hold)
         return Shell(
@@ -84,14 +84,14 @@ class JointProjection(PickledWithoutCaches):
 
     @cached_property
     def _hinges(self) -> Index:
-        """Hinges of moving faces that have area."""
+        """Hinges of moving faces with area."""
         moving = np.zeros(len(self.topology.faces), dtype=bool)
         moving[self._moving_faces] = True
         return np.flatnonzero(moving[self.topology.hinge_faces].any(axis=1) & self.shell.sound)
 
     @cached_property
     def _face_ids(self) -> Index:
-        """Moving faces, then their neighbours that do not move."""
+        """Moving faces, then their fixed neighbours."""
         both = np.unique(self.topology.hinge_faces[self._hinges])
         return np.concatenate([self._moving_faces, np.setdiff1d(both, self._moving_faces)]).astype(np.int64)
 
@@ -101,7 +101,7 @@ class JointProjection(PickledWithoutCaches):
 
     @cached_property
     def _edge_table(self) -> tuple[Index, Index, Index]:
-        """Edges of the faces ``(e,)``, the sides ``(m, 3)`` of faces among these, and which have a target length."""
+        """Edges of the faces ``(e,)``, sides ``(m, 3)`` of faces among these, and those with a target length."""
         sides = self.topology.face_edges[self._face_ids]
         edges, local = np.unique(sides, return_inverse=True)
         known = np.searchsorted(edges, self.edge_ids)
@@ -120,7 +120,7 @@ class JointProjection(PickledWithoutCaches):
 
     @cached_property
     def _hinge_tables(self) -> tuple[Index, Index, Float, Index]:
-        """How hinges are seen from their faces, and which target angle each has; see `target_turns`."""
+        """Sides of hinges in their faces, and their target angles; see `target_turns`."""
         seen = Hinges(self._faces, self.topology.hinges[self._hinges].astype(np.int64), self._pairs)
         number = np.full(len(self.topology.hinge_faces), -1, dtype=np.int64)
         number[self.hinge_ids] = np.arange(len(self.hinge_ids))
@@ -145,7 +145,7 @@ class JointProjection(PickledWithoutCaches):
 
     @cached_property
     def vertices(self) -> Index:
-        """Vertices ``(n,)`` that move: those of moving faces only."""
+        """Moving vertices ``(n,)``: those of moving faces only."""
         still = np.ones(len(self.topology.faces), dtype=bool)
         still[self._moving_faces] = False
         free = np.zeros(self.topology.vertex_count, dtype=bool)
@@ -161,7 +161,7 @@ class JointProjection(PickledWithoutCaches):
 
     @cached_property
     def _side_weights(self) -> Float:
-        """Weights ``(n, 3)`` of the sides of moving faces; zero for those without area, which say nothing."""
+        """Weights ``(n, 3)`` of the sides of moving faces; zero for those without area."""
         weights = self.shell.side_weights[self._moving_faces]
         weights[np.isin(self._moving_faces, self.shell.thin)] = 0.0
         return weights
@@ -182,7 +182,7 @@ class JointProjection(PickledWithoutCaches):
         return factored_laplacian(ends[both], weights[both], held)
 
     def targets(self, x: Float, lengths: Float, angles: Float) -> tuple[Float, Float]:
-        """Return lengths ``(E,)`` and angles ``(H,)`` of the whole mesh: of joints, and else of posed vertices."""
+        """Return lengths ``(E,)`` and angles ``(H,)`` of the whole mesh: targets at joints, else of posed vertices."""
         topology = self.topology
         all_lengths, all_angles = lengths_and_angles(x, topology.edges, topology.hinges)
         sound = kernels.soundness(kernels.flatten(all_lengths, topology.face_edges.astype(np.int64)))
@@ -192,7 +192,7 @@ class JointProjection(PickledWithoutCaches):
         return all_lengths, all_angles
 
     def project(self, x: Numbers, lengths: Numbers, angles: Numbers, share: float) -> Numbers:
-        """Return posed vertices ``(V, 3)``, with those of joints moved: lengths, angles ``(E',), (H',)``."""
+        """Move posed vertices ``(V, 3)`` of joints to lengths ``(E',)`` and angles ``(H',)``."""
         if not share or self.frame_factor is None or self.vertex_factor is None:
             return x
         _, face_edges, known = self._edge_table

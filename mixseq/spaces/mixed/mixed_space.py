@@ -1,24 +1,22 @@
-r"""The mixed shape space S_m: near-rigid parts by their vertices and poses, joints by lengths and angles.
+"""The mixed shape space S_m: near-rigid parts by their vertices and poses, joints by lengths and angles.
 
-A vector is
+A vector, in diagonals and radians, is
 
 ``[joint lengths | joint angles | unposed vertices | part poses | relations | body poses | corrections]``
 
-in diagonals and radians.
-
-- Parts are registered to their mean shapes (paper, Section 3.4). How they stand to each other, and where the *bodies*
-  that they make up are, is `articulation`: a rigid motion of a body changes its six numbers and nothing else.
-- A vertex follows the parts around it by skinning weights: its frame is the blend of their motions from the reference
-  frame, as dual quaternions (Kavan and others 2008). The vector has it *unposed*, as seen from its frame: where it
+- Parts are registered to their mean shapes (paper, Section 3.4). Their relative poses, and the poses of the *bodies*
+  they form, are those of `articulation`: a rigid motion of a body changes only its six numbers.
+- Vertices are skinned to the parts around them: the frame of a vertex is the blend of their motions from the reference
+  frame, as dual quaternions (Kavan and others 2008). *Unposed* (rest-space) vertices are in these frames, where they
   would be in the reference frame. Inside a part that is the paper's aligned part vertex.
 - Lengths and angles are those of *joint faces*, which would be wrong half-way between frames.
-- Corrections are zero in every encoded frame. A model has them between frames, where blended part poses are not those
-  that are predicted (`mixseq.signals`).
+- Corrections are zero in encoded frames. Between frames they take blended part poses to the predicted ones
+  (`mixseq.signals`).
 
-P_m poses the vertices, where part poses and relations agree best, and then moves those of joints (`joint_projection`).
-Between far poses steps follow that make lengths and angles of the whole mesh agree (`mixseq.shells.shell`). With the
-free placement P_m ignores how parts stand in their component, and finds that from lengths and angles (`assembly`).
-All of it is exact at the frames, and but for these steps an analytic function, whose derivative is a complex step.
+P_m poses the vertices by the part poses that agree best with poses and relations, then moves those of joints
+(`joint_projection`). Between far poses relaxation steps over the whole mesh follow (`mixseq.shells.shell`). With the
+free placement P_m finds the poses of parts from lengths and angles (`assembly`). All is exact at the frames, and,
+except for these steps, analytic, with a derivative by a complex step.
 """
 
 from __future__ import annotations
@@ -67,10 +65,10 @@ JOINT_EMBEDDING_WEIGHT = 2.0
 """Weight of lengths and angles in embeddings."""
 
 MAX_EDIT_ROUNDS, EDIT_TOLERANCE = 12, 1e-11
-"""Limit of rounds to meet an edited frame, and the error to stop at, in diagonals."""
+"""Limit of rounds to reach an edited frame, and the error to stop at, in diagonals."""
 
 ARTICULATION_WEIGHT = 0.2
-"""Weight of part poses in the metric, against the vertices that they move."""
+"""Weight of part poses in the metric, relative to the vertices they move."""
 
 PROJECTION_WEIGHT_RANGE = (1e-6, 1e6)
 """Range of `hold` and `relations`; beyond it systems of equations are singular."""
@@ -84,32 +82,13 @@ MAX_ANGLE_STEP_RATIO = 64
 
 @dataclass(frozen=True)
 class Projection:
-    """Settings of the projection P_m.
+    """Settings of the projection P_m; raises `SettingsError` if a number is out of range."""
 
-    Attributes
-    ----------
-    placement : {"anchored", "free"}
-        Whether parts go where their poses are, or where lengths and angles put them.
-    share : float
-        How far lengths and angles of joints go from those of posed vertices to those of the vector, from 0 to 1.
-    hold : float
-        Weight of posed vertices at joints.
-    steps : int
-        Relaxation steps over the lengths and angles of the whole mesh.
-    relations : float
-        Weight of relations between neighbours against poses of parts that move by the same amount.
-
-    Raises
-    ------
-    SettingsError
-        If a number is out of range.
-    """
-
-    placement: PlacementName = "anchored"
-    share: float = 0.0
-    hold: float = 0.1
-    steps: int = 0
-    relations: float = 0.1
+    placement: PlacementName = "anchored"  # parts at their poses, or where lengths and angles put them
+    share: float = 0.0  # share of lengths and angles of joints, from 0 (posed vertices) to 1 (the vector)
+    hold: float = 0.1  # weight of posed vertices at joints
+    steps: int = 0  # relaxation steps over the lengths and angles of the whole mesh
+    relations: float = 0.1  # weight of relations between neighbours against poses of parts that move equally
 
     def __post_init__(self) -> None:
         weight = ("positive weight", *PROJECTION_WEIGHT_RANGE)
@@ -149,39 +128,17 @@ QUATERNION_BLOCKS = ("turns", "relation_turns", "body_turns")
 
 @dataclass(frozen=True, eq=False)
 class MixedSpace(ShapeSpace):
-    """The mixed shape space of one mesh sequence; make it with `mixed_space`.
-
-    Attributes
-    ----------
-    topology : Topology
-        Connectivity of the mesh.
-    decomposition : Decomposition
-        Its parts and the strips between them.
-    scale : float
-        Length of the unit of the space, in the units of the sequence: the diagonal of the first frame.
-    shapes : (N, 3) float64
-        Mean shapes of all parts, each centred, part by part, in the space's unit.
-    reference : (V, 3) float64
-        The reference frame, the first, in the space's unit.
-    skinning_weights : (V, p) sparse matrix
-        Skinning weights of vertices and parts; rows add up to one.
-    steadiness : Steadiness
-        Inverse variances of part poses and relations, by which P_m weights them where they disagree.
-    joint_faces : (F,) bool
-        Faces whose lengths and angles are in the vector.
-    projection : Projection
-        Settings of P_m.
-    """
+    """The mixed shape space of one mesh sequence; made by `mixed_space`."""
 
     topology: Topology
-    decomposition: Decomposition
-    scale: float
-    shapes: Float
-    reference: Float
-    skinning_weights: sparse.csr_array
-    steadiness: Steadiness | None
-    joint_faces: Mask
-    projection: Projection
+    decomposition: Decomposition  # parts, and the strips between them
+    scale: float  # unit of length, in the units of the sequence: the diagonal of the first frame
+    shapes: Float  # (N, 3) mean shapes of all parts, each centred, part by part, in diagonals
+    reference: Float  # (V, 3) the first frame, in diagonals
+    skinning_weights: sparse.csr_array  # (V, p) of vertices and parts; rows add up to one
+    steadiness: Steadiness | None  # inverse variances of part poses and relations, their weights in P_m
+    joint_faces: Mask  # (F,) faces with lengths and angles in the vector
+    projection: Projection  # settings of P_m
     name = "mixed"
 
     @property
@@ -229,7 +186,7 @@ class MixedSpace(ShapeSpace):
 
     @cached_property
     def only_part(self) -> Index:
-        """The part ``(V,)`` that each vertex follows alone, -1 where it follows several."""
+        """Part ``(V,)`` of vertices skinned to one part alone, -1 for others."""
         weights = self.skinning_weights
         first = weights.indices[weights.indptr[:-1]]
         return np.where(np.diff(weights.indptr) == 1, first, -1).astype(np.int64)
@@ -247,7 +204,7 @@ class MixedSpace(ShapeSpace):
 
     @cached_property
     def radii(self) -> Float:
-        """Radii of gyration ``(p,)`` of the parts, a small number for a part that has none."""
+        """Radii of gyration ``(p,)`` of the parts, in diagonals; at least a small number."""
         return radii_of_gyration(self.shapes, self.decomposition.parts)
 
     @cached_property
@@ -314,7 +271,7 @@ class MixedSpace(ShapeSpace):
 
     @property
     def correction_dim(self) -> int:
-        """Implement `ShapeSpace.correction_dim`: six numbers for every part."""
+        """Implement `ShapeSpace.correction_dim`: six numbers per part."""
         return self.sizes[-1]
 
     @property
@@ -324,17 +281,17 @@ class MixedSpace(ShapeSpace):
 
     @cached_property
     def angle_weights(self) -> Float:
-        """What an angle ``(H',)`` weighs against a length: `ANGLE` times the length of its edge in the reference."""
+        """Weights ``(H',)`` of angles relative to lengths: `ANGLE` times the length of the edge in the reference."""
         edges = self.topology.edges[self.topology.hinge_edges[self.hinge_ids]]
         return ANGLE * edge_lengths(self.reference, edges)
 
     @cached_property
     def weights(self) -> Float:
-        """The metric ``(D,)``: by how many diagonals vertices move when a number of a vector changes by one.
+        """Metric ``(D,)``: vertex displacement in diagonals per unit of each coordinate.
 
-        1 for unposed vertices and centres of bodies; for a quaternion twice a radius of gyration; for poses of parts
-        `ARTICULATION_WEIGHT` times that, for all of their vertices; `JOINT_WEIGHT` for lengths, and for angles times
-        the length of their edges. Relations follow part poses, and weigh nothing.
+        1 for unposed vertices and centres of bodies; twice a radius of gyration for quaternions; `ARTICULATION_WEIGHT`
+        times that, for all vertices of the part, for part poses; `JOINT_WEIGHT` for lengths, and for angles times the
+        length of their edges. Relations follow part poses, and weigh nothing.
         """
         edges, _, vertices, *_ = self.sizes
         own = ARTICULATION_WEIGHT * np.sqrt(self.articulation.masses)
@@ -355,7 +312,7 @@ class MixedSpace(ShapeSpace):
 
     @property
     def coarseness(self) -> Float:
-        """Implement `ShapeSpace.coarseness`: angles turn short edges, steps magnify errors of lengths."""
+        """Implement `ShapeSpace.coarseness`: angles rotate short edges, steps magnify errors of lengths."""
         edges, hinges, *_ = self.sizes
         result = np.ones(self.shape_dim)
         if self.projection.steps:
@@ -377,7 +334,7 @@ class MixedSpace(ShapeSpace):
         return np.concatenate([joints, rest])
 
     def split(self, vectors: Numbers) -> MixedBlocks:
-        """Return the blocks of vectors ``(T, D)``, as views where possible; it raises what `checked` does."""
+        """Return the blocks of vectors ``(T, D)``, as views where possible; raises what `checked` does."""
         columns = np.split(self.checked(vectors), np.cumsum(self.sizes)[:-1], axis=1)
         shaped = zip(columns, self._block_shapes, strict=True)
         return MixedBlocks(*(block.reshape(len(vectors), *shape) for block, shape in shaped))
@@ -387,7 +344,7 @@ class MixedSpace(ShapeSpace):
         return np.concatenate([block.reshape(len(block), -1) for block in blocks], axis=1)
 
     def part_poses(self, poses: Float) -> PartPoses:
-        """Return the poses and relations of parts from the columns ``(T, pose_dim)`` of shapes that have them."""
+        """Return the poses and relations of parts from the pose columns ``(T, pose_dim)`` of shapes."""
         columns = np.split(poses, np.cumsum(self.sizes[3:7])[:-1], axis=1)
         shaped = zip(columns, self._block_shapes[3:7], strict=True)
         return PartPoses(*(block.reshape(len(poses), *shape) for block, shape in shaped))
@@ -395,7 +352,7 @@ class MixedSpace(ShapeSpace):
     # Encoding ----------------------------------------------------------------------------------------------
 
     def encode_apart(self, points: FloatArray) -> Float:
-        """Implement `ShapeSpace.encode_apart`: angles are the smallest, quaternions those with w >= 0."""
+        """Implement `ShapeSpace.encode_apart`: the smallest angles, and quaternions with w >= 0."""
         frames = [frame.astype(np.float64) / self.scale for frame in points]
         found = [registered(self.shapes, self.decomposition.parts, x)[1:] for x in frames]
         rotations, centres = (np.stack(each) for each in zip(*found, strict=True))
@@ -491,10 +448,7 @@ class MixedSpace(ShapeSpace):
         return points * self.scale, velocities * self.scale
 
     def shape_difference(self, vector: Float, before: Float, after: Float) -> Float:
-        """Implement `ShapeSpace.shape_difference`: part poses do not change.
-
-        Where lengths and angles of joints are not those of posed vertices, between frames, it takes several rounds.
-        """
+        """Implement `ShapeSpace.shape_difference` with constant part poses; between frames it takes several rounds."""
         changed, found, size = vector.copy(), before, self.shape_dim
         rest, offset = np.inf, before - self.decode(vector[None])[0]
         for _ in range(MAX_EDIT_ROUNDS):
@@ -510,7 +464,7 @@ class MixedSpace(ShapeSpace):
         return changed[:size] - vector[:size]
 
     def _measured_difference(self, vector: Float, before: Float, after: Float) -> Float:
-        """Return how much lengths, angles and unposed vertices of two frames differ, ``(S,)``."""
+        """Return the differences ``(S,)`` of lengths, angles and unposed vertices of two frames."""
         row = MixedBlocks(*(block[0] for block in self.split(vector[None])))
         duals = self._duals(row)
         first, second = (x / self.scale for x in (before, after))
@@ -524,7 +478,7 @@ class MixedSpace(ShapeSpace):
     def predicted_poses(
         self, operator: Operator, poses: Float, placements: Float, times: Float, in_body: bool
     ) -> tuple[Float, Float]:
-        """Implement `ShapeSpace.predicted_poses`: in the world, in the body if asked for, and by neighbours."""
+        """Implement `ShapeSpace.predicted_poses`: in the world, optionally in the body, and by neighbours."""
         parts, bodies = self.part_poses(poses), self.poses(placements)
         world = self.articulation.placed(Poses(parts.turns, parts.centres), bodies)
         world = world._replace(rotations=continued(world.rotations))
@@ -533,7 +487,7 @@ class MixedSpace(ShapeSpace):
         return np.concatenate([each.reshape(len(times), -1) for each in seen], axis=1), placed
 
     def held(self, points: Float, vertices: Index, placements: Float) -> Float:
-        """Implement `ShapeSpace.held`: as seen from the body of the part that a vertex follows most."""
+        """Implement `ShapeSpace.held`: in the axes of the body of each vertex's main part."""
         bodies = self.poses(placements)
         weights = self.skinning_weights[vertices]
         body = self.articulation.bodies[np.asarray(weights.argmax(axis=1)).reshape(-1)]
@@ -558,19 +512,19 @@ class MixedSpace(ShapeSpace):
         return self.articulation.corrections(self.articulation.agreed(self.part_poses(poses)), wanted)
 
     def corrected_poses(self, poses: Float, corrections: Float) -> Poses:
-        """Return poses ``(T, p)`` of parts as seen from their bodies, of pose columns and corrections ``(T, ...)``."""
+        """Return part poses ``(T, p)`` relative to bodies, of pose columns and corrections ``(T, ...)``."""
         agreed = self.articulation.agreed(self.part_poses(poses))
         spins, shifts = corrections.reshape(len(poses), 2, -1, 3).swapaxes(0, 1)
         return Poses(product(agreed.rotations, exponentials(spins)), agreed.centres + shifts)
 
 
 def as_mixed(space: ShapeSpace) -> MixedSpace:
-    """Return a space as it is, if it is the mixed shape space."""
+    """Return a mixed shape space unchanged, or raise for other spaces."""
     if not isinstance(space, MixedSpace):
         raise SettingsError(f"the {space.name} space has no parts; fit a model with space='mixed'")
     return space
 
 
 def _canonical(turns: Float) -> Float:
-    """Return quaternions ``(..., 4)`` with signs such that w >= 0: rotations by at most half a turn."""
+    """Return quaternions ``(..., 4)`` with w >= 0: rotations by at most half a turn."""
     return np.where(turns[..., :1] < 0, -turns, turns)

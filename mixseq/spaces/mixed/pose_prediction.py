@@ -1,11 +1,10 @@
-r"""Poses of parts between frames, predicted in the world, as seen from the body, and by their neighbours.
+r"""Interpolation of part poses in time: predictions in the world, in the axes of the body, and by neighbours.
 
-Every rotation is chained and every centre a weighted sum (`mixseq.prediction.poses`), in the axes of the world, where
-feet stand, and in those of the body, where a turn of the body is no motion of its parts. Bodies go where the first
-prediction has them; what is predicted is how parts stand as seen from them, so that it does not depend on how bodies
-are turned. Where two parts meet, each also sees the other move. A pose is the matrix :math:`X = (R^T; t)` with four
-rows, a relation :math:`X_j = G_{ij} X_i`.
-Predictions disagree; the poses that agree best with all of them minimise
+Rotations are chained and centres are weighted sums (`mixseq.prediction.poses`), in the axes of the world, where feet
+stand, and in those of the body, where a rotation of the body does not move its parts. Bodies follow the first
+prediction; part poses are predicted relative to them, independent of the rotations of bodies. Neighbours also predict
+each other. A pose is the matrix :math:`X = (R^T; t)` with four rows, a relation :math:`X_j = G_{ij} X_i`.
+The poses that agree best with all predictions minimise
 
 .. math:: \sum_i |X_i - \hat X_i|^2_{P_i} + \lambda \sum_{ij} |X_j - \hat G_{ij} X_i|^2_{P_{ij}} ,
 
@@ -59,10 +58,7 @@ class PosePrediction:
     in_body: bool  # whether poses are predicted as seen from the body, too
 
     def at(self, times: Float) -> tuple[Poses, Poses]:
-        """Predict poses at times ``(N,)``: of the bodies ``(N, B)``, and of parts as seen from them ``(N, p)``.
-
-        At the frames they are those of the frames.
-        """
+        """Predict body poses ``(N, B)``, and relative part poses ``(N, p)``, at times ``(N,)``; exact at frames."""
         rows, known = self.operator.at(times), np.isin(times, self.operator.times)[:, None, None]
         bodies, alone = (predicted_alone(rows, each) for each in self._bodies)
         if len(self.operator.times) < 3:
@@ -71,7 +67,7 @@ class PosePrediction:
         return _kept(bodies, found, known), _kept(alone, seen, known)
 
     def of(self, rows: Rows) -> tuple[Poses, Poses]:
-        """Predict poses of bodies, and of parts as seen from them, by weights of frames: quaternions of any sign."""
+        """Predict body poses, and part poses relative to them, by weights of frames: quaternions of any sign."""
         found = [self._predicted(part) for part in _parts_of(rows)]
         bodies, seen = (
             Poses(*(np.concatenate(blocks) for blocks in zip(*each, strict=True)))
@@ -97,14 +93,14 @@ class PosePrediction:
         return bodies, Poses(*_fused(mean, own, seen, RELATION_WEIGHT * self._relation_precisions, parts))
 
     def _seen_in_world(self, rows: Rows) -> tuple[Poses, Poses]:
-        """Poses of the bodies of parts that are predicted in the world, and of the parts as seen from them."""
+        """Body poses of parts predicted in the world, and part poses relative to them."""
         predicted = predicted_alone(rows, self.poses)
         bodies = self.articulation.bodies_of(predicted)
         return bodies, self.articulation.seen_from_bodies(predicted, bodies)
 
     @cached_property
     def _bodies(self) -> tuple[Poses, Poses]:
-        """Poses of the bodies at the frames, and those of parts as seen from them."""
+        """Body poses at the frames, and part poses relative to them."""
         bodies = self.articulation.bodies_of(self.poses)
         bodies = bodies._replace(rotations=continued(bodies.rotations))
         seen = self.articulation.seen_from_bodies(self.poses, bodies)
@@ -118,7 +114,7 @@ class PosePrediction:
     def _precisions(self) -> tuple[Float | None, Float | None]:
         """Precisions ``(p, 4, 4)`` of predictions in the world and in the body; None where one is not used.
 
-        Those in the world are measured there, where a foot that stands is exact. Precisions do not depend on the axes.
+        Those in the world are measured there, where a standing foot is exact. Precisions do not depend on the axes.
         """
         (left, rows), seen, radii = self._left_out, _stacked(self._bodies[1]), self.articulation.radii
         world = _precision(_stacked(predicted_alone(rows, self.poses)) - _stacked(self.poses)[left], radii)
@@ -131,7 +127,7 @@ class PosePrediction:
 
     @cached_property
     def _related(self) -> Poses:
-        """How neighbours see each other at the frames ``(T, n)``: rotations, and places of pivots."""
+        """Relations at the frames ``(T, n)``: rotations, and places of pivots."""
         related = self.articulation.with_relations(self.poses)
         return Poses(continued(related.relation_turns), related.relation_points)
 
@@ -145,7 +141,7 @@ class PosePrediction:
 
 
 def _kept(frames: Poses, predicted: Poses, known: Mask) -> Poses:
-    """Return predicted poses, but those of the frames where times are known ``(N, 1, 1)``."""
+    """Return predicted poses, replaced by those of the frames at known times ``(N, 1, 1)``."""
     turns = continued(predicted.rotations, frames.rotations[0])
     return Poses(np.where(known, frames.rotations, turns), np.where(known, frames.centres, predicted.centres))
 

@@ -1,8 +1,7 @@
-"""The inner loops that pose a mesh, compiled: poses that agree with relations, motions of parts, and skinning.
+"""Compiled inner loops that pose a mesh: agreement of poses and relations, motions of parts, and skinning.
 
-Vertices follow blended dual quaternions. Quaternions are (w, x, y, z), of any length where they are given, and unit
-where they are returned; positions are in diagonals. Arrays are of real or of complex numbers: a complex step gives
-derivatives (`complex_step`).
+Skinning blends dual quaternions. Quaternions are (w, x, y, z), inputs of any length, results of unit length; positions
+are in diagonals. Arrays are real or complex, for derivatives by a complex step (`complex_step`).
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ SERIES_SQUARED_ANGLE = 1e-6
 
 @inlined
 def _turn(q: Float, v: Float, r: Float) -> None:
-    """Write a vector turned by a unit quaternion to r, which is not the vector."""
+    """Write a vector rotated by a unit quaternion to r, which must not alias it."""
     a = 2.0 * (q[2] * v[2] - q[3] * v[1])
     b = 2.0 * (q[3] * v[0] - q[1] * v[2])
     c = 2.0 * (q[1] * v[1] - q[2] * v[0])
@@ -33,7 +32,7 @@ def _turn(q: Float, v: Float, r: Float) -> None:
 
 @inlined
 def _normalise(q: Float) -> None:
-    """Scale a quaternion to length one; zero, a blend of rotations half a turn apart, becomes no rotation."""
+    """Scale a quaternion to unit length; zero, a blend of rotations half a turn apart, becomes the identity."""
     square = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
     if square.real > 0.0:
         inverse = 1.0 / np.sqrt(square)
@@ -60,26 +59,10 @@ def agree(
     place_weights: Float,
     place_inverse: Float,
 ) -> tuple[Float, Float]:
-    """Return the poses ``(p, 4)``, ``(p, 3)`` that agree best with poses and relations.
+    """Return the part poses ``(p, 4)``, ``(p, 3)``, relative to bodies, that agree best with poses and relations.
 
-    Parameters
-    ----------
-    turns, centres : (p, 4), (p, 3)
-        Poses of parts, as seen from the body: rotations since the reference frame, and centres.
-    relation_turns, relation_points : (n, 4), (n, 3)
-        How part j is turned as seen from part i, and where its pivot is from the centre of i.
-    pairs : (n, 2) int64
-        Parts i and j.
-    pivots : (n, 3) float64
-        The pivots, from the centre of part j in the reference frame.
-    order, before, links : (m,) int64
-        Parts that hang on another, each after that, that part, and the relation by which it sees them.
-    own_turns : (p,) float64
-        Weights of rotations of parts.
-    turn_weights, place_weights : (n,) float64
-        Weights of relations.
-    turn_inverse, place_inverse : (p, p) float64
-        Inverse matrices of both systems.
+    Relations ``(n, 4), (n, 3)`` have the rotation and pivot of part j in the axes of part i; pivots ``(n, 3)`` are from
+    the centre of j at rest. Children, parents and links ``(m,)`` are a tree in topological order.
     """
     count = len(turns)
     t, c = turns.copy(), centres.copy()
@@ -145,7 +128,7 @@ def agree(
 
 @compiled
 def correct(turns: Float, centres: Float, spins: Float, shifts: Float) -> tuple[Float, Float]:
-    """Turn poses ``(p, 4)``, ``(p, 3)`` on by rotation vectors ``(p, 3)`` in their own axes, and shift centres."""
+    """Rotate poses ``(p, 4)``, ``(p, 3)`` by rotation vectors ``(p, 3)`` in their own axes, and shift centres."""
     t, c = np.empty_like(turns), centres + shifts
     step = np.empty(4, t.dtype)
     for part in range(len(t)):
@@ -176,20 +159,8 @@ def motions(
 ) -> Float:
     """Return the motions of parts from the reference frame, as unit dual quaternions ``(p, 8)``.
 
-    Signs follow a tree: each part has that nearest to the part before it, so that blends take the shorter way.
-
-    Parameters
-    ----------
-    turns, centres : (p, 4), (p, 3)
-        Poses of parts as seen from their bodies, rotations of unit length.
-    body_turns, body_centres : (B, 4), (B, 3)
-        Poses of the bodies.
-    bodies : (p,) int64
-        The body of every part.
-    rest_centres : (p, 3) float64
-        Centres of the parts in the reference frame.
-    order, before : (m,) int64
-        Parts that have a part before them, and that part.
+    Part poses ``(p, 4), (p, 3)`` are relative to bodies ``(B, 4), (B, 3)``. Signs follow a tree, parents first: each
+    part has that nearest to its parent, so that blends take the shorter way.
     """
     count = len(turns)
     duals = np.empty((count, 8), turns.dtype)
@@ -225,7 +196,7 @@ def motions(
 def _turned(
     w: float, p: float, q: float, r: float, x: float, y: float, z: float
 ) -> tuple[float, float, float]:
-    """Turn a vector by a unit quaternion: ``v + 2 w (u x v) + 2 u x (u x v)``."""
+    """Rotate a vector by a unit quaternion: ``v + 2 w (u x v) + 2 u x (u x v)``."""
     a = 2.0 * (q * z - r * y)
     b = 2.0 * (r * x - p * z)
     c = 2.0 * (p * y - q * x)
@@ -259,10 +230,7 @@ def _blend(starts: Index, parts: Index, weights: Float, duals: Float, v: int, to
 
 @compiled
 def pose(starts: Index, parts: Index, weights: Float, duals: Float, unposed: Float) -> Float:
-    """Move vertices ``(V, 3)`` by the blended motions of their parts.
-
-    Shapes: starts, parts, weights ``(V + 1,)``; duals ``(p, 8)``.
-    """
+    """Move vertices ``(V, 3)`` by blended motions ``(p, 8)`` of parts; `starts` ``(V + 1,)`` index the weights."""
     x = np.empty_like(unposed)
     m = np.empty(8, duals.dtype)
     for v in range(len(x)):
@@ -274,7 +242,7 @@ def pose(starts: Index, parts: Index, weights: Float, duals: Float, unposed: Flo
 
 @compiled
 def unpose(starts: Index, parts: Index, weights: Float, duals: Float, x: Float) -> Float:
-    """Move vertices ``(V, 3)`` back by the blended motions of their parts: the inverse of `pose`."""
+    """Move vertices ``(V, 3)`` by the inverse of `pose`."""
     unposed = np.empty_like(x)
     m = np.empty(8, duals.dtype)
     for v in range(len(x)):

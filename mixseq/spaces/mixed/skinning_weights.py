@@ -1,15 +1,14 @@
-r"""How much every vertex follows the parts around it: shares that are smooth over the mesh and explain the motion.
+r"""Skinning weights that are smooth over the mesh and explain the motion.
 
-A vertex may follow the parts of faces near it. With the rigid motions :math:`M_{ti}` of part i from the reference
-frame to frame t, shares w explain frames as far as the following is small,
+With the rigid motions :math:`M_{ti}` of part i from the reference frame to frame t, weights w of nearby parts minimise
 
 .. math:: \sum_t \Bigl| \sum_i w_i\, M_{ti}(\bar x_v) - x_{tv} \Bigr|^2 + \mu_v\, |w - \bar w|^2,
    \qquad w_i \ge 0, \quad \sum_i w_i = 1 .
 
-where :math:`\bar w` is the mean of the neighbours' shares, and :math:`\mu` the weight `SMOOTH` times how far the
-motions of the parts are apart there: only the ratio of the two counts. Vertices are visited in turn, several times;
-which parts a vertex may follow, and its first shares, are those of its faces spread over about `RINGS` rings of
-edges, by two steps of implicit diffusion, :math:`(I + r^2 L / 4)\, u = v`.
+where :math:`\bar w` is the mean of the neighbours' weights, and :math:`\mu` is `SMOOTH` times the distance between the
+motions of the parts there: only the ratio of the two counts. Gauss-Seidel sweeps visit the vertices in turn. Candidate
+parts of a vertex, and its first weights, are those of its faces spread over about `RINGS` rings of edges, by two steps
+of implicit diffusion, :math:`(I + r^2 L / 4)\, u = v`.
 """
 
 from __future__ import annotations
@@ -40,20 +39,9 @@ def compare(
     products: Float,
     apart: Float,
 ) -> None:
-    """Add to sums how far the motions of parts take vertices from where they are in a frame, and from each other.
+    """Add the errors of part motions at vertices ``(n,)`` in a frame to sums, in place.
 
-    Parameters
-    ----------
-    some : (n,) int64
-        Vertices that are looked at.
-    parts, shares : (V, k)
-        Parts that every vertex may follow, -1 for none, and their shares.
-    turns, shifts : (p, 3, 3), (p, 3) float64
-        Motions of the parts from the reference frame, in diagonals.
-    reference, x : (V, 3) float64
-        The reference frame, and the frame.
-    products, apart : (n, k, k), (n,) float64
-        Changed in place: sums of products of errors, and of squared distances from their mean.
+    Products ``(n, k, k)``: sums of products of errors. Apart ``(n,)``: sums of squared distances from their mean.
     """
     most = parts.shape[1]
     away = np.empty((most, 3))
@@ -89,22 +77,10 @@ def smooth_and_fit(
     others: Index,
     sweeps: int,
 ) -> None:
-    """Find shares ``(V, k)`` that are near the means of neighbours' shares and explain frames; changed in place.
+    """Fit skinning weights ``(V, k)`` of vertices ``(n,)``, in place, by Gauss-Seidel sweeps.
 
-    Parameters
-    ----------
-    some : (n,) int64
-        Vertices with several parts.
-    parts : (V, k) int64
-        Parts that every vertex may follow, -1 for none.
-    shares : (V, k) float64
-        Their shares; rows add up to one.
-    products, strengths : (n, k, k), (n,) float64
-        Quadratic forms of what is not explained, and weights of smoothness.
-    starts, others : (V + 1,), (m,) int64
-        Neighbours of vertices, as rows of a sparse matrix.
-    sweeps : int
-        So often all vertices are visited.
+    Products ``(n, k, k)`` are quadratic forms of the error, strengths ``(n,)`` the weights of smoothness; `starts`
+    ``(V + 1,)`` and `others` ``(m,)`` list neighbours as rows of a sparse matrix.
     """
     most = parts.shape[1]
     wanted = np.empty(most)
@@ -148,31 +124,31 @@ def smooth_and_fit(
 
 
 RINGS = 6.0
-"""How far parts are followed, in edges. Ours; chosen on half of the animations of the benchmarks, as are the others."""
+"""Radius of influence of parts, in edges; chosen on half of the benchmark animations, as are the next constants."""
 
 MOST = 6
-"""A vertex follows so many parts at most."""
+"""Largest number of parts per vertex."""
 
 LEAST = 0.01
-"""Smaller shares are none."""
+"""Least skinning weight; smaller ones are set to zero."""
 
 SMOOTH = 0.1
 """Weight of smoothness."""
 
 NOISE = 1e-12
-"""Squared distances below this, in diagonals, are rounding errors: where parts move alike, shares are smooth."""
+"""Squared distance of motions, in diagonals, below which weights are only smooth."""
 
 SWEEPS = 20
-"""So often vertices are visited."""
+"""Number of Gauss-Seidel sweeps."""
 
 LARGE = 200_000
-"""Of meshes with more vertices only those near boundaries of parts are looked at: elsewhere a part has all. Ours."""
+"""Number of vertices above which only those near boundaries of parts are fitted; others follow one part."""
 
 NEAR = 32
-"""So many rings of vertices about boundaries. Shares fall to a hundredth within half of them."""
+"""Rings of vertices about boundaries that are fitted. Weights fall to a hundredth within half of them."""
 
 GRID = 2.0**-16
-"""Grid of skinning weights."""
+"""Rounding step of skinning weights."""
 
 _AT_ONCE = 16  # parts that are spread at once
 
@@ -180,10 +156,7 @@ _AT_ONCE = 16  # parts that are spread at once
 def fitted_skinning_weights(
     topology: Topology, decomposition: Decomposition, shapes: Float, frames: FloatArray, reference: Float
 ) -> sparse.csr_array:
-    """Find the shares ``(V, p)`` of a mesh with p parts; rows add up to one.
-
-    Shapes: shapes ``(N, 3)``; frames ``(S, V, 3)``; reference ``(V, 3)``.
-    """
+    """Fit skinning weights ``(V, p)``, rows adding up to one, to frames ``(S, V, 3)``; shapes ``(N, 3)``."""
     near, far, part_of_far = _looked_at(topology, decomposition)
     graph = topology.vertex_adjacency[near][:, near]
     parts, shares = _spread(graph, _parts_of_faces(topology, decomposition, near))
@@ -210,9 +183,9 @@ def fitted_skinning_weights(
 
 
 def _looked_at(topology: Topology, decomposition: Decomposition) -> tuple[Index, Index, Index]:
-    """Return the vertices ``(n,)`` that are looked at, the others ``(m,)``, and the part ``(m,)`` that each is of.
+    """Return fitted vertices ``(n,)``, the others ``(m,)``, and the part ``(m,)`` of each of these.
 
-    They are looked at within `NEAR` rings of one whose faces have several parts; in small meshes wherever faces are.
+    Fitted are those within `NEAR` rings of a vertex with faces of several parts; in small meshes all with faces.
     """
     labels = decomposition.part_of_face[:, None]
     part = np.full(topology.vertex_count, len(decomposition.parts) - 1)  # of no face: they are the last part
@@ -228,7 +201,7 @@ def _looked_at(topology: Topology, decomposition: Decomposition) -> tuple[Index,
 
 
 def _parts_of_faces(topology: Topology, decomposition: Decomposition, some: Index) -> sparse.csr_array:
-    """Shares ``(n, p)`` of parts in the faces of some vertices."""
+    """Return the shares ``(n, p)`` of parts in the faces of vertices ``(n,)``."""
     row = np.full(topology.vertex_count, -1)
     row[some] = np.arange(len(some))
     rows = row[topology.faces].reshape(-1)
@@ -239,10 +212,7 @@ def _parts_of_faces(topology: Topology, decomposition: Decomposition, some: Inde
 
 
 def _spread(graph: sparse.csr_array, at_faces: sparse.csr_array) -> tuple[Index, Float]:
-    """Parts ``(n, MOST)`` near every vertex, largest shares first and -1 where there are fewer, and their shares.
-
-    Shapes: graph ``(n, n)``; at_faces ``(n, p)``.
-    """
+    """Return nearby parts ``(n, MOST)`` and their weights, largest first, -1 for none: graph ``(n, n)``."""
     vertices, count = at_faces.shape
     degrees = np.asarray(graph.sum(axis=1)).reshape(-1)
     laplacian = sparse.diags_array(degrees) - graph
@@ -267,7 +237,7 @@ def _normalised(matrix: sparse.csr_array) -> sparse.csr_array:
 
 
 def _rounded(weights: sparse.csr_array) -> sparse.csr_array:
-    """Round weights to `GRID`, so that they take few bytes; the largest of each row takes what is left of one."""
+    """Round weights to `GRID`, to save bytes; the largest of each row takes the rest of one."""
     data = np.round(weights.data / GRID) * GRID
     starts = weights.indptr[:-1]
     largest = np.repeat(np.maximum.reduceat(weights.data, starts), np.diff(weights.indptr)) == weights.data
