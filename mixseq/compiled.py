@@ -6,6 +6,9 @@ from C: without an entry for that they compile in about two thirds of the time.
 
 What is on disk may be cut short, by a crash or a full disk, and the disk may be full or not ours: then functions are
 compiled again, and a warning says so.
+
+Compiled functions call Python to unpickle what they need for their results, and do not look whether it failed: a signal
+that ended that by an exception would crash the process, so signals wait.
 """
 
 from __future__ import annotations
@@ -21,9 +24,13 @@ from typing import Any, TypeVar, cast
 import numba
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.runtime.nrt import rtsys
+from numba.core.serialize import _numba_unpickle
 from numba.core.types import unliteral
 
 from mixseq.errors import MixseqWarning
+from mixseq.interrupts import unbroken
+
+unbroken(_numba_unpickle)
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
