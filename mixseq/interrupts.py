@@ -4,8 +4,9 @@ What a handler raises is raised wherever Python happens to be. If that is inside
 module that is being imported or a callback, the library may print or drop it, and the work goes on: USD does so with
 an interrupt that falls into ``import pxr``; HDF5 dies of one that falls into its file. So signals wait until imports
 are done, and functions that are `unbroken`, come again when they were seen to be swallowed, and are looked for once
-more before a file gets its name. All this is for programs, as the command line: whoever uses the library decides what
-a signal does.
+more before a file gets its name. What fails meanwhile, as a process that Ctrl-C ended, too, or when half of the work is
+cleaned up, does not take a signal's place. All this is for programs, as the command line: whoever uses the library
+decides what a signal does.
 """
 
 from __future__ import annotations
@@ -73,6 +74,9 @@ def unwinding() -> Iterator[None]:
     sys.excepthook = lambda kind, *rest: swallowed(hooks[1], kind, kind, *rest)
     try:
         yield
+    except Exception:
+        raise_swallowed()
+        raise
     finally:
         for timer in again:
             timer.cancel()
