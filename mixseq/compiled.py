@@ -5,6 +5,9 @@ number of threads. Division by zero gives infinity, as in NumPy. Without an entr
 thirds of the time.
 
 If the cache on disk is damaged, or cannot be written, functions are compiled again, with a warning.
+
+Compiled functions call Python to unpickle what their results need, and do not check whether it failed: a signal that
+raised an exception there would crash the process, so signals are deferred.
 """
 
 from __future__ import annotations
@@ -20,9 +23,13 @@ from typing import Any, TypeVar, cast
 import numba
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.runtime.nrt import rtsys
+from numba.core.serialize import _numba_unpickle
 from numba.core.types import unliteral
 
 from mixseq.errors import MixseqWarning
+from mixseq.interrupts import unbroken
+
+unbroken(_numba_unpickle)
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

@@ -4,6 +4,7 @@ Python raises a handler's exception at any point. Inside a C library that called
 be dropped: USD drops interrupts during ``import pxr``; HDF5 crashes on one in its file. So signals are deferred until
 imports and `unbroken` functions return, raised again if swallowed, and checked before a file gets its final name. This
 is for programs such as the command line; in the library the caller handles signals.
+An error raised while a deferred signal unwinds does not replace the signal.
 """
 
 from __future__ import annotations
@@ -71,6 +72,9 @@ def unwinding() -> Iterator[None]:
     sys.excepthook = lambda kind, *rest: swallowed(hooks[1], kind, kind, *rest)
     try:
         yield
+    except Exception:
+        raise_swallowed()
+        raise
     finally:
         for timer in again:
             timer.cancel()

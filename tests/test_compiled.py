@@ -5,17 +5,23 @@ from __future__ import annotations
 import errno
 import os
 import pickle
+import signal
+import sys
 import tempfile
+import time
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from types import FrameType
 from typing import Any, NoReturn
 
 import numba
 import numpy as np
 import pytest
+from numba.core.serialize import _numba_unpickle
 
 from mixseq import compiled
 from mixseq.errors import MixseqWarning
+from mixseq.interrupts import unwinding
 
 SOURCE = """
 from mixseq.compiled import compiled
@@ -152,3 +158,33 @@ def test_numbers_that_stand_in_the_code_are_compiled_for_once(kept: Path) -> Non
     function = double(kept)
     assert function(np.arange(3.0)) == 8
     assert len(function.py_func.__globals__["add"].overloads) == 1
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_a_signal_waits_until_a_result_is_made(kept: Path) -> None:
+    """What makes an array of Python's of it calls Python, and crashes if that is interrupted."""
+    function = double(kept)
+    function(np.arange(3.0))
+    sent: list[bool] = []
+    done: list[float] = []
+
+    def interrupt(frame: FrameType, event: str, _: object) -> None:
+        if event == "call" and frame.f_code is _numba_unpickle.__code__ and not sent:
+            sent.append(True)
+            signal.raise_signal(signal.SIGINT)
+
+    def work() -> None:
+        before = sys.getprofile()
+        sys.setprofile(interrupt)
+        try:
+            done.extend(function(np.arange(3.0)))
+        finally:
+            sys.setprofile(before)
+        for _ in range(1000):
+            time.sleep(0.01)  # until the signal comes again
+        done.append(7.0)
+
+    with pytest.raises(KeyboardInterrupt), unwinding():
+        work()
+    assert sent == [True]
+    assert done == [0.0, 2.0, 4.0]

@@ -179,6 +179,49 @@ def test_files_are_moved_before_a_signal_ends_the_work(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a_1", "a_2"]
 
 
+def test_what_fails_while_a_signal_waits_does_not_take_its_place() -> None:
+    """As the answer of a process that Ctrl-C ended, too."""
+
+    @unbroken
+    def waiting() -> None:
+        send()
+        raise ValueError("the process has died")
+
+    with pytest.raises(KeyboardInterrupt), unwinding():
+        waiting()
+
+
+@pytest.mark.parametrize(
+    ("number", "kind"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)]
+)
+def test_what_fails_while_a_signal_cleans_up_does_not_take_its_place(
+    tmp_path: Path, number: int, kind: type[BaseException]
+) -> None:
+    (tmp_path / "a").write_text("old")
+
+    def work() -> None:
+        with replacing(tmp_path / "a") as temporary, temporary.open("w") as file:
+            try:
+                file.write("new")
+                send(number)
+            finally:
+                file.close()
+                file.write("the end")  # a ValueError: the file is closed
+
+    with pytest.raises(kind), unwinding():
+        work()
+    assert (tmp_path / "a").read_text() == "old"
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+def test_what_fails_after_the_answer_to_a_signal_is_told() -> None:
+    with pytest.raises(ValueError, match="odd"), unwinding():
+        with pytest.raises(KeyboardInterrupt):
+            send()
+        answered()
+        raise ValueError("odd")
+
+
 @pytest.mark.parametrize("function", ["clear", "_claim", "_delete"])
 def test_temporary_names_have_an_end_whenever_a_signal_comes(
     tmp_path: Path, function: str, monkeypatch: pytest.MonkeyPatch
