@@ -57,7 +57,7 @@ def examine(source: MeshSequence, target: MeshSequence, markers: Markers) -> Exa
     other, second = _thinned(y, target.faces, np.unique(markers.target))
     coarse = Markers(np.searchsorted(own, markers.source), np.searchsorted(other, markers.target))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", MixseqWarning)  # suspicions tell more, and the map is a stiff one
+        warnings.simplefilter("ignore", MixseqWarning)  # suspicions are reported, and the map is a stiff one
         try:
             quality = correspond_and_assess(first, second, coarse, settings=STIFF).quality
         except SettingsError as error:

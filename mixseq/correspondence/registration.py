@@ -27,7 +27,7 @@ from mixseq.errors import SettingsError
 from mixseq.progress import Progress, silent
 from mixseq.topology import Topology
 
-_BEGINNING = 3  # minimisations with markers alone, ours: similarities follow from the maps before
+_BEGINNING = 3  # minimisations with markers alone: similarities follow from the maps before
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from mixseq.arrays import Float, FloatArray
 
-_POINTS = 1 << 12  # looked at at once in all frames
+_POINTS = 1 << 12  # points per block, in all frames
 _FRAMES = 256  # compared at once with all frames
 
 

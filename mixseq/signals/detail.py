@@ -56,7 +56,7 @@ class Encoded:
     space: ShapeSpace  # the space
     shapes: LargeArray  # (T, S) the vectors of the frames without their placement
     placement: Float  # (T, P) the placement
-    # (T, C) coordinates of some vertices, which tell what operator in time predicts the sequence best.
+    # (T, C) coordinates of sampled vertices, used to select the temporal operator.
     samples: Float
     pose: PoseForm = "modes"  # what key shapes shall be
     in_body: bool = False  # whether poses of parts are predicted as seen from their bodies, too

@@ -126,7 +126,7 @@ def largest_error(
 ) -> float:
     """Return the largest distance of a vertex at the frames, in diagonals."""
     unit = bounding_diagonal(sequence.points[:1][0]) or 1.0
-    # Every 4th frame first, then those between: what is out of tolerance is out of it at many frames.
+    # Every 4th frame first, then those between: violations occur at many frames.
     frames = np.concatenate([np.arange(first, len(sequence.points), 4) for first in (0, 2, 1, 3)])
     largest, done = 0.0, 0
     size = min(FRAMES, block_size(sequence.header.vertex_count))

@@ -42,7 +42,7 @@ class FreeFrame(NamedTuple):
     lengths: Float  # (E',) edge lengths of joint faces, in diagonals
     angles: Float  # (H',) hinge angles of joint faces, in radians
     unposed: Float  # (V, 3) vertices as seen from their frames: those of a rigid part have its shape
-    posed: Float  # (V, 3) posed vertices, which tell where components are
+    posed: Float  # (V, 3) posed vertices, which place components
 
 
 @dataclass(frozen=True, eq=False)
