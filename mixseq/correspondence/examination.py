@@ -33,11 +33,11 @@ STIFF = CorrespondenceSettings(RegistrationSettings(softest=1e-2, steps=5))
 class Examination:
     """Results of examining markers."""
 
-    suspicions: tuple[Suspicion, ...] = ()  # markers that do not fit the others
+    suspicions: tuple[Suspicion, ...] = ()  # markers inconsistent with the others
     # (n,) how far a stiff map stays from every marker, in diagonals of the target; none if there are fewer than ten, or
     # no map was found.
     residuals: Float | None = None
-    coverage: float = 0.0  # share of the target's area that the map covers
+    coverage: float = 0.0  # share of the target's area covered by the map
     refusal: str = ""  # why there is no map; empty otherwise
 
     @property

@@ -60,7 +60,7 @@ class Quality:
     )
     filled_vertices: int  # number of target vertices with the match of a neighbour
     filled_faces: int  # number of target triangles with the match of a neighbour
-    followers: int  # components of the target that follow a vertex; vertices that no triangle uses are none
+    followers: int  # number of components that follow a vertex, without unused vertices
     # (n,) distances of marked vertices of the registered source from the vertices of the target that they should be at.
     marker_distances: Float
     markers: Markers  # the markers

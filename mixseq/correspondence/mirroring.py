@@ -65,7 +65,7 @@ class Mirror:
 
     mesh: TriangleMesh  # the body
     surface: CoarseSurface  # the same, thinned out
-    partners: Index  # (n,) the vertex of the coarse surface that every other one is
+    partners: Index  # (n,) the partner of every vertex of the coarse surface
 
     @classmethod
     def of(cls, points: FloatArray, topology: Topology) -> Mirror | None:

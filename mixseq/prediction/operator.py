@@ -45,7 +45,7 @@ ROUNDING = 2.0**-30
 class Rows:
     """Weights of frames at N times."""
 
-    frames: Index  # (N, m) frames that have a weight, in the order of time
+    frames: Index  # (N, m) frames with a weight, in the order of time
     weights: Float  # (N, m) their weights; rows add up to one
     count: int  # number T of all frames
 

@@ -58,7 +58,7 @@ class MovedContacts:
 
     rotations: Float  # (T, p, 3, 3) rotations of all parts
     centres: Float  # (T, p, 3) centres of all parts
-    turns: Float  # (T, k, 3, 3) by how much the parts of limbs turned, in the world's axes
+    turns: Float  # (T, k, 3, 3) rotations of the parts of limbs, in the world's axes
     # (T, g, 3) moves that turning did not reach: by that limbs got longer. A contact on the root has no limb; it stays
     # so far from where it should be.
     left: Float

@@ -58,7 +58,7 @@ class PartCorrespondence:
 
     source: Decomposition  # parts and joints of the source
     target: Decomposition  # parts and joints of the target
-    sources: Index  # (p',) the part of the source that moves every part of the target
+    sources: Index  # (p',) source part of every target part
 
     @property
     def part_of_face(self) -> tuple[Index, Index]:

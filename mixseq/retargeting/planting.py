@@ -28,7 +28,7 @@ class PlantedTransfer:
 
     method: MixedTransfer  # the transfer, with the stride of the target's legs
     poses: PartPoses  # of the target's parts in all frames, rotations (T, p', 3, 3) and centres (T, p', 3)
-    report: ContactReport  # what was done
+    report: ContactReport  # report of the changes
 
 
 def plant_contacts(

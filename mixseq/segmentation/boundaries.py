@@ -16,7 +16,7 @@ class Boundaries:
 
     parts: Index  # (n, 2) the parts i < j
     edges: Index  # (k, 2) vertices of the edges between faces of two parts
-    pair: Index  # (k,) the pair of parts that each edge is between
+    pair: Index  # (k,) the pair of parts of each edge
 
     @classmethod
     def of(cls, topology: Topology, part_of_face: Index) -> Boundaries:

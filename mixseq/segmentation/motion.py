@@ -135,9 +135,9 @@ class _Bodies:
     """Patches of faces that are merged step by step."""
 
     patches: Index  # (F,) patch of every face
-    moments: dict[int, Moments]  # moments of every patch that is left
+    moments: dict[int, Moments]  # moments of every remaining patch
     sizes: dict[int, int]  # number of its faces
-    neighbours: dict[int, set[int]]  # patches beside it
+    neighbours: dict[int, set[int]]  # neighbours of every patch
 
     @classmethod
     def of(cls, topology: Topology, faces: Elements, patches: Index) -> _Bodies:

@@ -89,9 +89,9 @@ class Shell(PickledWithoutCaches):
     """A mesh with an energy of lengths and angles."""
 
     topology: Topology  # connectivity
-    reference: Float  # (V, 3) some shape of it, in diagonals
+    reference: Float  # (V, 3) a reference shape, in diagonals
     typical: Float  # (E,) typical lengths of all edges, in diagonals
-    ties: Index  # (t, 2) further pairs of vertices whose sides are known: what holds together without an edge
+    ties: Index  # (t, 2) further pairs of vertices with known sides, which connect parts without edges
     # (V,) weights of expected positions relative to those of the sides of faces: positive for at least one vertex of
     # every component.
     position_weights: Float

@@ -52,7 +52,7 @@ def within(
     low, high, slack = 0.0, np.inf, tolerance / 4
     best: Model | None = None
     step = 2.0 ** np.floor(np.log2(tolerance / STEPS))
-    errors: dict[bytes, float] = {}  # of what was tried: short sequences have few models
+    errors: dict[bytes, float] = {}  # of tried models: short sequences have few
     for number in range(ROUNDS):
         progress(number, ROUNDS, "choosing modes and knots")
         model = build(encoded, Detail(slack=slack, step=step))
