@@ -112,10 +112,7 @@ class ArticulatedBody:
 
 
 def leg_length(body: ArticulatedBody, contact: Contact) -> float:
-    """Return the rest length from the root's pivot, through the pivots of its limb, to the middle of a contact.
-
-    From the root's centre, if the contact is on the root.
-    """
+    """Return the rest length from the root's pivot (or centre) through the limb's pivots to the middle of a contact."""
     limb = body.limb(contact)
     joints = [body.pivot(part) for part in limb] or [body.centres[body.root]]
     way = np.stack([*joints, contact.points.mean(axis=0)])

@@ -39,10 +39,7 @@ def plant_contacts(
     workers: Executor,
     progress: Progress = silent,
 ) -> PlantedTransfer:
-    """Find poses in which contacts ``(k,)`` of a transfer do not slide while those of the source ``(T, V, 3)`` rest.
-
-    The root's travel scales with the ratio of the target's legs to those of a copy.
-    """
+    """Find poses in which contacts ``(k,)`` rest as those of the source ``(T, V, 3)``; travel scales with the legs."""
     target, source, correspondence = (
         method.gradients.target,
         method.gradients.source,

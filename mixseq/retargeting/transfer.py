@@ -112,10 +112,7 @@ def plan(
     progress: Progress = silent,
     workers: Executor | None = None,
 ) -> Transfer:
-    """Prepare a transfer without making frames; parameters and errors are those of `transfer`.
-
-    A `SourceMotion` has its own rest and parts.
-    """
+    """Prepare a transfer without making frames; takes and raises what `transfer` does, a `SourceMotion` also."""
     if method not in TRANSFERS:
         raise SettingsError(f"method is {method!r}; {' or '.join(map(repr, TRANSFERS))} is expected")
     if contacts and method != "mixed":

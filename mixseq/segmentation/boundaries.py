@@ -57,10 +57,7 @@ class Rim:
         return cls(topology.vertex_count, ends, sides, edges, faces, corners)
 
     def narrowness(self, patches: Index) -> Float:
-        """Return the share of each patch's corners that joints would take: on its boundary or one edge away.
-
-        Patches ``(F,)`` are those of `of`, or some of them merged.
-        """
+        """Return the share of each patch's corners on its boundary or one edge away: patches ``(F,)``, also merged."""
         across = patches[self.sides]
         boundary = _marked(self.ends[across[:, 0] != across[:, 1]], self.vertex_count)
         near = _marked(self.edges[boundary[self.edges].any(axis=1)], self.vertex_count)
