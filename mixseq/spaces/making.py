@@ -46,7 +46,7 @@ class MixedSettings:
     """Settings of the mixed space."""
 
     placement: PlacementName = "anchored"  # how parts are placed
-    parts: int | ArrayLike | None = None  # number of parts, or part (F,) of triangles; by default from the motion
+    parts: int | ArrayLike | None = None  # number of parts, or part (F,) of triangles; None finds them
     joint_width: int = 3  # largest width of joints, in strips of triangles on each side of a boundary
     segmentation: Segmentation = "motion"  # method that finds parts, or its settings
     purpose: Purpose = "sequence"  # use of the space, see `mixed_space`
