@@ -65,7 +65,7 @@ class Suspicion:
     """Markers that do not fit the others."""
 
     numbers: Index  # (k,) which
-    why: str  # what is wrong with them, and what to do
+    why: str  # the problem, and its cure
 
 
 def check_markers(

@@ -26,7 +26,7 @@ LITTLE = 0.5
 
 
 FILLED, FLIPPED = 0.05, 0.01
-"""Shares of target triangles without a match, or with a flipped one, that are worth a warning; usual are 0.01 and 0."""
+"""Shares of target triangles without a match, or flipped, that are worth a warning; tried pairs have < 0.01 and 0."""
 
 
 @dataclass(frozen=True)

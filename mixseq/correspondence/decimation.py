@@ -27,7 +27,7 @@ ROUND = 0.15
 
 
 def decimate(points: Float, faces: Index, count: int, keep: Index | None = None) -> tuple[Index, Index]:
-    """Decimate a mesh ``(n, 3), (m, 3)`` to `count` vertices, keeping some: vertices ``(c,)``, faces ``(k, 3)``."""
+    """Decimate a mesh ``(n, 3), (m, 3)`` to `count` vertices, keeping some: vertices ``(c,)``, faces ``(f, 3)``."""
     from mixseq.correspondence.decimation_kernels import collapse
 
     topology = Topology(faces, len(points))

@@ -42,7 +42,7 @@ _LEAST_AREA = 1e-6
 class SoftConstraints:
     """Soft position constraints: points of a mesh that are drawn to goals."""
 
-    corners: Index  # (n, k) vertices that the points are between: one, or the corners of a triangle
+    corners: Index  # (n, k) vertices of each point: one, or the corners of a triangle
     barycentric: Float  # (n, k) their weights in the point, which add to one
     goals: Float  # (n, 3) where the points should be
     weights: Float  # (n,) weights of the squared distances from there
@@ -52,7 +52,7 @@ class SoftConstraints:
 class Energy:
     """The energy of a mesh; each vertex is in a triangle, and some triangle has an area."""
 
-    mesh: TriangleMesh  # the mesh before it is deformed, in a unit of about its size
+    mesh: TriangleMesh  # the mesh before its deformation, in a unit of about its size
     bending: float  # the length over which maps are alike
     shear: float  # the weight of similarities against affine maps
 

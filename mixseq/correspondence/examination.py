@@ -33,11 +33,11 @@ STIFF = CorrespondenceSettings(RegistrationSettings(softest=1e-2, steps=5))
 class Examination:
     """Results of examining markers."""
 
-    suspicions: tuple[Suspicion, ...] = ()  # markers that do not fit the others
+    suspicions: tuple[Suspicion, ...] = ()  # markers inconsistent with the others
     # (n,) how far a stiff map stays from every marker, in diagonals of the target; none if there are fewer than ten, or
     # no map was found.
     residuals: Float | None = None
-    coverage: float = 0.0  # share of the target's area that the map covers
+    coverage: float = 0.0  # share of the target's area covered by the map
     refusal: str = ""  # why there is no map; empty otherwise
 
     @property
@@ -57,7 +57,7 @@ def examine(source: MeshSequence, target: MeshSequence, markers: Markers) -> Exa
     other, second = _thinned(y, target.faces, np.unique(markers.target))
     coarse = Markers(np.searchsorted(own, markers.source), np.searchsorted(other, markers.target))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", MixseqWarning)  # suspicions tell more, and the map is a stiff one
+        warnings.simplefilter("ignore", MixseqWarning)  # suspicions are reported, and the map is a stiff one
         try:
             quality = correspond_and_assess(first, second, coarse, settings=STIFF).quality
         except SettingsError as error:

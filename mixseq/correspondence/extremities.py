@@ -40,7 +40,7 @@ class Extremities:
 
     vertices: Index  # (e,) where they are, as numbered in the mesh
     points: Float  # (e, 3) the same, in the unit of the coarse surface
-    prominences: Float  # (e,) how prominent they are; all lengths are in roots of the area
+    prominences: Float  # (e,) their prominences; all lengths are in roots of the area
     # (e,) how far from it the mean distance is as large but for 0.01: 0.02 to 0.07 of a hoof; a round head has more, so
     # that where its tip is remains open.
     radii: Float

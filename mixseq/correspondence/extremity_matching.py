@@ -62,7 +62,7 @@ class Matched:
 
     first: int  # number of the extremity of the first body
     second: int  # number of the extremity of the second body
-    margin: float  # by how much any other matching costs more
+    margin: float  # additional cost of the best other matching
 
 
 def match_extremities(first: Extremities, second: Extremities) -> list[Matched]:

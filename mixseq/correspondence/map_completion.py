@@ -121,10 +121,7 @@ def _vertices_of(triangles: Index, source: TriangleMesh, target: TriangleMesh) -
 
 
 def _shared(vertex: Index, candidates: Index, same_corner: Index, around: Index) -> Index:
-    """Return the source vertex ``(n,)`` that all mapped triangles around a target vertex share, or -1.
-
-    Shapes: vertex, same_corner ``(n,)``; candidates ``(n, 3)``; around ``(V',)``.
-    """
+    """Return the common source vertex ``(n,)`` of mapped triangles at target vertices, or -1: candidates ``(n, 3)``."""
     result = np.full(len(around), -1)
     for votes in (candidates, same_corner[:, None]):
         pairs = np.stack([np.repeat(vertex, votes.shape[1]), votes.reshape(-1)], axis=1)

@@ -36,12 +36,12 @@ class MatchingSettings:
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """A correspondence, and the matches found without filling in."""
+    """A correspondence, and its matches before filling in."""
 
     correspondence: Correspondence  # the map
     found_vertices: Mask  # (V',) target vertices with a closest point of their own, not filled in
     found_faces: Mask  # (F',) target triangles with a closest point of their own, not filled in
-    # (V',) distances of vertices from what they found, in the unit of the points; infinite where they found nothing.
+    # (V',) distances of vertices from their matches, in the unit of the points; infinite without a match.
     distances: Float
 
 
@@ -60,7 +60,7 @@ class Quality:
     )
     filled_vertices: int  # number of target vertices with the match of a neighbour
     filled_faces: int  # number of target triangles with the match of a neighbour
-    followers: int  # components of the target that follow a vertex; vertices that no triangle uses are none
+    followers: int  # number of components that follow a vertex, without unused vertices
     # (n,) distances of marked vertices of the registered source from the vertices of the target that they should be at.
     marker_distances: Float
     markers: Markers  # the markers
@@ -104,7 +104,7 @@ def match(
         nearest = _nearest_along(graph, np.flatnonzero(kind & found_themselves))
         filled = np.flatnonzero(kind & (nearest >= 0))
         faces[filled], weights[filled] = faces[nearest[filled]], weights[nearest[filled]]
-    for search, own in searches:  # components of which nothing is near: anything is better than nothing
+    for search, own in searches:  # components without a near match take any
         left = own[faces[own] < 0]
         found = search.query(queries[left])
         faces[left], weights[left] = found.faces, found.weights
@@ -144,7 +144,7 @@ def assess(
         found = goal.query(registered.centroids[own], registered.face_normals[own], settings.largest_angle)
         near = found.distances <= settings.largest_distance * size
         covered += float(registered.face_areas[own[near]].sum())
-    # One zero if nothing was found, which the coverage tells.
+    # One zero without matches, which the coverage reports.
     distances = (
         matches.distances[matches.found_vertices] / size if matches.found_vertices.any() else np.zeros(1)
     )

@@ -65,7 +65,7 @@ class Mirror:
 
     mesh: TriangleMesh  # the body
     surface: CoarseSurface  # the same, thinned out
-    partners: Index  # (n,) the vertex of the coarse surface that every other one is
+    partners: Index  # (n,) the partner of every vertex of the coarse surface
 
     @classmethod
     def of(cls, points: FloatArray, topology: Topology) -> Mirror | None:
@@ -154,7 +154,7 @@ def _exchanged(extremities: Extremities) -> Index | None:
 
 
 def _exchanges(numbers: Sequence[int]) -> Iterator[tuple[int, ...]]:
-    """Yield all ways to exchange some numbers 0 to n in pairs, as where each goes.
+    """Yield all exchanges of numbers 0 to n in pairs, as the target of each.
 
     >>> list(_exchanges(range(3)))
     [(0, 1, 2), (0, 2, 1), (1, 0, 2), (2, 1, 0)]

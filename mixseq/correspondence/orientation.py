@@ -91,7 +91,7 @@ def check_facing(
 ) -> None:
     """Raise if a target ``(V', 3)`` faces away from the source ``(V, 3)`` fitted to it, where one has no outside."""
     if orientation(registered, source_faces).sign * orientation(target_points, target_faces).sign != 0:
-        return  # `check_orientation` knows better
+        return  # `check_orientation` decides
     share = _against(registered, source_faces, target_points, target_faces)
     if share > 0.5:
         raise SettingsError(

@@ -173,7 +173,7 @@ def exchanged_groups(bending: Bending, source: Float, target: Float) -> tuple[In
             both = np.concatenate([first, second])
             try:
                 off = np.linalg.solve(matrix[np.ix_(both, both)], force[both])
-            except np.linalg.LinAlgError:  # the others are in a plane, and do not say where these should be
+            except np.linalg.LinAlgError:  # the others are in a plane, and predict nothing
                 continue
             one, two = off[: len(first)].mean(axis=0), off[len(first) :].mean(axis=0)
             apart = target[second].mean(axis=0) - target[first].mean(axis=0)

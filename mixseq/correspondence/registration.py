@@ -27,7 +27,7 @@ from mixseq.errors import SettingsError
 from mixseq.progress import Progress, silent
 from mixseq.topology import Topology
 
-_BEGINNING = 3  # minimisations with markers alone, ours: similarities follow from the maps before
+_BEGINNING = 3  # minimisations with markers alone: similarities follow from the maps before
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class RegistrationSettings:
     stiffest: float = 1.0  # first stiffness
     softest: float = 1e-5  # last stiffness
     steps: int = 10  # number of stiffnesses, evenly spaced in their logarithm
-    rounds: int = 2  # how often closest points are sought at every stiffness
+    rounds: int = 2  # rounds of closest points per stiffness
     bending: float = 0.1  # length over which maps are alike, in diagonals of the target
     shear: float = 0.1  # weight of similarities against affine maps
     markers: float = 1.0  # weight of all markers together; that of either surface is 1
@@ -62,7 +62,7 @@ class Registration:
     """A source deformed onto a target."""
 
     points: Float  # (V, 3) the source's vertices, deformed, in the target's unit
-    similarity: Similarity  # the motion and scaling that it began with
+    similarity: Similarity  # the initial similarity
     # (steps * rounds,) root mean square of the distances of source vertices to what drew them, in diagonals of the
     # target.
     residuals: Float
@@ -125,7 +125,7 @@ class DataTerm:
     """The fitted components of a source as a mesh of their own, and constraints that draw them to the target."""
 
     vertices: Index  # (n,) its vertices, ascending, as numbered in the source
-    mesh: TriangleMesh  # that mesh before it is deformed
+    mesh: TriangleMesh  # that mesh before its deformation
     target: TriangleMesh  # the target
     # What belongs together, with the source's vertices and triangles numbered as in that mesh.
     pairings: tuple[Pairing, ...]

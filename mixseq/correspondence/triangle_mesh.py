@@ -122,7 +122,7 @@ class ClosestPoints:
     """Closest-point queries on some triangles of a mesh."""
 
     mesh: TriangleMesh  # the mesh
-    triangles: Index  # (n,) its triangles that count
+    triangles: Index  # (n,) searched triangles of it
 
     @cached_property
     def _nearest(self) -> Nearest:

@@ -20,9 +20,9 @@ class Attachments:
     """A tree of pieces: each but the root is attached to another one at a vertex."""
 
     root: int  # the piece that holds all others
-    pieces: Index  # (n,) the others, each after the piece that holds it
+    pieces: Index  # (n,) the others, each after its holder
     own: Index  # (n,) the vertex by which each is held
-    other: Index  # (n,) the vertex that holds it
+    other: Index  # (n,) the vertex of the holder
     holders: Index  # (n,) the piece of that vertex
 
     def __len__(self) -> int:

@@ -110,7 +110,7 @@ def unwrap_angles(angles: FloatArray, reference: FloatArray | None = None) -> Fl
     """Add whole turns to angles ``(T, H)``: each is within half a turn of the frame before, or of the reference."""
     result = np.array(angles, dtype=np.float64)
     previous = reference
-    for frame in result:  # one by one, so that a frame is the same in whatever block it comes
+    for frame in result:  # one by one, so that a frame is the same in any block
         if previous is not None:
             frame -= _TURN * np.round((frame - previous) / _TURN)
         previous = frame

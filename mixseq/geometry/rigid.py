@@ -8,7 +8,7 @@ import numpy as np
 
 from mixseq.arrays import Float, FloatArray
 
-_POINTS = 1 << 12  # looked at at once in all frames
+_POINTS = 1 << 12  # points per block, in all frames
 _FRAMES = 256  # compared at once with all frames
 
 
@@ -36,10 +36,7 @@ def _nearest(matrices: Float, held: float) -> Float:
 
 
 def kabsch(source: FloatArray, target: FloatArray, weights: FloatArray | None = None) -> tuple[Float, Float]:
-    """Find the rigid motions ``x -> R x + t``, ``(..., 3, 3)`` and ``(..., 3)``, that best move points onto others.
-
-    Points are ``(..., N, 3)``, weights ``(N,)`` (Kabsch 1976).
-    """
+    """Find rigid motions ``x -> R x + t`` of points ``(..., N, 3)``, weights ``(N,)``, onto others (Kabsch 1976)."""
     count = source.shape[-2]
     w = np.full(count, 1.0 / max(count, 1)) if weights is None else weights / weights.sum()
     source_centre = np.einsum("n,...ni->...i", w, source)

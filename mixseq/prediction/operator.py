@@ -45,7 +45,7 @@ ROUNDING = 2.0**-30
 class Rows:
     """Weights of frames at N times."""
 
-    frames: Index  # (N, m) frames that have a weight, in the order of time
+    frames: Index  # (N, m) frames with a weight, in the order of time
     weights: Float  # (N, m) their weights; rows add up to one
     count: int  # number T of all frames
 
@@ -54,7 +54,7 @@ class Rows:
         flat = values.reshape(self.count, -1)
         found = np.empty((len(self.frames), flat.shape[1]))
         for row, weights, frames in zip(found, self.weights, self.frames, strict=True):
-            np.einsum("m,mc->c", weights, flat[frames], out=row)  # in order, whatever the number of threads
+            np.einsum("m,mc->c", weights, flat[frames], out=row)  # in order, for any number of threads
         return found.reshape(len(self.frames), *values.shape[1:])
 
 

@@ -24,7 +24,7 @@ NOTHING = 1e-12
 class Poses(NamedTuple):
     """Poses of p parts in T frames."""
 
-    rotations: Float  # (T, p, 4) quaternions of unit length, with signs that do not jump
+    rotations: Float  # (T, p, 4) unit quaternions with continuous signs
     centres: Float  # (T, p, 3) where the parts' centres are
 
 

@@ -33,7 +33,7 @@ def spline_weights(knots: Float, times: Float, ends: Ends) -> Float:
     if ends == "not-a-knot" and len(knots) > 3:
         system[0, :3] = steps[1], -steps[0] - steps[1], steps[0]
         system[-1, -3:] = steps[-1], -steps[-1] - steps[-2], steps[-2]
-    elif ends == "not-a-knot" and len(knots) == 3:  # both ends ask for the same: it is a parabola
+    elif ends == "not-a-knot" and len(knots) == 3:  # both conditions are the same: it is a parabola
         system[0, 1] = system[-1, -2] = -1.0
     bends = np.linalg.solve(system, right)
 

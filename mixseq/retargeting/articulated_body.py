@@ -23,9 +23,9 @@ from mixseq.geometry.rotations import turned
 class Contact:
     """A named group of vertices that touch the ground together."""
 
-    name: str  # what messages and reports call it
+    name: str  # name in messages and reports
     points: Float  # (k, 3) the vertices at rest
-    parts: Index  # (k,) the part that carries each
+    parts: Index  # (k,) the part of each vertex
     # (T, k, 3) the vertices frame by frame, as their parts at rest see them, if the parts do not only move rigidly.
     local: Float | None = None
 
@@ -35,9 +35,9 @@ class ArticulatedBody:
     """Rigid parts and the pivots between them."""
 
     centres: Float  # (p, 3) rest centres of the parts
-    pairs: Index  # (n, 2) pairs of parts that meet
+    pairs: Index  # (n, 2) pairs of adjacent parts
     pivots: Float  # (n, 3) where they meet, at rest
-    root: int  # the part that all others hang on, the body itself
+    root: int  # root of the tree of parts, the body itself
 
     @cached_property
     def parents(self) -> dict[int, tuple[int, int]]:
@@ -112,10 +112,7 @@ class ArticulatedBody:
 
 
 def leg_length(body: ArticulatedBody, contact: Contact) -> float:
-    """Return the rest length from the root's pivot, through the pivots of its limb, to the middle of a contact.
-
-    From the root's centre, if the contact is on the root.
-    """
+    """Return the rest length from the root's pivot (or centre) through the limb's pivots to the middle of a contact."""
     limb = body.limb(contact)
     joints = [body.pivot(part) for part in limb] or [body.centres[body.root]]
     way = np.stack([*joints, contact.points.mean(axis=0)])

@@ -20,8 +20,8 @@ class Follower:
     """A component of the target, or some vertices of it, without a counterpart, and the vertex it follows."""
 
     name: str  # the component
-    vertices: int  # how many vertices follow
-    leader: int  # the vertex that they follow; the first one, if there are several
+    vertices: int  # number of following vertices
+    leader: int  # the vertex they follow; the first of several
     leads: str  # the component of that vertex
 
 
@@ -29,10 +29,10 @@ class Follower:
 class Coverage:
     """Share of a target with a counterpart."""
 
-    vertices: float  # share of its vertices that are on the source
+    vertices: float  # share of its vertices on the source
     area: float  # share of its area whose triangles are moved by a triangle of the source
     source_area: float  # share of the source's area whose triangles move one of the target's
-    followers: tuple[Follower, ...]  # what follows, component by component
+    followers: tuple[Follower, ...]  # following components
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""

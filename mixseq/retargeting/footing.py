@@ -54,7 +54,7 @@ def misses(paths: Float, found: Sequence[Sequence[Stance]], negligible: float) -
 def body_shift(
     missed: Float, found: Sequence[Sequence[Stance]], axis: int, fps: float
 ) -> tuple[Float, Float]:
-    """Return the body's shift ``(T, 3)``, and the contacts' remaining moves ``(g, T, 3)``, from misses ``(g, T, 3)``."""
+    """Return the body's shift ``(T, 3)``, and remaining moves of contacts, from misses, both ``(g, T, 3)``."""
     from scipy import sparse
     from scipy.sparse.linalg import splu
 

@@ -32,10 +32,10 @@ class GroupReport:
     """Sliding of one contact, before and after, in diagonals of the target."""
 
     name: str  # the contact
-    stances: tuple[Stance, ...]  # when it rests
+    stances: tuple[Stance, ...]  # its stances
     before: float  # path length of its middle in all stances, as transferred
     after: float  # path length of its middle in all stances, as corrected
-    residual: float  # the most that its limb got longer, as turning did not suffice
+    residual: float  # largest stretch of its limb, where rotation did not suffice
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ class ContactReport:
     """Sliding of all contacts, and the motions that removed it."""
 
     groups: tuple[GroupReport, ...] = ()  # one for each contact
-    shift: float = 0.0  # the most that the whole body was moved, in diagonals of the target
-    turn: float = 0.0  # the most that a part of a limb was turned, in degrees
+    shift: float = 0.0  # largest shift of the whole body, in diagonals of the target
+    turn: float = 0.0  # largest rotation of a part of a limb, in degrees
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class PlantedMotion:
 
     rotations: Float  # (T, p, 3, 3) of the parts
     centres: Float  # (T, p, 3) where their rest centres go
-    report: ContactReport  # what was done
+    report: ContactReport  # report of the changes
 
 
 def remove_footskate(

@@ -42,7 +42,7 @@ class GradientTransfer(PickledWithoutCaches):
     source: GradientSpace  # gradient space of the source at rest, in a unit of its own
     target: GradientSpace  # gradient space of the target at rest, in a unit of its own
     correspondence: Correspondence  # where the target is on the source
-    alignment: Alignment  # how the target stands to the source, in the units of the meshes
+    alignment: Alignment  # from source to target, in the units of the meshes
     parts = None
     """None: gradients have no parts."""
 

@@ -58,7 +58,7 @@ class MovedContacts:
 
     rotations: Float  # (T, p, 3, 3) rotations of all parts
     centres: Float  # (T, p, 3) centres of all parts
-    turns: Float  # (T, k, 3, 3) by how much the parts of limbs turned, in the world's axes
+    turns: Float  # (T, k, 3, 3) rotations of the parts of limbs, in the world's axes
     # (T, g, 3) moves that turning did not reach: by that limbs got longer. A contact on the root has no limb; it stays
     # so far from where it should be.
     left: Float
@@ -120,7 +120,7 @@ def _forward(
         turn, stretch = own.get(part, (carried, none))
         turns[part] = turn
         pivot = body.placed(body.pivot(part), [part], rotations, centres)[:, 0]
-        # Differences to what was, so that frames in which nothing turns stay as they are to the last bit.
+        # Differences to the motion, so that frames without rotations keep every bit.
         change = placed[:, above] - centres[:, above] + stretch
         change += turned(carried - identity, pivot - centres[:, above])
         change += turned(turn - identity, centres[:, part] - pivot)
@@ -136,7 +136,7 @@ def turn_limbs(levers: Float, moves: Float, compliance: Float) -> tuple[Float, F
     """
     count, ends, parts, _ = levers.shape
     lengths = np.linalg.norm(levers, axis=3).sum(axis=2)
-    lengths = np.where(lengths > 0, lengths, 1.0)  # a contact on the root: nothing turns
+    lengths = np.where(lengths > 0, lengths, 1.0)  # a contact on the root has no limb
     turns, lever = np.tile(np.eye(3), (count, parts, 1, 1)), levers
     goals = _within_reach(_mobility(levers, compliance), moves, lengths)
     moved, diagonal = np.zeros_like(moves), np.arange(3 * ends)

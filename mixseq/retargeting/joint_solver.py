@@ -33,7 +33,7 @@ class JointFrame(NamedTuple):
     rotations: Float  # (p, 3, 3) rotations of the parts
     translations: Float  # (p, 3) translations of the parts
     offsets: Float  # (F, 3) offsets of the free vertices from where the parts carry them
-    offset_weights: Float  # (F,) how much the offsets count: weights of soft position constraints
+    offset_weights: Float  # (F,) weights of offsets as soft position constraints
 
 
 @dataclass(frozen=True, eq=False)

@@ -44,10 +44,10 @@ OFFSET_WEIGHT = 0.3
 class MixedTransfer(PickledWithoutCaches):
     """Transfer by the parts and joints of the source."""
 
-    gradients: GradientTransfer  # the two meshes at rest, and how they correspond
+    gradients: GradientTransfer  # the two meshes at rest, and their correspondence
     parts: PartCorrespondence  # parts and joints of both
     settings: ShellSettings  # settings of the joint solves
-    stride: float = 1.0  # how many times as far the root goes as the scale of the meshes tells
+    stride: float = 1.0  # ratio of the root's travel to that scaled by the size of the meshes
 
     @property
     def _correspondence(self) -> Correspondence:

@@ -58,7 +58,7 @@ class PartCorrespondence:
 
     source: Decomposition  # parts and joints of the source
     target: Decomposition  # parts and joints of the target
-    sources: Index  # (p',) the part of the source that moves every part of the target
+    sources: Index  # (p',) source part of every target part
 
     @property
     def part_of_face(self) -> tuple[Index, Index]:
@@ -74,10 +74,7 @@ def carry_parts(
     rest: Float,
     joint_width: int,
 ) -> PartCorrespondence:
-    """Cut a target at rest ``(V', 3)`` into parts as its source, and grow joints between them.
-
-    Rotations ``(T, p, 3, 3)`` of the source's parts determine the widths of joints, up to `joint_width` strips.
-    """
+    """Cut a target at rest ``(V', 3)`` as its source; part rotations ``(T, p, 3, 3)`` determine the joint widths."""
     faces = topology.faces
     labels = carry_labels(source.part_of_face, correspondence, faces)
     labels = without_small_regions(topology, labels, TriangleMesh(rest, topology).face_areas)

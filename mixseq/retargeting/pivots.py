@@ -49,9 +49,9 @@ r"""Largest distance :math:`\rho` of gaps from those of gradients, in boundary r
 class Pivots:
     """Pivots of a mesh: at the boundaries between parts first, then at attachments of pieces."""
 
-    pairs: Index  # (n, 2) the parts that meet. They connect all parts
+    pairs: Index  # (n, 2) adjacent parts, which connect all parts
     boundaries: Boundaries  # edges between parts
-    attachments: Attachments  # what holds pieces that no edge connects
+    attachments: Attachments  # attachments of disconnected pieces
 
     @classmethod
     def of(cls, gradients: GradientTransfer, decomposition: Decomposition) -> Pivots:

@@ -28,7 +28,7 @@ class PlantedTransfer:
 
     method: MixedTransfer  # the transfer, with the stride of the target's legs
     poses: PartPoses  # of the target's parts in all frames, rotations (T, p', 3, 3) and centres (T, p', 3)
-    report: ContactReport  # what was done
+    report: ContactReport  # report of the changes
 
 
 def plant_contacts(
@@ -39,10 +39,7 @@ def plant_contacts(
     workers: Executor,
     progress: Progress = silent,
 ) -> PlantedTransfer:
-    """Find poses in which contacts ``(k,)`` of a transfer do not slide while those of the source ``(T, V, 3)`` rest.
-
-    The root's travel scales with the ratio of the target's legs to those of a copy.
-    """
+    """Find poses in which contacts ``(k,)`` rest as those of the source ``(T, V, 3)``; travel scales with the legs."""
     target, source, correspondence = (
         method.gradients.target,
         method.gradients.source,

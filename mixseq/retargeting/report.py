@@ -69,7 +69,7 @@ class Counts:
 class TransferReport:
     """Measures of a transfer; their formulas are at the head of this module."""
 
-    coverage: Coverage  # what has a counterpart, and what follows
+    coverage: Coverage  # shares with a counterpart, and followers
     strain: Statistics  # strain of the target's edges
     source_strain: Statistics  # strain of the source's edges
     excess: Statistics  # excess of the target's edges

@@ -34,7 +34,7 @@ class SourceMotion:
     topology: Topology  # connectivity
     points: LargeArray  # (T, V, 3) the frames
     rest: Float  # (V, 3) the shape at rest, as large as in the frames
-    parts: int | ArrayLike | None  # parts that are given, or how many there should be
+    parts: int | ArrayLike | None  # given parts, or their number
 
     def part_of_face(self) -> Index:
         """Return the part ``(F,)`` of every triangle: given, or found from the motion."""

@@ -48,12 +48,12 @@ class TransferMethod(Protocol):
 class Transfer:
     """A transfer that is ready to make frames; made by `plan`."""
 
-    header: SequenceHeader  # what the result is: the target's mesh, at the source's times
+    header: SequenceHeader  # header of the result: the target's mesh, at the source's times
     source: SourceMotion  # the source: its frames and its shape at rest
     target: Float  # (V', 3) the target at rest
     correspondence: Correspondence  # where the target is on the source
-    method: TransferMethod  # what moves the target
-    quality: Quality | None = None  # how good the correspondence is, if it was found from markers
+    method: TransferMethod  # method that moves the target
+    quality: Quality | None = None  # quality of a correspondence from markers
     # Where the parts go so that contacts do not slide, if there are any.
     planted: PlantedTransfer | None = None
 
@@ -112,10 +112,7 @@ def plan(
     progress: Progress = silent,
     workers: Executor | None = None,
 ) -> Transfer:
-    """Prepare a transfer without making frames; parameters and errors are those of `transfer`.
-
-    A `SourceMotion` has its own rest and parts.
-    """
+    """Prepare a transfer without making frames; takes and raises what `transfer` does, a `SourceMotion` also."""
     if method not in TRANSFERS:
         raise SettingsError(f"method is {method!r}; {' or '.join(map(repr, TRANSFERS))} is expected")
     if contacts and method != "mixed":

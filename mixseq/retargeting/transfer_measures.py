@@ -28,7 +28,7 @@ FLAT = 1e-3
 class Expected:
     """Expected stretches and normals of the target's triangles."""
 
-    gradients: GradientTransfer  # the two meshes at rest, and how they correspond
+    gradients: GradientTransfer  # the two meshes at rest, and their correspondence
     rest: Float  # (V', 3) target at rest, in its own units
     source_rest: Float  # (V, 3) source at rest, in its own units
 

@@ -16,7 +16,7 @@ class Boundaries:
 
     parts: Index  # (n, 2) the parts i < j
     edges: Index  # (k, 2) vertices of the edges between faces of two parts
-    pair: Index  # (k,) the pair of parts that each edge is between
+    pair: Index  # (k,) the pair of parts of each edge
 
     @classmethod
     def of(cls, topology: Topology, part_of_face: Index) -> Boundaries:
@@ -57,10 +57,7 @@ class Rim:
         return cls(topology.vertex_count, ends, sides, edges, faces, corners)
 
     def narrowness(self, patches: Index) -> Float:
-        """Return the share of each patch's corners that joints would take: on its boundary or one edge away.
-
-        Patches ``(F,)`` are those of `of`, or some of them merged.
-        """
+        """Return the share of each patch's corners on its boundary or one edge away: patches ``(F,)``, also merged."""
         across = patches[self.sides]
         boundary = _marked(self.ends[across[:, 0] != across[:, 1]], self.vertex_count)
         near = _marked(self.edges[boundary[self.edges].any(axis=1)], self.vertex_count)

@@ -13,8 +13,8 @@ from mixseq.geometry.rigid import nearest_rotations
 from mixseq.segmentation.elements import Elements, Trajectories
 from mixseq.segmentation.rigid_error import Moments
 
-_LANES = 8  # columns of costs are computed so many at a time
-_WORK = 1 << 24  # at most so many numbers in an array of costs, unless so few columns are more
+_LANES = 8  # columns of costs computed at a time
+_WORK = 1 << 24  # numbers in an array of costs, unless `_LANES` columns have more
 _TINY = np.finfo(np.float64).tiny
 
 

@@ -78,10 +78,7 @@ class Diffusion:
         return np.asarray(_factored(system).solve(self.areas * values), dtype=np.float64)
 
     def embedding(self, time: float, count: int) -> Float:
-        """Coordinates ``(V, count)`` whose Euclidean distances are diffusion distances, within each component.
-
-        Small components have fewer coordinates, padded with zeros.
-        """
+        """Coordinates ``(V, count)`` with diffusion distances within each component; padded with zeros if small."""
         result = np.zeros((self.topology.vertex_count, count))
         for component, values, vectors in self._spectra(count):
             result[component, : len(values)] = vectors * np.exp(-time * values)

@@ -52,9 +52,9 @@ class Elements:
 
     trajectories: Trajectories  # of their vertices
     corners: Table  # (E, 4) vertices of every element; V stands for none
-    corner_factors: Single  # (E,) one over the number of those
+    corner_factors: Single  # (E,) inverse numbers of those
     weights: Float  # (E,) weight of each of its vertices: a share of its area
-    pairs: Index  # (n, 2) elements that are neighbours
+    pairs: Index  # (n, 2) pairs of neighbours
 
     @classmethod
     def faces(cls, topology: Topology, x: Float) -> Elements:

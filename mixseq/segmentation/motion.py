@@ -41,22 +41,21 @@ class MotionSettings:
     Attributes
     ----------
     clusters : int
-        Clusters to start from; parts are merged from these.
+        Number of initial clusters, from which parts are merged.
     frames : int
-        Frames looked at, evenly spread over the sequence.
+        Number of frames, evenly spread over the sequence.
     smoothing : float
         Rounds of averaging costs over neighbouring faces, per square root of the number of faces, so that
         boundaries are equally smooth on coarse and on dense meshes.
     bend : float
-        A boundary stays where its sides turn against each other by more degrees than this, between any two
-        frames ...
+        A boundary stays if its sides rotate against each other by more than this between any two frames, in
+        degrees ...
     narrow : float
         ... and by up to this fraction more where a side is so narrow that its joints would take all of it:
-        such patches are where skin bends, not parts.
+        such patches are bending skin.
     soft, stiff : float
-        A patch softer than `soft` is no part: it joins a neighbour with which it is stiffer than `stiff`, if
-        there is one. Softness is the largest rigid error of a frame, root mean square, relative to the radius
-        of gyration.
+        A patch softer than `soft` joins a neighbour with which it is stiffer than `stiff`, if there is one.
+        Softness is the largest rigid error of a frame, root mean square, relative to the radius of gyration.
     small_region : float
         Patches below this fraction of the faces join a neighbour.
     """
@@ -136,9 +135,9 @@ class _Bodies:
     """Patches of faces that are merged step by step."""
 
     patches: Index  # (F,) patch of every face
-    moments: dict[int, Moments]  # moments of every patch that is left
+    moments: dict[int, Moments]  # moments of every remaining patch
     sizes: dict[int, int]  # number of its faces
-    neighbours: dict[int, set[int]]  # patches beside it
+    neighbours: dict[int, set[int]]  # neighbours of every patch
 
     @classmethod
     def of(cls, topology: Topology, faces: Elements, patches: Index) -> _Bodies:

@@ -48,7 +48,7 @@ class Observed:
     """Observations of frames."""
 
     rotations: Float  # (T, p, 3, 3) rotation of every part in every frame, relative to its shape
-    flat: Mask  # (F,) faces that have no area in some frame
+    flat: Mask  # (F,) faces without area in some frame
 
 
 def observe(watched: Watched, points: FloatArray) -> Observed:

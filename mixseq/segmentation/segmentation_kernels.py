@@ -68,10 +68,7 @@ def squared_distances(moved: Single, rest: Single, motions: Single, result: Sing
 
 @compiled
 def averages(values: Single, members: Table, factors: Single, result: Single) -> None:
-    """Write the mean ``(E, K)`` of the rows of values ``(n, K)`` of each element's members ``(E, m)``.
-
-    Members are padded with a row of zeros.
-    """
+    """Write the mean ``(E, K)`` of rows ``(n, K)`` of each element's members ``(E, m)``, padded with a row of zeros."""
     for e in range(len(members)):
         a, b = values[members[e, 0]], values[members[e, 1]]
         c, d = values[members[e, 2]], values[members[e, 3]]

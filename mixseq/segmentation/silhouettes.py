@@ -43,28 +43,28 @@ class SilhouetteSettings:
     Attributes
     ----------
     frames : int
-        Poses looked at (N), evenly spread over the sequence.
+        Number of poses (N), evenly spread over the sequence.
     viewpoints : int
-        Directions from which every pose is seen (K).
+        Number of viewing directions of every pose (K).
     silhouettes : int
-        How many of all views are looked at (K').
+        Number of sampled views (K').
     seed : int
-        Of the random choice of views.
+        Seed of the random choice of views.
     radius : float
-        Deformations are smoothed over about this distance, in diagonals; 0 takes them as they are.
+        Smoothing radius of deformations, in diagonals; 0 for none.
     share : float
-        Fraction of the vertices on a silhouette that are marked: those that deform most.
+        Fraction of the vertices on a silhouette that are marked, those that deform most.
     still : float
-        Vertices that deform less are never marked; radians of bending plus strain.
+        Deformation below which vertices are never marked; radians of bending plus strain.
     eigenvectors : int
-        How many span the diffusion distance.
+        Number of eigenvectors of the diffusion distance.
     time : float
-        Time of diffusion, in squared diagonals. Details below about its root do not count for distances.
+        Time of diffusion, in squared diagonals; smaller details than its root have no influence.
     contrast : float
-        Without a number of parts, a seed makes one if it is higher than the pass to a higher seed by this fraction of
-        the mean distance.
+        Without a number of parts, least height of a seed above the pass to a higher seed, as a fraction of the mean
+        distance.
     small_region : float
-        Parts have at least this fraction of the area, unless more parts are asked for than that allows.
+        Least fraction of the area of a part, unless more parts are requested than that allows.
     """
 
     frames: int = 24

@@ -28,7 +28,7 @@ class BlockSparsePattern(PickledWithoutCaches):
     # and below the diagonal.
     places: Index
     keys: Index  # (m,) n * column + row of the blocks below the diagonal, ascending
-    threads: int | None = None  # threads that factor one matrix; by default as its size suggests
+    threads: int | None = None  # threads that factor one matrix; by default from its size
 
     @classmethod
     def of(cls, count: int, pairs: Index, threads: int | None = None) -> BlockSparsePattern:

@@ -121,7 +121,7 @@ def chained(
                 product_with_inverse(frames[pairs[pair, 1]], turns[pair], seen)
             cosine = total[0] * seen[0] + total[1] * seen[1] + total[2] * seen[2] + total[3] * seen[3]
             square = total[0] ** 2 + total[1] ** 2 + total[2] ** 2 + total[3] ** 2
-            # Both signs of a quaternion say the same; what is half a turn off the others says nothing.
+            # Both signs of a quaternion are the same rotation; links half a turn off the others are ignored.
             weight = weights[pair] * (cosine / math.sqrt(square) if square > 0.0 else 1.0)
             for i in range(4):
                 total[i] += weight * seen[i]

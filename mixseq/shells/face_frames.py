@@ -110,9 +110,9 @@ class FrameGraph(PickledWithoutCaches):
 
     count: int  # number n of frames
     pairs: Index  # (h, 2) pairs of different frames
-    weights: Float  # (h,) how much the pairs count; positive
-    known: Mask  # (n,) frames that chains start from: one, at least, of all that are connected
-    known_weight: float  # how much known frames stay what they are while rotations are averaged
+    weights: Float  # (h,) positive weights of the pairs
+    known: Mask  # (n,) frames from which chains start: at least one per component
+    known_weight: float  # weight of known frames in rotation averaging
 
     @cached_property
     def factor(self) -> Factor:

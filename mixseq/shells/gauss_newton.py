@@ -37,15 +37,14 @@ class ShellSettings:
     bending : float
         Weight of an angle in radians against a relative length.
     iterations : int
-        At most this many steps.
+        Largest number of steps.
     tolerance : float
         Converged when the model promises to lower the energy by less than this fraction of it ...
     exact : float
         ... or when no weighted residual is above this, ...
     accuracy : float
         ... or when a step moves no coordinate by more than this, in the unit of the points (diagonals), and the
-        energy has levelled off: it is the last one. Steps get shorter by a factor of about ten, so what is left is
-        much less.
+        energy has levelled off. Steps shrink by a factor of about ten, so the remaining error is much less.
 
     Raises
     ------

@@ -61,7 +61,7 @@ class Patch(PickledWithoutCaches):
     hinges: Index  # (h, 4) hinges a, b, c, d, in the order of the angles
     hinge_faces: Index  # (h, 2) their two faces
     fixed: Mask  # (n,) vertices whose positions are given
-    threads: int | None = None  # threads that factor one matrix; by default as its size suggests
+    threads: int | None = None  # threads that factor one matrix; by default from its size
 
     @classmethod
     def of_joint(cls, topology: Topology, joint: Joint, fixed: Mask) -> Patch:

@@ -68,7 +68,7 @@ class Relaxation:
     """Settings of relaxation steps."""
 
     bending: float = 0.25  # weight of an angle in radians against a relative length
-    steps: int = 10  # so many steps are taken
+    steps: int = 10  # number of steps
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.bending) and self.bending > 0):
@@ -81,7 +81,7 @@ class Relaxed(NamedTuple):
     """A mesh after relaxation steps."""
 
     points: Float  # (V, 3) its vertices
-    energy: float  # what is left of the energy, in which hinges that were far off at the start count less
+    energy: float  # final energy, in which hinges that were far off at the start count less
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,11 +89,11 @@ class Shell(PickledWithoutCaches):
     """A mesh with an energy of lengths and angles."""
 
     topology: Topology  # connectivity
-    reference: Float  # (V, 3) some shape of it, in diagonals
+    reference: Float  # (V, 3) a reference shape, in diagonals
     typical: Float  # (E,) typical lengths of all edges, in diagonals
-    ties: Index  # (t, 2) further pairs of vertices whose sides are known: what holds together without an edge
-    # (V,) how much vertices stay where they are expected, against the sides of faces, relative to these: positive for
-    # one, at least, of all that are connected.
+    ties: Index  # (t, 2) further pairs of vertices with known sides, which connect parts without edges
+    # (V,) weights of expected positions relative to those of the sides of faces: positive for at least one vertex of
+    # every component.
     position_weights: Float
     bending: float  # weight of an angle in radians against a relative length
 
@@ -237,5 +237,5 @@ class Shell(PickledWithoutCaches):
 
 def _turns(angles: Float) -> Float:
     """Cosines and sines ``(H, 2)`` of angles ``(H,)``."""
-    with np.errstate(invalid="ignore"):  # the energy tells
+    with np.errstate(invalid="ignore"):  # detected by the energy
         return np.stack([np.cos(angles), np.sin(angles)], axis=1)

@@ -34,7 +34,7 @@ class Curve:
     times : (m,) float64
         Knots in seconds, strictly increasing.
     values : (m, k) float64
-        Where the curve is at the knots.
+        Values at the knots.
 
     Examples
     --------

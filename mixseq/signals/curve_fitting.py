@@ -32,7 +32,7 @@ def fit_curve(times: Float, values: Float, tolerance: float, measure: Measure) -
         intervals = np.unique(np.clip(np.searchsorted(ends, outside) - 1, 0, len(ends) - 2))
         low, high = ends[intervals], ends[intervals + 1]
         middles = ((low + high) // 2)[high - low > 1]
-        if not len(middles):  # what is out of tolerance is next to knots on both sides
+        if not len(middles):  # violations are next to knots on both sides
             break
         chosen = np.union1d(chosen, middles)
     return Curve(times, values)

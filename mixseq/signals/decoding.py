@@ -151,10 +151,7 @@ class Decodable(ABC):
         progress: Progress = silent,
         workers: Executor | None = None,
     ) -> Iterator[Float]:
-        """Decode frames at `times`, in order, in blocks of points ``(B, V, 3)`` with ``B <= size``.
-
-        `workers` are by default one thread per core. Frames are the same to the last bit for any blocks and workers.
-        """
+        """Decode frames at `times` in blocks ``(B, V, 3)``, B <= size; the same bits for any blocks and workers."""
         return _decoded(_points, self, self.inside(times), size, progress, workers)
 
     def moving_blocks(

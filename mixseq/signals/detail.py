@@ -56,9 +56,9 @@ class Encoded:
     space: ShapeSpace  # the space
     shapes: LargeArray  # (T, S) the vectors of the frames without their placement
     placement: Float  # (T, P) the placement
-    # (T, C) coordinates of some vertices, which tell what operator in time predicts the sequence best.
+    # (T, C) coordinates of sampled vertices, used to select the temporal operator.
     samples: Float
-    pose: PoseForm = "modes"  # what key shapes shall be
+    pose: PoseForm = "modes"  # form of the key shapes
     in_body: bool = False  # whether poses of parts are predicted as seen from their bodies, too
 
     @cached_property
@@ -151,7 +151,7 @@ class Detail:
     # How far, in diagonals, the signals may be from the frames (by the measures of Encoded); zero to pass through them
     # all.
     slack: float = 0.0
-    knots: int | ArrayLike | None = None  # inner knots of all curves, instead of those that slack chooses
+    knots: int | ArrayLike | None = None  # inner knots of all curves; by default chosen by slack
     # Key shapes and curves are rounded to multiples of this number, a power of two in diagonals, so that they take few
     # bytes; zero not to.
     step: float = 0.0
@@ -185,7 +185,7 @@ class Signals:
 
     encoded: Encoded  # the sequence
     pose: PoseMap  # from pose space to weights of the key shapes
-    key_poses: Float  # (K, pose_dim) how parts stand in the key shapes
+    key_poses: Float  # (K, pose_dim) relative part poses of the key shapes
 
     def with_knots(self, scores: Float, inner: Float) -> tuple[Curve, Curve, Curve]:
         """Return curves of time, placement and correction with inner knots ``(n,)``."""

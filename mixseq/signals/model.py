@@ -197,7 +197,7 @@ class Model(Decodable, PickledWithoutCaches):
         """Frames ``(K,)`` that equal one key shape, -1 for key shapes that are no frame."""
         weights = self.pose.weights(self.time(self.times))
         frames = np.full(len(self.shapes), -1, dtype=np.int64)
-        keys = weights.argmax(axis=1)  # nothing else can be the only one
+        keys = weights.argmax(axis=1)  # the only one that can equal a frame
         for key in np.unique(keys):
             candidates = np.flatnonzero(keys == key)
             only = np.zeros(len(self.shapes))

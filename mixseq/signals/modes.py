@@ -41,7 +41,7 @@ class Modes:
     scores: Float  # (T, r) coordinates of the vectors, in the metric's unit
     sizes: Float  # (r,) singular values, decreasing: norms of the columns of the scores
     mean: Float  # (D,) mean vector
-    deviations: Deviations  # yields how far one standard deviation along every mode is
+    deviations: Deviations  # yields one standard deviation along every mode
 
     def first(self, rank: int) -> Modes:
         """Return the first modes only."""

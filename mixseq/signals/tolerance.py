@@ -52,7 +52,7 @@ def within(
     low, high, slack = 0.0, np.inf, tolerance / 4
     best: Model | None = None
     step = 2.0 ** np.floor(np.log2(tolerance / STEPS))
-    errors: dict[bytes, float] = {}  # of what was tried: short sequences have few models
+    errors: dict[bytes, float] = {}  # of tried models: short sequences have few
     for number in range(ROUNDS):
         progress(number, ROUNDS, "choosing modes and knots")
         model = build(encoded, Detail(slack=slack, step=step))
@@ -126,7 +126,7 @@ def largest_error(
 ) -> float:
     """Return the largest distance of a vertex at the frames, in diagonals."""
     unit = bounding_diagonal(sequence.points[:1][0]) or 1.0
-    # Every 4th frame first, then those between: what is out of tolerance is out of it at many frames.
+    # Every 4th frame first, then those between: violations occur at many frames.
     frames = np.concatenate([np.arange(first, len(sequence.points), 4) for first in (0, 2, 1, 3)])
     largest, done = 0.0, 0
     size = min(FRAMES, block_size(sequence.header.vertex_count))

@@ -61,9 +61,9 @@ class Trial:
 
     encoded: Encoded  # the encoded sequence
     space: MixedSpace  # its mixed shape space
-    frames: Index  # (n,) frames that are left out
+    frames: Index  # (n,) left-out frames
     rows: Rows  # weights of the others
-    points: Float  # (n, V, 3) what they are, in diagonals
+    points: Float  # (n, V, 3) their points, in diagonals
 
     @classmethod
     def of(cls, encoded: Encoded, space: MixedSpace, frames: LargeArray) -> Trial:

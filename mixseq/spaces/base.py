@@ -145,10 +145,7 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         return self, unchanged
 
     def joined(self, other: ShapeSpace) -> tuple[ShapeSpace, Carry | None, Carry | None]:
-        """Return a space that contains this one and another one of the mesh, and the maps of both; here this space.
-
-        A map is None where frames must be decoded and encoded again.
-        """
+        """Return a space of the shapes of both, and the maps to it, None to encode again; here this space."""
         return self, unchanged, unchanged if other is self else None
 
     def encode(self, points: FloatArray, previous: Float | None = None) -> Float:

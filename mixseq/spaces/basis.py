@@ -130,7 +130,7 @@ class BasisSpace(ShapeSpace):
         with one_blas_thread():
             for frame, vector in zip(
                 points, self.checked(vectors), strict=True
-            ):  # the same bits whatever is asked with it
+            ):  # the same bits for any other frames in the block
                 coefficients = self.scale * vector.reshape(-1, 3)
                 for vertices, some, transposed in self._blocks:
                     frame[vertices] = transposed @ coefficients[some]

@@ -124,10 +124,7 @@ class GradientSpace(ShapeSpace):
 
     @property
     def weights(self) -> Float:
-        """Metric ``(D,)``: rotations and stretches of a face weigh the root mean square of its sides.
-
-        Off-diagonal numbers of a stretch count twice.
-        """
+        """Metric ``(D,)``: numbers of a face weigh the root mean square of its sides; off-diagonals count twice."""
         sizes = np.sqrt(np.square(self.sides).sum(axis=1).mean(axis=1))
         stretches = np.outer(sizes, [1.0, 1.0, 1.0, np.sqrt(2), np.sqrt(2), np.sqrt(2)])
         return np.concatenate([np.repeat(sizes, 3), stretches.reshape(-1), np.ones(self.placement_dim)])

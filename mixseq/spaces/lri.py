@@ -146,7 +146,7 @@ class LRISpace(PosedSpace):
         frames = self._solved_frames(connections)
         i, j = self.edges.T
         ahead, back = (np.einsum("eab,eb->ea", frames[k], ends[:, side]) for side, k in enumerate((i, j)))
-        # Both want the same edge, and least squares ask for no more than their mean.
+        # Both constrain the same edge, and least squares need their mean alone.
         return self.integration.vertices((ahead - back) / 2)
 
     def _solved_frames(self, connections: Float) -> Float:

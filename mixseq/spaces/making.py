@@ -43,27 +43,13 @@ MAKING = 3
 
 @dataclass(frozen=True, eq=False)
 class MixedSettings:
-    """Settings of the mixed space.
+    """Settings of the mixed space."""
 
-    Attributes
-    ----------
-    placement : {"anchored", "free"}
-        How parts are placed.
-    parts : int or (F,) int, optional
-        Number of parts, or the part of every triangle; found from the motion if not given.
-    joint_width : int
-        Largest width of joints, in strips of triangles on each side of a boundary.
-    segmentation : {"motion", "silhouettes", "spanning-tree"} or settings of one of these
-        How parts are found.
-    purpose : {"sequence", "reduced", "blends"}
-        Use of the space, see `mixseq.spaces.mixed_space`.
-    """
-
-    placement: PlacementName = "anchored"
-    parts: int | ArrayLike | None = None
-    joint_width: int = 3
-    segmentation: Segmentation = "motion"
-    purpose: Purpose = "sequence"
+    placement: PlacementName = "anchored"  # how parts are placed
+    parts: int | ArrayLike | None = None  # number of parts, or part (F,) of triangles; None finds them
+    joint_width: int = 3  # largest width of joints, in strips of triangles on each side of a boundary
+    segmentation: Segmentation = "motion"  # method that finds parts, or its settings
+    purpose: Purpose = "sequence"  # use of the space, see `mixed_space`
 
 
 @dataclass(frozen=True)

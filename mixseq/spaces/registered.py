@@ -48,10 +48,7 @@ def turned_back(moved: Float, ends: Index, rotations: Float) -> Float:
 
 
 def registered(shapes: Float, parts: Sequence[Index], x: FloatArray) -> tuple[Float, Float, Float]:
-    """Register parts of a frame ``(V, 3)`` to their mean shapes ``(N, 3)``, part by part.
-
-    Returns vertices aligned to the shapes ``(N, 3)``, rotations ``(p, 3, 3)`` and centres ``(p, 3)``.
-    """
+    """Register parts of a frame to mean shapes ``(N, 3)``; return aligned vertices, rotations and centres per part."""
     from mixseq.spaces.registered import centred_parts, turned_back
 
     ends = np.cumsum([len(vertices) for vertices in parts])

@@ -16,10 +16,7 @@ import numpy as np
 from mixseq.arrays import Float, Index
 
 FLAT = 1e-4
-"""Ratio of height to longest side below which a triangle has no area.
-
-Single precision makes normals of flatter triangles random, and linear systems with them ill-conditioned.
-"""
+"""Ratio of height to longest side below which a triangle has no area: in single precision its normal is random."""
 
 CANCELLED = 1e-6
 """Ratio of the sum of face normals to the sum of their lengths below which a vertex has no normal."""

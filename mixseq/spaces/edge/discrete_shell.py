@@ -70,7 +70,7 @@ class VolumeTerm:
     """The residual of the volume, a `DenseTerm` of `mixseq.shells.fitting`."""
 
     faces: NDArray[np.int64]  # (m, 3) triangles of the surface
-    target: float  # volume that is wanted
+    target: float  # target volume
     # Weight of the term over the volume of the reference, so that the residual counts relative changes.
     weight: float
 

@@ -31,7 +31,4 @@ class EdgeProjection(Protocol):
         """Compute what all frames share, as `PickledWithoutCaches.prepared`."""
 
     def fit(self, wanted: Wanted, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
-        """Fit rows ``(N, 3)``, every piece in any pose, to lengths and angles, and return reports.
-
-        Raises `ReconstructionError` if lengths or angles are not finite.
-        """
+        """Fit rows ``(N, 3)``, pieces in any pose; raises `ReconstructionError` if lengths or angles are not finite."""

@@ -52,7 +52,7 @@ class RelaxedShell(PickledWithoutCaches):
     """An `EdgeProjection` by constant matrices."""
 
     topology: Topology  # connectivity of the mesh
-    pieces: Pieces  # its hinge-connected pieces, with shapes that have typical lengths
+    pieces: Pieces  # its hinge-connected pieces, with shapes of typical lengths
     typical: Float  # (E,) typical lengths of all edges
     bending: float  # weight of an angle in radians against a relative length
 

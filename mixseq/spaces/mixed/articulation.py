@@ -60,7 +60,7 @@ class PartPoses(NamedTuple):
     # (T, p, 4) rotations of parts since the reference frame, as seen from the body: quaternions.
     turns: Numbers
     centres: Numbers  # (T, p, 3) centres of parts, as seen from the body
-    relation_turns: Numbers  # (T, n, 4) how part j is turned as seen from part i: quaternions
+    relation_turns: Numbers  # (T, n, 4) quaternions of part j in the axes of part i
     relation_points: Numbers  # (T, n, 3) where the pivot of part j is, as seen from part i
 
 
@@ -90,7 +90,7 @@ class Articulation:
     pairs: Index  # (n, 2) neighbours: parts i and j, every pair in both orders
     pivots: Float  # (n, 3) where they meet in the reference frame, as seen from the centre of j
     steadiness: Steadiness  # inverse variances of poses and relations
-    relation_weight: float = 1.0  # weight of a relation against a pose of its lighter part that moves as much
+    relation_weight: float = 1.0  # weight of a relation against an equal change of its lighter part's pose
 
     @property
     def part_count(self) -> int:

@@ -41,8 +41,8 @@ class FreeFrame(NamedTuple):
 
     lengths: Float  # (E',) edge lengths of joint faces, in diagonals
     angles: Float  # (H',) hinge angles of joint faces, in radians
-    unposed: Float  # (V, 3) vertices as seen from their frames: those of a rigid part have its shape
-    posed: Float  # (V, 3) posed vertices, which tell where components are
+    unposed: Float  # (V, 3) rest-space vertices: those of a rigid part have its shape
+    posed: Float  # (V, 3) posed vertices, which place components
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,13 +50,13 @@ class Assembly(PickledWithoutCaches):
     """The projection of the free placement of one mesh."""
 
     topology: Topology  # the mesh
-    part_of_vertex: Index  # (V,) the part whose motion a vertex follows alone, -1 where it follows several
+    part_of_vertex: Index  # (V,) part of vertices skinned to one part alone, -1 for others
     # (F,) faces whose lengths and angles are known; all of those whose corners do not follow one part alone.
     joint_faces: Mask
     edge_ids: Index  # (E',) edges of joint faces
     hinge_ids: Index  # (H',) hinges of joint faces
     reference: Float  # (V, 3) a frame of the sequence
-    relaxation: Relaxation  # how lengths and angles are made to agree
+    relaxation: Relaxation  # settings of relaxation
 
     @cached_property
     def _parts(self) -> list[Index]:

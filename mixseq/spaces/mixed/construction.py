@@ -202,9 +202,9 @@ def are_far(space: MixedSpace, frames: LargeArray) -> bool:
 
 
 def half_way_errors(space: MixedSpace, pairs: Iterable[FloatArray], stretch: float, bend: float) -> Float:
-    """Return the largest errors of faces ``(F,)`` half-way between pairs of frames ``(2, V, 3)``.
+    """Return the largest errors ``(F,)`` half-way between pairs ``(2, V, 3)``, over limits of edges and hinges.
 
-    Relative errors of edges are divided by `stretch`, errors of hinges in degrees by `bend`.
+    `stretch` limits relative errors of edges, `bend` errors of hinges in degrees.
     """
     topology = space.topology
     wrong = np.zeros(len(topology.faces))
