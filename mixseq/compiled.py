@@ -7,8 +7,9 @@ from C: without an entry for that they compile in about two thirds of the time.
 What is on disk may be cut short, by a crash or a full disk, and the disk may be full or not ours: then functions are
 compiled again, and a warning says so.
 
-Compiled functions call Python to unpickle what they need for their results, and do not look whether it failed: a signal
-that ended that by an exception would crash the process, so signals wait.
+Compiled functions call Python to unpickle what they need for their results, and do not look whether it failed. llvmlite
+frees twice what it was interrupted in freeing. numba leaves a file behind that it was interrupted in writing. So
+signals wait while functions are loaded and kept, and while results are made.
 """
 
 from __future__ import annotations
@@ -96,6 +97,7 @@ class _Cache(FunctionCache):
 
     _impl_class = _Kept
 
+    @unbroken
     def load_overload(self, signature: Any, target: Any) -> Any:
         """Return a compiled function, None if it must be compiled.
 
@@ -117,6 +119,7 @@ class _Cache(FunctionCache):
                 self._give_up(error)
         return None
 
+    @unbroken
     def save_overload(self, signature: Any, made: Any) -> None:
         """Keep a compiled function."""
         try:
