@@ -6,8 +6,8 @@ thirds of the time.
 
 If the cache on disk is damaged, or cannot be written, functions are compiled again, with a warning.
 
-Compiled functions call Python to unpickle what their results need, and do not check whether it failed: a signal that
-raised an exception there would crash the process, so signals are deferred.
+Signals are deferred while functions are loaded, saved and return results: numba does not check whether the Python
+code it calls failed, llvmlite frees twice what was interrupted, and a file half written would stay.
 """
 
 from __future__ import annotations
@@ -95,6 +95,7 @@ class _Cache(FunctionCache):
 
     _impl_class = _Kept
 
+    @unbroken
     def load_overload(self, signature: Any, target: Any) -> Any:
         """Return a compiled function or None, without numba's `refresh`, which loads compilers in 0.25 s."""
         try:
@@ -112,6 +113,7 @@ class _Cache(FunctionCache):
                 self._give_up(error)
         return None
 
+    @unbroken
     def save_overload(self, signature: Any, made: Any) -> None:
         """Save a compiled function."""
         try:

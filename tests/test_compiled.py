@@ -188,3 +188,30 @@ def test_a_signal_waits_until_a_result_is_made(kept: Path) -> None:
         work()
     assert sent == [True]
     assert done == [0.0, 2.0, 4.0]
+
+
+@pytest.mark.usefixtures("interruptible")
+@pytest.mark.parametrize("step", ["rebuild", "reduce"])
+def test_a_signal_waits_until_a_function_is_loaded_or_kept(
+    kept: Path, step: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What llvmlite was interrupted in freeing, it frees twice."""
+    if step == "rebuild":
+        double(kept)(3)
+    usual = getattr(compiled._Kept, step)
+    done: list[Any] = []
+
+    def interrupted(*arguments: Any) -> Any:
+        signal.raise_signal(signal.SIGINT)
+        return usual(*arguments)
+
+    def work() -> None:
+        done.append(double(kept)(3))
+        for _ in range(1000):
+            time.sleep(0.01)  # until the signal comes again
+        done.append("not reached")
+
+    monkeypatch.setattr(compiled._Kept, step, interrupted)
+    with pytest.raises(KeyboardInterrupt), unwinding():
+        work()
+    assert done == [6]
