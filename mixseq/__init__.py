@@ -18,64 +18,68 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from mixseq.forwarding import Facade, connect, forwarded
+from mixseq.runtime.lazy import Facade, connect, forwarded
 from mixseq.version import __version__
 
 if TYPE_CHECKING:
-    from mixseq import operations
-    from mixseq.coding.encoder.compress import compress
-    from mixseq.correspondence.correspond import correspond
-    from mixseq.correspondence.dense import Correspondence
-    from mixseq.correspondence.markers import Markers
-    from mixseq.correspondence.suggestions import suggest_markers
+    from mixseq.compression.encoder.compress import compress
+    from mixseq.mesh.polygons import Polygons
+    from mixseq.mesh.topology import Topology
     from mixseq.metrics import Comparison, compare
-    from mixseq.operations.interpolation import interpolate
-    from mixseq.operations.segmenting import segment
+    from mixseq.operations.interpolation import interpolate, segment
+    from mixseq.retargeting.correspond import correspond
+    from mixseq.retargeting.markers import Correspondence, Markers
+    from mixseq.retargeting.suggestions import suggest_markers
     from mixseq.retargeting.transfer import transfer
-    from mixseq.rigging import Morph, Skeleton, Skin, fit_morph, fit_skin
-    from mixseq.sequence import MeshSequence, Polygons, SequenceHeader
-    from mixseq.signals import Curve, Model, PoseMap, fit
-    from mixseq.topology import Topology
-    from mixseq.unit_conversion import convert_units
-    from mixseq_io import open_sequence, read, read_bind_pose, read_skeleton, write, write_blocks, write_rig
-    from mixseq_io.correspondence.markers import read_markers
+    from mixseq.rigging.fitting import fit_morph, fit_skin
+    from mixseq.rigging.rigs import Morph, Skeleton, Skin
+    from mixseq.sequence.header import SequenceHeader
+    from mixseq.sequence.sequence import MeshSequence, convert_units
+    from mixseq.signals.curve import Curve
+    from mixseq.signals.fitting import fit
+    from mixseq.signals.model import Model
+    from mixseq.signals.pose import PoseMap
     from mixseq_io.loading import load
+    from mixseq_io.registry import open_sequence, read, write, write_blocks
+    from mixseq_io.rig_files import read_bind_pose, read_skeleton, write_rig
     from mixseq_io.saving import save
+    from mixseq_io.text.markers import read_markers
     from mixseq_io.vat.writer import write_vat
     from mixseq_io.verification import Verification, verify
 
+
 _HOME = {
     "Comparison": "mixseq.metrics",
-    "Correspondence": "mixseq.correspondence.dense",
+    "Correspondence": "mixseq.retargeting.markers",
     "Curve": "mixseq.signals.curve",
-    "Markers": "mixseq.correspondence.markers",
-    "MeshSequence": "mixseq.sequence",
+    "Markers": "mixseq.retargeting.markers",
+    "MeshSequence": "mixseq.sequence.sequence",
     "Model": "mixseq.signals.model",
-    "Morph": "mixseq.rigging",
-    "Polygons": "mixseq.sequence",
+    "Morph": "mixseq.rigging.rigs",
+    "Polygons": "mixseq.mesh.polygons",
     "PoseMap": "mixseq.signals.pose",
-    "SequenceHeader": "mixseq.sequence",
-    "Skeleton": "mixseq.rigging",
-    "Skin": "mixseq.rigging",
-    "Topology": "mixseq.topology",
+    "SequenceHeader": "mixseq.sequence.header",
+    "Skeleton": "mixseq.rigging.rigs",
+    "Skin": "mixseq.rigging.rigs",
+    "Topology": "mixseq.mesh.topology",
     "Verification": "mixseq_io.verification",
     "compare": "mixseq.metrics",
-    "compress": "mixseq.coding.encoder.compress",
-    "convert_units": "mixseq.unit_conversion",
-    "correspond": "mixseq.correspondence.correspond",
+    "compress": "mixseq.compression.encoder.compress",
+    "convert_units": "mixseq.sequence.sequence",
+    "correspond": "mixseq.retargeting.correspond",
     "fit": "mixseq.signals.fitting",
-    "fit_morph": "mixseq.rigging",
-    "fit_skin": "mixseq.rigging",
+    "fit_morph": "mixseq.rigging.fitting",
+    "fit_skin": "mixseq.rigging.fitting",
     "interpolate": "mixseq.operations.interpolation",
     "load": "mixseq_io.loading",
     "open_sequence": "mixseq_io",
     "read": "mixseq_io",
-    "read_markers": "mixseq_io.correspondence.markers",
+    "read_markers": "mixseq_io.text.markers",
     "read_bind_pose": "mixseq_io",
     "read_skeleton": "mixseq_io",
     "save": "mixseq_io.saving",
-    "segment": "mixseq.operations.segmenting",
-    "suggest_markers": "mixseq.correspondence.suggestions",
+    "segment": "mixseq.operations.interpolation",
+    "suggest_markers": "mixseq.retargeting.suggestions",
     "transfer": "mixseq.retargeting.transfer",
     "verify": "mixseq_io.verification",
     "write": "mixseq_io",

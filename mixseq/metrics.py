@@ -10,7 +10,7 @@ bounding box of A's first frame:
 - *dihedral error* of a hinge: the difference of its angles, by the shorter way around, in degrees
 - *volume error* of a frame: :math:`|\mathrm{vol}_B / \mathrm{vol}_A - 1|`
 
-Frames are compared in blocks, in float64, at any scale (`mixseq.diagonal`). Percentiles are exact, as the largest
+Frames are compared in blocks, in float64, at any scale (`mixseq.mesh.measures`). Percentiles are exact, as the largest
 thousandth of all values is kept.
 """
 
@@ -24,16 +24,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.arrays import Float
-from mixseq.coding.renumbering import Renumbering, as_it_is, numbering_of, object_sizes
-from mixseq.diagonal import Diagonal
+from mixseq.compression.numbering import Renumbering, as_it_is, numbering_of, object_sizes
 from mixseq.errors import InvalidSequenceError
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, flat_faces, wrap
-from mixseq.polygon_matching import match_triangles
-from mixseq.public import public
-from mixseq.sequence import Frames, SequenceHeader
-from mixseq.statistics import RunningStatistics, Statistics
-from mixseq.topology import Topology
+from mixseq.mesh.measures import Diagonal, dihedral_angles, edge_lengths, flat_faces, wrap
+from mixseq.mesh.polygons import match_triangles
+from mixseq.mesh.topology import Topology
+from mixseq.runtime.low_memory import RunningStatistics, Statistics
+from mixseq.runtime.public import public
+from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.sequence import Frames
+from mixseq.types import Float
 
 SAME_TIME = 1e-6
 """Largest difference of equal times, as a fraction of a frame."""

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from mixseq.sequence import MeshSequence
-from mixseq.signals import Model, fit
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.fitting import fit
+from mixseq.signals.model import Model
 from tests.meshes import bar
 
 settings.register_profile("untimed", deadline=None)  # how long an example takes depends on what else runs

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import mixseq
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
 from tests.formats.gltf_files import write_glb
 from tests.meshes import bending, bent, tube
 

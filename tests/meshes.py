@@ -8,9 +8,9 @@ import numpy as np
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from mixseq.arrays import Float, Index
-from mixseq.sequence import MeshSequence
-from mixseq.topology import Topology
+from mixseq.mesh.topology import Topology
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import Float, Index
 
 Mesh = tuple[Float, Index]
 

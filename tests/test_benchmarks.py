@@ -7,8 +7,8 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from mixseq.sequence import MeshSequence
-from mixseq.topology import Topology
+from mixseq.mesh.topology import Topology
+from mixseq.sequence.sequence import MeshSequence
 from scripts.benchmarks.common.rates import Point, errors, rate
 from scripts.benchmarks.common.varied import varied
 from scripts.benchmarks.compress import CODERS, _names, _there

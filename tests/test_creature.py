@@ -10,12 +10,25 @@ from scipy.sparse.csgraph import connected_components
 from threadpoolctl import threadpool_limits
 
 from mixseq import creature
-from mixseq.arrays import FloatArray
-from mixseq.creature import part_of_vertex, walk_cycle
-from mixseq.creature.gait import DUTY, LEGS, STEP, paw_path, pose
-from mixseq.creature.skeleton import BONES, HEADS, NAMES, PARENTS, TAILS, body_distance, bone_distances
-from mixseq.creature.surface_nets import polygonise
-from mixseq.sequence import MeshSequence
+from mixseq.creature import (
+    BONES,
+    DUTY,
+    HEADS,
+    LEGS,
+    NAMES,
+    PARENTS,
+    STEP,
+    TAILS,
+    body_distance,
+    bone_distances,
+    part_of_vertex,
+    paw_path,
+    polygonise,
+    pose,
+    walk_cycle,
+)
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import FloatArray
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mixseq.arrays import Float
+from mixseq.types import Float
 from scripts.benchmarks.blender import rows
 from scripts.benchmarks.blender.gait import SPEED, STRIDE, place, turns
 from scripts.benchmarks.blender.rows import Row

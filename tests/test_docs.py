@@ -26,19 +26,20 @@ import mixseq
 from mixseq import operations
 from mixseq.cli import main
 from mixseq.cli.formats import as_markdown
-from mixseq.cli.settings import Setting
-from mixseq.coding.bitstream.compressed_sequence import BetweenFrames, CodingParameters
+from mixseq.cli.options import Setting
+from mixseq.compression.bitstream.compressed_sequence import BetweenFrames, CodingParameters
 from mixseq.creature import walk_cycle
-from mixseq.operations.arguments import Readers
-from mixseq.operations.script import OPERATIONS, read_script
-from mixseq.segmentation import MotionSettings, SilhouetteSettings, SpanningTreeSettings
-from mixseq.shells.fitting import ShellSettings
+from mixseq.operations.script import OPERATIONS, Readers, read_script
+from mixseq.segmentation.motion import MotionSettings
+from mixseq.segmentation.silhouettes import SilhouetteSettings, SpanningTreeSettings
+from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.shells.shell import Relaxation
-from mixseq.spaces import EdgeSettings, Projection
-from mixseq.spaces.basis import BasisSpace
+from mixseq.spaces.edge import EdgeSettings
+from mixseq.spaces.mixed.mixed_space import Projection
+from mixseq.spaces.vertex import BasisSpace
 from mixseq_io import FORMATS
-from mixseq_io.formats import capabilities, motions
-from mixseq_io.surface_arrays import SURFACE_ARRAYS
+from mixseq_io.registry import capabilities, motions
+from mixseq_io.surfaces import SURFACE_ARRAYS
 from scripts.paper_study.main import STAGES
 from tests import given
 from tests.meshes import bar
@@ -118,11 +119,11 @@ NOT_RUN = {
     r"export MIXSEQ_(DATA|NODE_MODULES)=": "names a folder of the reader's",
     r"scripts/bench \w+|(MIXSEQ_DATA=FOLDER )?scripts/paper": "measures for minutes to hours, with data of others",
     r"python docs/images/\w+.py": "draws for minutes",
-    r"mixseq .* --cluster tcp:": "needs other machines; tests/test_cluster.py has a cluster here",
-    r"mixseq decode .* --cluster local:4": "starts processes; tests/test_cluster.py does that",
+    r"mixseq .* --cluster tcp:": "needs other machines; tests/runtime/test_cluster.py has a cluster here",
+    r"mixseq decode .* --cluster local:4": "starts processes; tests/runtime/test_cluster.py does that",
     r"mixseq plot --video (\w+\.\w+) walk": "large; docs/how-to/film.md makes the same in small",
     r"mixseq blender ": "downloads 100 MB; tests/blender packs what it would",
-    r"mixseq view (?!.*--export)": "waits for a browser; tests/viewing has one",
+    r"mixseq view (?!.*--export)": "waits for a browser; tests/viewer has one",
 }
 """Commands that are shown and not run, and why."""
 
@@ -131,7 +132,7 @@ NO_CODE = {
     "docs/cli.md": 1,  # the form of commands
     "docs/how-to/blender.md": 2,  # scripts for Blender
     "docs/how-to/maya.md": 2,  # scripts for Maya
-    "docs/file-format.md": 7,  # formulas of decoders, see tests/coding
+    "docs/file-format.md": 7,  # formulas of decoders, see tests/compression
     "docs/transfer.md": 2,  # a file of markers, and a report that is printed
 }
 """How many blocks of plain text a page has, which are neither code nor commands."""
@@ -371,7 +372,7 @@ def test_constants_of_the_specification_are_those_of_the_code() -> None:
     assert len(stated) > 30
     for what, values, place in stated:
         module, _, name = place.strip("`").rpartition(".")
-        constant = getattr(import_module(f"mixseq.coding.bitstream.{module}"), name)
+        constant = getattr(import_module(f"mixseq.compression.bitstream.{module}"), name)
         assert [float(value) for value in values.split(",")] == list(np.atleast_1d(constant)), what
 
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from mixseq import metrics
-from mixseq.arrays import Float
 from mixseq.errors import InvalidSequenceError
 from mixseq.metrics import compare, shared_frames
-from mixseq.sequence import MeshSequence
-from mixseq.statistics import Statistics
+from mixseq.runtime.low_memory import Statistics
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import Float
 from tests.meshes import SEQUENCES, bar, grid, rotation, tetrahedron, topology_of, tube
 
 

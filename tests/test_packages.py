@@ -18,7 +18,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 import mixseq
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
 
 ROOT = Path(__file__).parents[1]
 

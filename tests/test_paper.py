@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from mixseq.topology import Topology
+from mixseq.mesh.topology import Topology
 from scripts.paper_study.common.errors import band, errors, text
 from scripts.paper_study.common.poses import Poses, between
 from scripts.paper_study.common.printed import TABLE_1, TABLE_2, TABLE_3, TABLE_4, edge_dimension

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.arrays import FloatArray
 from mixseq.choices import PLACEMENTS, PlacementName
 from mixseq.operations.interpolation import PoseInterpolator
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import FloatArray
 
 pytestmark = [pytest.mark.realdata, pytest.mark.slow]
 

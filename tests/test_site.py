@@ -20,14 +20,14 @@ import yaml
 import mixseq
 from mixseq import errors, operations
 from mixseq.cli import main
-from mixseq.cli.settings import Setting
+from mixseq.cli.options import Setting
 from scripts.site.anchors import anchor
 from scripts.site.check import faults
 from scripts.site.commands import commands_page
 from scripts.site.names import ROW, with_docstrings, with_tables
 from scripts.site.notebooks import FOLDER
 from tests.test_docs import page
-from tests.viewing.conftest import NewPage, browser, new_page
+from tests.viewer.conftest import NewPage, browser, new_page
 
 __all__ = ["browser", "new_page"]  # fixtures
 

@@ -18,12 +18,11 @@ import numpy as np
 from PIL import Image
 
 import mixseq
-from mixseq.arrays import Float, Index, evenly
 from mixseq.cli.transfer import command as transfer_command
-from mixseq.coding.bitstream.compressed_sequence import decode_basis
-from mixseq.coding.bitstream.signal_graph import mesh_graph
+from mixseq.compression.bitstream.compressed_sequence import decode_basis
+from mixseq.compression.bitstream.signal_graph import mesh_graph
 from mixseq.creature import part_of_vertex, walk_cycle
-from mixseq.geometry.rotations import matrices
+from mixseq.mesh.rotations import matrices
 from mixseq.operations import (
     blend,
     concatenate,
@@ -42,24 +41,25 @@ from mixseq.operations import (
     swap_key,
     transition,
 )
-from mixseq.plots import (
+from mixseq.pictures.charts import FAINT, LINES, chart_style, draw_embedding, new_page
+from mixseq.pictures.colours import CLAY, INK, JOINT_RED, segmentation_colours
+from mixseq.pictures.models import plot_model
+from mixseq.pictures.page import Sheet, draw_mesh, matplotlib_module
+from mixseq.pictures.raster import area_normals
+from mixseq.pictures.scene import shared_limits as limits_of
+from mixseq.pictures.scene import three_quarter_view
+from mixseq.pictures.sheets import (
     contact_sheet,
-    draw_embedding,
-    draw_mesh,
     draw_segmentation,
-    plot_model,
-    three_quarter_view,
+    height_per_width,
+    transfer_sheet,
+    two_sides,
 )
-from mixseq.plots import shared_limits as limits_of
-from mixseq.plots.charts import FAINT, LINES, chart_style, new_page
-from mixseq.plots.shading import area_normals
-from mixseq.plots.sheet_layout import Sheet, matplotlib_module
-from mixseq.plots.transfers import transfer_sheet
-from mixseq.plots.two_sides import height_per_width, two_sides
 from mixseq.retargeting.transfer import Transfer, plan
-from mixseq.scene.palettes import CLAY, INK, JOINT_RED, segmentation_colours
-from mixseq.segmentation import METHODS
-from mixseq.signals import Curve, Model
+from mixseq.segmentation.methods import METHODS
+from mixseq.signals.curve import Curve
+from mixseq.signals.model import Model
+from mixseq.types import Float, Index, evenly
 
 HERE = Path(__file__).parent
 MARKERS = HERE.parents[1] / "scripts" / "benchmarks" / "markers"

@@ -14,10 +14,10 @@ from playwright.sync_api import Page, sync_playwright
 import mixseq
 from mixseq.cli.view import command as view_command
 from mixseq.creature import walk_cycle
-from mixseq.scene.colours import SceneColours
-from mixseq.scene.items import Scene, SceneItem
-from mixseq.signals import Model
-from mixseq.viewing.live import ViewSettings, viewer
+from mixseq.pictures.colours import SceneColours
+from mixseq.pictures.scene import Scene, SceneItem
+from mixseq.signals.model import Model
+from mixseq.viewer.live.viewer import ViewSettings, viewer
 
 HERE = Path(__file__).parent
 SIZE = {"width": 1280, "height": 800}

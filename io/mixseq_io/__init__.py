@@ -1,4 +1,4 @@
-"""File formats of mesh sequences: read into and written from `mixseq.sequence.MeshSequence`, frame by frame.
+"""File formats of mesh sequences: read into and written from `mixseq.sequence.sequence.MeshSequence`, frame by frame.
 
 The file's extension selects the format from the table `FORMATS`. pxr and h5py are imported when a file needs them.
 
@@ -6,7 +6,7 @@ Examples
 --------
 >>> import tempfile
 >>> import numpy as np
->>> from mixseq.sequence import MeshSequence
+>>> from mixseq.sequence.sequence import MeshSequence
 >>> points = np.zeros((2, 3, 3), dtype=np.float32)
 >>> points[:, 1, 0] = points[:, 2, 1] = 1
 >>> with tempfile.TemporaryDirectory() as folder:
@@ -15,13 +15,11 @@ Examples
 MeshSequence('mesh': 2 frames, 3 vertices, 1 faces, 24 fps)
 """
 
-from mixseq_io.blocks import in_step
-from mixseq_io.formats import FORMATS
-from mixseq_io.labels.faces import Labels
-from mixseq_io.labels.reading import read_labels
-from mixseq_io.reader import SequenceReader
-from mixseq_io.registry import open_sequence, read, write, write_blocks
+from mixseq_io.reader import SequenceReader, in_step
+from mixseq_io.registry import FORMATS, open_sequence, read, write, write_blocks
 from mixseq_io.rig_files import read_bind_pose, read_skeleton, write_rig
+from mixseq_io.text.label_files import read_labels
+from mixseq_io.text.labels import Labels
 
 __all__ = [
     "FORMATS",

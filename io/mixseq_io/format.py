@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from mixseq.arrays import FloatArray
 from mixseq.errors import SettingsError
-from mixseq.frame_rates import exact_rate
-from mixseq.sequence import SequenceHeader
+from mixseq.sequence.frame_rates import exact_rate
+from mixseq.sequence.header import SequenceHeader
+from mixseq.types import FloatArray
 from mixseq_io.isolation import loaded, open_isolated
 from mixseq_io.reader import SequenceReader
-from mixseq_io.rounding import Rounding
+from mixseq_io.surfaces import Rounding
 
 SINGLE = "float32"
 OF_VERTICES, OPAQUE = "of vertices", "of vertices, opaque"

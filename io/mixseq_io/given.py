@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mixseq.errors import SettingsError
-from mixseq.frame_rates import exact_rate
+from mixseq.sequence.frame_rates import exact_rate
 from mixseq_io.registry import read
 
 Given = Mapping[str, Any]
@@ -52,20 +52,20 @@ def _mesh(path: str, _: Given) -> Any:
 
 
 def _markers(path: str, _: Given) -> Any:
-    from mixseq_io.correspondence.markers import read_markers
+    from mixseq_io.text.markers import read_markers
 
     return read_markers(path)
 
 
 def _map(path: str, _: Given) -> Any:
     """Read a map; it becomes a correspondence when both meshes are known."""
-    from mixseq_io.correspondence.maps import read_map, to_correspondence
+    from mixseq_io.text.maps import read_map, to_correspondence
 
     return partial(to_correspondence, read_map(path))
 
 
 def _contacts(path: str, _: Given) -> Any:
-    from mixseq_io.correspondence.contacts import read_contacts
+    from mixseq_io.text.markers import read_contacts
 
     return read_contacts(path)
 
@@ -83,14 +83,14 @@ def _bind_pose(path: str, _: Given) -> Any:
 
 
 def _labels(path: str, given: Given) -> Any:
-    from mixseq_io.labels.reading import read_labels
+    from mixseq_io.text.label_files import read_labels
 
     return read_labels(path, next(iter(given.values()))).part_of_face
 
 
 def _keys(path: str, given: Given) -> Any:
     """Read keys in seconds, or in frames of the model."""
-    from mixseq.operations.retiming_files import read_keys
+    from mixseq.operations.retiming import read_keys
 
     fps = next(iter(given.values())).header.fps
     return read_keys(path).in_seconds(fps, fps)
@@ -98,7 +98,7 @@ def _keys(path: str, given: Given) -> Any:
 
 def _retiming(path: str, given: Given) -> Any:
     """Read a retiming in seconds, or in frames of the source and of the output."""
-    from mixseq.operations.retiming_files import read_retiming
+    from mixseq.operations.retiming import read_retiming
 
     source = next(iter(given.values())).header.fps
     output = source if given.get("fps") is None else exact_rate(float(given["fps"]), source)
@@ -106,7 +106,7 @@ def _retiming(path: str, given: Given) -> Any:
 
 
 def _pairs(path: str, _: Given) -> Any:
-    from mixseq.operations.arguments import read_pairs
+    from mixseq.operations.script import read_pairs
 
     return read_pairs(Path(path))
 

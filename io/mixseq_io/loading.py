@@ -1,20 +1,25 @@
-"""Load models of any kind, importing only what a file needs, while it is read."""
+"""Load models of any kind, importing only what a file needs, while it is read.
+
+HDF5 and glTF files that hold a mesh sequence or a model; a model is read as its frames.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from mixseq.arrays import PathLike
-from mixseq.errors import FormatError
-from mixseq.public import public
-from mixseq_io.hdf5.contents import read_attributes, read_contents, reading_h5
-from mixseq_io.hdf5.h5_files import MODEL_FORMAT
-from mixseq_io.memory import check_memory, memory_limit
+from mixseq.errors import FormatError, SettingsError
+from mixseq.runtime.public import public
+from mixseq.types import FloatArray, PathLike
+from mixseq_io.files import check_memory, memory_limit
+from mixseq_io.hdf5.contents import MODEL_FORMAT, read_attributes, read_contents, reading_h5
+from mixseq_io.reader import SequenceReader
 
 if TYPE_CHECKING:
     from mixseq.signals.model import Model
+
 
 GLB, HDF5 = ".glb", (".h5", ".hdf5")
 """File extensions of models."""
@@ -29,7 +34,7 @@ def is_model(path: Path) -> bool:
     if suffix not in (GLB, *HDF5) or not path.is_file():
         return False
     if suffix == GLB:
-        from mixseq_io.gltf.sequence_extension import has_sequence
+        from mixseq_io.gltf.mesh_sequence import has_sequence
 
         return has_sequence(path)
     return read_attributes(path).kind == MODEL_FORMAT
@@ -62,8 +67,8 @@ def load(path: PathLike, *, max_memory: float | None = None) -> Model:
 
 
 def _load_glb(source: Path) -> Model:
-    from mixseq_io.coded.reading import decoded, sequence_of
-    from mixseq_io.gltf.sequence_extension import read_container
+    from mixseq_io.coded.streams import decoded, sequence_of
+    from mixseq_io.gltf.mesh_sequence import read_container
 
     return decoded(source, sequence_of(source, read_container(source)))
 
@@ -82,11 +87,11 @@ def _load_h5(source: Path) -> Model:
         )
     with reading_h5(source):
         if "coding" in file.attrs:
-            from mixseq_io.coded.reading import decoded, sequence_of
+            from mixseq_io.coded.streams import decoded, sequence_of
             from mixseq_io.hdf5.coded_files import container_of
 
             return decoded(source, sequence_of(source, container_of(source, file)))
-        from mixseq_io.hdf5.model_files import read_model
+        from mixseq_io.hdf5.models import read_model
 
         return read_model(source, file)
 
@@ -98,4 +103,41 @@ def _is_hdf5(path: Path) -> bool:
 
 def _import_decoder() -> None:
     """Import the decoder of compressed models while the worker reads the file; both take about as long."""
-    import_module("mixseq_io.coded.reading")
+    import_module("mixseq_io.coded.streams")
+
+
+class ModelReader(SequenceReader):
+    """Reader that decodes the frames of a model on demand."""
+
+    def __init__(self, path: Path) -> None:
+        from mixseq.signals.decoding import FRAMES
+
+        self._model = load(path)
+        self._most = FRAMES
+        super().__init__(path, self._model.header)
+
+    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
+        return self._model.blocks(self._model.times, min(size, self._most))
+
+
+def open_h5(path: Path) -> SequenceReader:
+    """Open an HDF5 file with a sequence or a model."""
+    if is_model(path):
+        return ModelReader(path)
+    from mixseq_io.hdf5 import sequences
+
+    return sequences.open_h5(path)
+
+
+def open_gltf(path: Path, **options: Any) -> SequenceReader:
+    """Open a glTF file with meshes or a compressed model."""
+    if not is_model(path):
+        from mixseq_io.gltf import reader
+
+        return reader.open_gltf(path, **options)
+    given = [name for name, value in options.items() if value is not None]
+    if given:
+        raise SettingsError(
+            f"{path} holds a compressed model, which has no {given[0]} to choose; leave it out"
+        )
+    return ModelReader(path)

@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import FormatError, InvalidSequenceError, OutputError
-from mixseq.frame_numbers import NEAR
-from mixseq.sequence import SequenceHeader
-from mixseq_io.blocks import warn
-from mixseq_io.choosing import listed
-from mixseq_io.scene_meshes import SceneMesh, split
+from mixseq.sequence.frame_rates import NEAR
+from mixseq.sequence.header import SequenceHeader
+from mixseq_io.reader import warn
+from mixseq_io.scene_meshes import SceneMesh, listed, split
 
 Opened = TypeVar("Opened")
 Mesh = TypeVar("Mesh")

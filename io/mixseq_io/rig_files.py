@@ -5,15 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mixseq.arrays import PathLike
 from mixseq.errors import FormatError, OutputError
-from mixseq.public import public
+from mixseq.runtime.public import public
+from mixseq.types import PathLike
 from mixseq_io.reader import check_regular, naming
 
 if TYPE_CHECKING:
-    from mixseq.rigging.rigs import Morph, Skin
-    from mixseq.rigging.skeletons import Skeleton
-    from mixseq.sequence import MeshSequence
+    from mixseq.rigging.rigs import Morph, Skeleton, Skin
+    from mixseq.sequence.sequence import MeshSequence
+
 
 GLTF = (".glb", ".gltf")
 USD = (".usd", ".usda", ".usdc", ".usdz")
@@ -57,7 +57,7 @@ def write_rig(path: PathLike, rig: Skin | Morph) -> None:
     file = Path(path)
     check_rig_target(file)
     if file.suffix.lower() in USD:
-        from mixseq_io.usd.rig_writer import write_usd_rig
+        from mixseq_io.usd.rigs import write_usd_rig
 
         write_usd_rig(file, rig)
     else:
@@ -66,10 +66,9 @@ def write_rig(path: PathLike, rig: Skin | Morph) -> None:
 
 def _write_gltf_rig(file: Path, rig: Skin | Morph) -> None:
     from mixseq.rigging.rigs import Skin
-    from mixseq_io.atomic import replacing
-    from mixseq_io.gltf.buffers import writing_buffer
-    from mixseq_io.gltf.morph_rig import morphed_scene
-    from mixseq_io.gltf.skin_rig import skinned_scene
+    from mixseq_io.files import replacing
+    from mixseq_io.gltf.codecs import writing_buffer
+    from mixseq_io.gltf.rigs import morphed_scene, skinned_scene
     from mixseq_io.gltf.writer import lost_alone, warn_of_changes
 
     layout = skinned_scene(rig) if isinstance(rig, Skin) else morphed_scene(rig)
@@ -118,10 +117,10 @@ def read_skeleton(path: PathLike, name: str | None = None) -> Skeleton:
     _check_skeleton_file(file)
     with naming(file):
         if file.suffix.lower() in GLTF:
-            from mixseq_io.gltf.joints import read_joints
+            from mixseq_io.gltf.reader import read_joints
 
             return read_joints(file, name)
-        from mixseq_io.usd.joints import read_skel_joints
+        from mixseq_io.usd.rigs import read_skel_joints
 
         return read_skel_joints(file, name)
 
@@ -147,7 +146,7 @@ def read_bind_pose(path: PathLike, name: str | None = None) -> MeshSequence:
     AmbiguousError
         If there are several skeletons; the message names them.
     """
-    from mixseq.sequence import collect
+    from mixseq.sequence.sequence import collect
 
     file = Path(path)
     _check_skeleton_file(file)

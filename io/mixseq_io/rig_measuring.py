@@ -18,11 +18,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.arrays import IntArray
-from mixseq.sequence import MeshSequence, SequenceHeader, bounding_diagonal
-from mixseq_io.gltf.buffers import glb_size
-from mixseq_io.gltf.morphs import Morphs
-from mixseq_io.gltf.new_document import new_scene, upright
+from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.sequence import MeshSequence, bounding_diagonal
+from mixseq.types import IntArray
+from mixseq_io.gltf.codecs import glb_size
+from mixseq_io.gltf.new_document import Morphs, new_scene, upright
 from mixseq_io.registry import open_sequence
 from mixseq_io.rig_files import GLTF
 from mixseq_io.scene_meshes import split

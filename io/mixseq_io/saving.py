@@ -5,16 +5,16 @@ from __future__ import annotations
 import warnings
 from pathlib import Path
 
-from mixseq.arrays import PathLike
 from mixseq.choices import STILLS, StillName
-from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
+from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
-from mixseq.public import public
+from mixseq.runtime.public import public
 from mixseq.signals.model import Model
+from mixseq.types import PathLike
 from mixseq_io.coded.packing import pack
 from mixseq_io.hdf5.coded_files import write_container
-from mixseq_io.hdf5.h5_writing import creating_h5
-from mixseq_io.hdf5.model_files import write_model
+from mixseq_io.hdf5.datasets import creating_h5
+from mixseq_io.hdf5.models import write_model
 
 SUFFIXES = (".h5", ".hdf5", ".glb")
 
@@ -59,7 +59,7 @@ def save(path: PathLike, model: Model | CompressedSequence, *, still: StillName 
 
 
 def _save_glb(target: Path, model: Model | CompressedSequence, still: StillName) -> None:
-    from mixseq_io.gltf.sequence_writer import write_sequence
+    from mixseq_io.gltf.mesh_sequence import write_sequence
 
     if not isinstance(model, CompressedSequence):
         raise OutputError(

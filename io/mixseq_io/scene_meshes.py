@@ -2,6 +2,12 @@
 
 Readers make a `SceneMesh` of every mesh and `join` them; writers `split` a header into its meshes. Mesh ``i`` owns the
 vertices ``meshes[i].vertices`` of every frame.
+
+Choice of a scene's meshes: those that `prim` names, or those that move.
+
+Readers make a `SceneObject` of every mesh and its ancestors; the chosen meshes are indices in their order.
+
+Times at which any channel of a scene changes, merged into frames where they differ only by rounding.
 """
 
 from __future__ import annotations
@@ -9,15 +15,144 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
-from mixseq.arrays import Index, IntArray
-from mixseq.coding.renumbering import numbering_of
-from mixseq.polygon_matching import PolygonMatch, matched
-from mixseq.polygons import Polygons
-from mixseq.sequence import SequenceHeader
-from mixseq.surface import NO_UV, WHITE, CornerValues, FaceSet, MeshObject, Origin, Surface
+from mixseq.compression.numbering import numbering_of
+from mixseq.errors import AmbiguousError, FormatError
+from mixseq.mesh.polygons import PolygonMatch, Polygons, matched
+from mixseq.mesh.surface import NO_UV, WHITE, CornerValues, FaceSet, MeshObject, Origin, Surface
+from mixseq.sequence.header import SequenceHeader
+from mixseq.types import Float, Index, IntArray
+from mixseq_io.reader import warn
+
+_LONGEST_LIST = 20
+
+
+@dataclass(frozen=True, eq=False)
+class SceneObject:
+    """An object of a scene, with or without a mesh."""
+
+    path: str
+    names: tuple[str, ...]
+    above: SceneObject | None = None
+
+    @property
+    def name(self) -> str:
+        """Name to show, "" if it has none."""
+        return next(filter(None, self.names), "")
+
+    @property
+    def lineage(self) -> list[SceneObject]:
+        """The object and its ancestors, the root last."""
+        found, here = [], self
+        while True:
+            found.append(here)
+            if here.above is None:
+                return found
+            here = here.above
+
+
+def chosen(
+    file: Path, meshes: Sequence[SceneObject], prim: str, among: Sequence[SceneObject] | None = None
+) -> list[int]:
+    """Return the indices of the meshes at or below an object, given by path or name."""
+    among = meshes if among is None else among
+    if not prim.strip("/"):
+        return list(range(len(among)))
+    root = _path_of(file, meshes, prim)
+    return [number for number, place in enumerate(among) if root in (each.path for each in place.lineage)]
+
+
+def _path_of(file: Path, meshes: Sequence[SceneObject], prim: str) -> str:
+    """Return the path of the object named by `prim`: a listed path, a name, or a path without its end slashes."""
+    paths = {each.path.strip("/"): each.path for mesh in meshes for each in mesh.lineage}
+    path = paths.get(prim.strip("/"))
+    if path == prim:
+        return path
+    # The outermost of those that are in each other.
+    named = {each.path for mesh in meshes for each in _called(mesh, prim)[-1:]}
+    if len(named) > 1:
+        raise AmbiguousError(f"{file}: {prim!r} is in several places, {listed(sorted(named))}; give its path")
+    found = next(iter(named), path)
+    if found is None:
+        raise FormatError(
+            f"{file} has no mesh at or below {prim!r}; its meshes are {listed([mesh.path for mesh in meshes])}"
+        )
+    return found
+
+
+def _called(mesh: SceneObject, name: str) -> list[SceneObject]:
+    return [each for each in mesh.lineage if name in each.names]
+
+
+def moving(file: Path, meshes: Sequence[SceneObject], moves: Sequence[bool]) -> list[int]:
+    """Return the indices of the meshes that move; all if none moves."""
+    still = [mesh.path for mesh, it_moves in zip(meshes, moves, strict=True) if not it_moves]
+    if not any(moves):
+        return list(range(len(meshes)))
+    if still:
+        warn(
+            f"{file}: meshes that stand still are left out; prim='/' (--prim / on the command line) takes them, too: "
+            f"{listed(still)}"
+        )
+    return [number for number, it_moves in enumerate(moves) if it_moves]
+
+
+def common_name(meshes: Sequence[SceneObject]) -> str:
+    """Return the name of the only mesh, or of the deepest named common ancestor; "" if there is none."""
+    shared = set.intersection(*({each.path for each in mesh.lineage} for mesh in meshes))
+    return next((each.name for each in meshes[0].lineage if each.path in shared and each.name), "")
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return at most 20 names, quoted, for a message."""
+    more = len(names) - _LONGEST_LIST
+    return ", ".join(map(repr, names[:_LONGEST_LIST])) + (f" and {more} more" if more > 0 else "")
+
+
+SAME_TIME = 1e-6
+"""Largest distance in seconds of keys of different channels that make one frame."""
+
+MOST_PLAYED = 100_000
+"""Largest number of frames added between keys; an hour has 86 400 at 24 frames per second."""
+
+_EARLY = 2.0  # seconds; exporters compute earlier times from later ones
+
+
+def joined(channels: Iterable[Float], tolerance: float = SAME_TIME) -> Float:
+    """Return the times ``(n,)`` of all channels, increasing, merged if equal in two channels, but not within one."""
+    times = np.empty(0)
+    for each in channels:
+        times = united(times, each, tolerance)
+    return times
+
+
+def united(times: Float, more: Float, tolerance: float | Float) -> Float:
+    """Return times and `more` ``(n,)``, increasing, without those of `more` within `tolerance` of one of `times`."""
+    ends = np.concatenate([[-np.inf], times, [np.inf]])
+    place = np.searchsorted(times, more)
+    near = np.minimum(more - ends[place], ends[place + 1] - more) <= tolerance
+    return np.union1d(times, more[~near])
+
+
+def on_grid(times: Float, fps: float) -> Float:
+    """Return times ``(T,)``, moved to ``k / fps`` if within two float32 steps of it (of 2 s, for earlier times).
+
+    Other times stay as they are, and all do where two would become one.
+
+    Examples
+    --------
+    >>> rounded = np.array([0, 1 / 24, 49 / 48, 1.05], np.float32).astype(np.float64)
+    >>> on_grid(rounded, 48).tolist() == [0, 1 / 24, 49 / 48, rounded[3]]
+    True
+    """
+    with np.errstate(all="ignore"):  # non-finite times are reported where they are used
+        nearest = np.rint(times * fps) / fps
+        rounding = 2 * np.spacing(np.maximum(np.abs(times), _EARLY).astype(np.float32)).astype(np.float64)
+        snapped = np.where(np.abs(nearest - times) <= rounding, nearest, times)
+        return snapped if (np.diff(snapped) > 0).all() else times
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -2,7 +2,9 @@ r"""Check a compressed model against its original, and against its stated error 
 
 With :math:`A, B` the points of the original and of the decoded frames, and d the diagonal of the bounding box of the
 original's first frame, or 1 if that is a single point, the bound is :math:`|A_{tv} - B_{tv}| \le \epsilon\, d`. The
-KG error is that of `mixseq.metrics`. Frames are decoded a few at a time, at any scale: see `mixseq.diagonal`.
+KG error is that of `mixseq.metrics`. Frames are decoded a few at a time, at any scale: see `mixseq.mesh.measures`.
+
+Files with compressed models: HDF5, and GLB with a mesh sequence.
 """
 
 from __future__ import annotations
@@ -14,19 +16,62 @@ from typing import Any
 
 import numpy as np
 
-from mixseq.arrays import FloatArray, PathLike
-from mixseq.coding.renumbering import Renumbering
-from mixseq.diagonal import Diagonal
+from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
+from mixseq.compression.numbering import Renumbering
 from mixseq.errors import FormatError
+from mixseq.mesh.measures import Diagonal
+from mixseq.mesh.polygons import matched
 from mixseq.metrics import comparable, paired_blocks
-from mixseq.polygon_matching import matched
-from mixseq.progress import Progress, silent
-from mixseq.public import public
-from mixseq.sequence import Frames, SequenceHeader, check_frames
+from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.public import public
+from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.sequence import Frames, check_frames
 from mixseq.signals.decoding import FRAMES
 from mixseq.signals.model import Model
-from mixseq_io.coded.reading import decoded
-from mixseq_io.compressed_files import read_compressed
+from mixseq.types import FloatArray, PathLike
+from mixseq_io.coded.streams import Container, decoded, read_index, sequence_of
+from mixseq_io.gltf import mesh_sequence
+from mixseq_io.hdf5 import coded_files
+from mixseq_io.hdf5.contents import MODEL_FORMAT, read_attributes, read_contents
+
+
+def is_compressed(path: Path) -> bool:
+    """Whether a file has a compressed model."""
+    if mesh_sequence.is_glb(path):
+        return mesh_sequence.has_sequence(path)
+    file = read_attributes(path)
+    return file.kind == MODEL_FORMAT and "coding" in file.attrs
+
+
+def read_container(path: Path) -> Container:
+    """Read text and streams of a compressed model."""
+    if mesh_sequence.is_glb(path):
+        return mesh_sequence.read_container(path)
+    return coded_files.container_of(path, read_contents(path, MODEL_FORMAT))
+
+
+def read_compressed(path: Path) -> CompressedSequence:
+    """Read a compressed sequence and check all its bytes."""
+    return sequence_of(path, read_container(path))
+
+
+def compressed_sizes(path: Path) -> dict[str, int]:
+    """Return the sizes in bytes of a compressed model's parts."""
+    container = read_container(path)
+    index = read_index(path, container)
+    still = mesh_sequence.other_data(path) if mesh_sequence.is_glb(path) else 0
+    total, connectivity = path.stat().st_size, index.ground["connectivity"].size
+    return {
+        "total": total,
+        "connectivity": connectivity,
+        "still": still,
+        "container": total - len(container.streams) - still,
+        "signals": len(container.streams) - connectivity,
+        "uvs": index.ground["uvs"].size if "uvs" in index.ground else 0,
+        "surface": index.ground["surface"].size,
+        "index": index.size,
+    }
+
 
 _ROUNDING = 1e-9
 """Relative tolerance of a bound that was measured instead of requested."""

@@ -28,8 +28,8 @@ from typing import Any
 import numpy as np
 
 from mixseq.errors import MixseqError
+from mixseq_io.files import VARIABLE, out_of_memory
 from mixseq_io.isolation import clocks, loaded
-from mixseq_io.memory import VARIABLE, out_of_memory
 from mixseq_io.reader import SequenceReader
 
 _SECONDS = float(os.environ.get("MIXSEQ_READER_SECONDS", "120"))

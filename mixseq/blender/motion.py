@@ -1,18 +1,103 @@
-"""A model in Blender's axes and units, at any time; the first and the last pose are held beyond the ends."""
+"""A model in Blender's axes and units, at any time; the first and the last pose are held beyond the ends.
+
+Caches of models and decoded frames, up to a limit, for fast scrubbing.
+
+Blender draws on one thread and renders on another, so both are behind a lock.
+
+Polygons of a mesh in Blender and their attributes, from a model's header.
+"""
 
 from __future__ import annotations
 
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
+from pathlib import Path
+from threading import Lock
 
 import numpy as np
 
-from mixseq.arrays import Float, Single
-from mixseq.errors import SettingsError
-from mixseq.sequence_header import SequenceHeader
+from mixseq.errors import FormatError, MixseqError, SettingsError
+from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.sequence import UnitConversion
 from mixseq.signals.model import Model
-from mixseq.unit_conversion import UnitConversion
+from mixseq.types import Float, FloatArray, Index, IntArray, Mask, Single
+
+MEMORY = 512 << 20
+"""Bytes of cached frames by default."""
+
+
+class Frames:
+    """A cache of arrays, limited by memory; the least recently used are dropped."""
+
+    def __init__(self, memory: int = MEMORY) -> None:
+        self.memory = memory
+        self._kept: OrderedDict[Hashable, Single] = OrderedDict()
+        self._size = 0
+        self._lock = Lock()
+
+    @property
+    def size(self) -> int:
+        """Bytes in use."""
+        return self._size
+
+    def get(self, key: Hashable, make: Callable[[], Single]) -> Single:
+        """Return the cached array of a key, or else the result of `make`."""
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return self._kept[key]
+        made = make()  # without the lock, so that cached frames stay available
+        made.setflags(write=False)
+        with self._lock:
+            if key not in self._kept:
+                self._kept[key] = made
+                self._size += made.nbytes
+            while self._size > self.memory and len(self._kept) > 1:
+                self._size -= self._kept.popitem(last=False)[1].nbytes
+        return made
+
+    def clear(self) -> None:
+        """Empty the cache."""
+        with self._lock:
+            self._kept.clear()
+            self._size = 0
+
+
+class Models:
+    """A cache of models by their files, read again when these change."""
+
+    def __init__(self, load: Callable[[Path], Model]) -> None:
+        self._load = load
+        self._read: dict[Path, tuple[tuple[int, int], Model | MixseqError]] = {}
+        self._lock = Lock()
+
+    def get(self, path: Path) -> Model:
+        """Return the model in a file, the same object until the file changes."""
+        try:
+            told = path.stat()
+        except OSError as error:
+            raise FormatError(f"{path}: {error.strerror or error}; choose the file again") from None
+        state = told.st_mtime_ns, told.st_size
+        with self._lock:
+            known, found = self._read.get(path, (None, None))
+            if found is None or known != state:
+                try:
+                    found = self._load(path)
+                except MixseqError as error:
+                    found = error
+                self._read[path] = state, found
+        if isinstance(found, MixseqError):
+            raise found
+        return found
+
+    def clear(self) -> None:
+        """Empty the cache."""
+        with self._lock:
+            self._read.clear()
+
 
 BLENDERS_UP = "Z"
 
@@ -104,3 +189,73 @@ def fitting(model: Model, points: Float, frames: int = 9) -> tuple[str, Placing]
         return min(float(np.abs(turned(pose[vertices[name]]) - points).max()) for pose in poses)
 
     return min(product(names, placings), key=distance)
+
+
+@dataclass(frozen=True, eq=False)
+class MeshParts:
+    """One of the meshes of a model.
+
+    Of P polygons: `counts` (P,) int32 of corners; `corners` (C,) int32, vertices numbered from the mesh's first. Per
+    corner, or None: `uvs` (C, 2) and linear `colours` (C, 4) RGBA float32; `groups` (C,) int32, equal for corners of a
+    vertex with one normal. Names of `materials`, and `material_of_polygon` (P,) int32.
+    """
+
+    counts: IntArray
+    corners: IntArray
+    uvs: FloatArray | None
+    colours: FloatArray | None
+    groups: IntArray | None
+    materials: tuple[str, ...]
+    material_of_polygon: IntArray
+
+    @classmethod
+    def of(cls, header: SequenceHeader, name: str) -> MeshParts:
+        """Return the mesh of a name, with the errors of `part_of`."""
+        vertices, polygons = part_of(header, name)
+        ends = np.concatenate([[0], np.cumsum(header.polygons.counts)])
+        corners = slice(ends[polygons.start], ends[polygons.stop])
+        surface = header.surface
+        materials, of_polygon = _materials(header)
+        used, slots = np.unique(of_polygon[polygons], return_inverse=True)
+        return cls(
+            header.polygons.counts[polygons],
+            header.polygons.indices[corners] - vertices.start,
+            None if surface.uvs is None else surface.uvs.at_corners[corners],
+            None if surface.colours is None else surface.colours.at_corners[corners],
+            None if surface.hard_edges is None else surface.hard_edges[corners],
+            tuple(materials[number] for number in used),
+            slots.astype(np.int32).reshape(-1),
+        )
+
+    @property
+    def starts(self) -> Index:
+        """First corner ``(P,)`` of every polygon."""
+        return np.cumsum(self.counts) - self.counts
+
+    def sharp(self, edges: IntArray) -> Mask:
+        """Return which edges are hard: adjacent corners at an end have separate normals; edges ``(sum of counts,)``."""
+        hard = np.zeros(int(edges.max(initial=-1)) + 1, dtype=bool)
+        if self.groups is None:
+            return hard
+        after = np.arange(1, len(edges) + 1)
+        after[self.starts + self.counts - 1] = self.starts
+        ends = np.concatenate(
+            [np.arange(len(edges)), after]
+        )  # the two corners of a polygon at every edge of it
+        rows = np.column_stack([np.tile(edges, 2), self.corners[ends], self.groups[ends]])
+        rows = rows[np.lexsort(rows.T[::-1])]
+        beside = (rows[1:, :2] == rows[:-1, :2]).all(axis=1)
+        hard[rows[1:][beside & (rows[1:, 2] != rows[:-1, 2]), 0]] = True
+        return hard
+
+
+def _materials(header: SequenceHeader) -> tuple[list[str], IntArray]:
+    """Return names of materials, and the material of every polygon; of polygons in no face set that of none."""
+    names = [""]
+    of_polygon = np.zeros(len(header.polygons.counts), dtype=np.int32)
+    for face_set in header.surface.face_sets:
+        name = face_set.material.rpartition("/")[2] or face_set.name
+        if name not in names:
+            names.append(name)
+        of_polygon[face_set.polygons] = names.index(name)
+    return names, of_polygon

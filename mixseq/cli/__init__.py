@@ -8,8 +8,7 @@ from __future__ import annotations
 import click
 
 import mixseq
-from mixseq.cli.group import LazyGroup
-from mixseq.cli.limits import max_memory
+from mixseq.cli.group import LazyGroup, max_memory
 from mixseq.cli.options import examples
 
 

@@ -6,10 +6,9 @@ from pathlib import Path
 
 import click
 
-from mixseq.cli.console import announce
-from mixseq.cli.options import FILE, examples
-from mixseq.cli.overwriting import Claim, overwrite_option
-from mixseq.cli.settings import CommandWithSettings, setting
+from mixseq.cli.files import Claim, overwrite_option
+from mixseq.cli.group import announce
+from mixseq.cli.options import FILE, CommandWithSettings, examples, setting
 
 PLATFORMS = ("linux-x64", "macos-arm64", "windows-x64")
 RELEASES = ("4.2", "5.1")

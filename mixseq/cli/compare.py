@@ -12,20 +12,27 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import mixseq
-from mixseq.cli.console import print_json, print_table, progress_bar, say
 from mixseq.cli.files import counted, options_of
-from mixseq.cli.frames import chosen_blocks
-from mixseq.cli.options import FILE, examples, json_option, quiet_option, reader_options
-from mixseq.cli.settings import CommandWithSettings
+from mixseq.cli.group import print_json, print_table, progress_bar, say
+from mixseq.cli.options import (
+    FILE,
+    CommandWithSettings,
+    chosen_blocks,
+    examples,
+    json_option,
+    quiet_option,
+    reader_options,
+)
 from mixseq.errors import MixseqWarning, SettingsError
-from mixseq.frame_numbers import frame_text, number_at
+from mixseq.sequence.frame_rates import frame_text, number_at
 
 if TYPE_CHECKING:
-    from mixseq.arrays import FloatArray
     from mixseq.metrics import Comparison
-    from mixseq.progress import Progress
-    from mixseq.sequence import Frames, SequenceHeader
-    from mixseq.statistics import Statistics
+    from mixseq.runtime.low_memory import Statistics
+    from mixseq.runtime.progress import Progress
+    from mixseq.sequence.header import SequenceHeader
+    from mixseq.sequence.sequence import Frames
+    from mixseq.types import FloatArray
 
 
 @click.command(

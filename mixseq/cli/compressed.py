@@ -12,16 +12,17 @@ from click.core import ParameterSource
 
 import mixseq
 from mixseq.choices import ORDERS
-from mixseq.cli.console import format_bytes
-from mixseq.cli.limits import as_bytes
-from mixseq.cli.settings import setting
+from mixseq.cli.group import as_bytes, format_bytes
+from mixseq.cli.options import setting
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
     from mixseq.choices import StillName
-    from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
-    from mixseq.progress import Progress
-    from mixseq.sequence import Frames, SequenceHeader
+    from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
+    from mixseq.runtime.progress import Progress
+    from mixseq.sequence.header import SequenceHeader
+    from mixseq.sequence.sequence import Frames
+
 
 Rows = list[tuple[str, str]]
 
@@ -121,7 +122,7 @@ def compressed(
     if "size" in aim:
         others = {name: value for name, value in aim.items() if name in ("uv_error", "uvs", "order")}
         if still is not None:
-            from mixseq_io.gltf.sequence_writer import other_bytes
+            from mixseq_io.gltf.mesh_sequence import other_bytes
 
             others["container"] = other_bytes(frames.header, next(iter(frames.blocks(1)))[0], still)
         aim = {**aim, "size": room_for_signals(frames.header, aim["size"], **others)}
@@ -145,7 +146,7 @@ def coding_facts(path: Path, coded: CompressedSequence) -> dict[str, Any]:
     """Return bytes, rates and errors of a compressed model in a file."""
     from dataclasses import asdict
 
-    from mixseq_io.compressed_files import compressed_sizes
+    from mixseq_io.verification import compressed_sizes
 
     sizes = compressed_sizes(path)
     return {

@@ -8,12 +8,19 @@ from typing import Any
 import click
 
 import mixseq
-from mixseq.cli.console import announce, progress_bar
-from mixseq.cli.files import counted, write_sequence
-from mixseq.cli.frames import FrameChoice, chosen_blocks, frames_option
-from mixseq.cli.options import FILE, examples, quiet_option, reader_options, writer_options
-from mixseq.cli.overwriting import Claim, overwrite_option
-from mixseq.cli.settings import CommandWithSettings
+from mixseq.cli.files import Claim, counted, overwrite_option, write_sequence
+from mixseq.cli.group import announce, progress_bar
+from mixseq.cli.options import (
+    FILE,
+    CommandWithSettings,
+    FrameChoice,
+    chosen_blocks,
+    examples,
+    frames_option,
+    quiet_option,
+    reader_options,
+    writer_options,
+)
 
 
 @click.command(

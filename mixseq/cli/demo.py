@@ -12,16 +12,14 @@ import click
 
 import mixseq
 from mixseq.cli.compare import at_times_of
-from mixseq.cli.console import announce, print_table, progress_bar
-from mixseq.cli.files import read_sequence
+from mixseq.cli.files import Claim, overwrite_option, read_sequence
+from mixseq.cli.group import announce, print_table, progress_bar
 from mixseq.cli.info import dimension_rows
-from mixseq.cli.options import FILE, examples, quiet_option
-from mixseq.cli.overwriting import Claim, overwrite_option
-from mixseq.cli.settings import CommandWithSettings
+from mixseq.cli.options import FILE, CommandWithSettings, examples, quiet_option
 
 if TYPE_CHECKING:
-    from mixseq.sequence import MeshSequence
-    from mixseq.signals import Model
+    from mixseq.sequence.sequence import MeshSequence
+    from mixseq.signals.model import Model
 
 
 @click.command("demo", cls=CommandWithSettings, epilog=examples("mixseq demo --out fox --frames 24"))
@@ -88,8 +86,8 @@ def command(out: Path, frames: int, claim: Claim, quiet: bool) -> None:
 
 
 def _draw(path: Path, original: MeshSequence, decoded: MeshSequence, model: Model) -> None:
-    from mixseq.plots import contact_sheet
-    from mixseq_io.atomic import replacing
+    from mixseq.pictures.sheets import contact_sheet
+    from mixseq_io.files import replacing
 
     parts = model.decomposition
     with replacing(path) as temporary:

@@ -10,17 +10,23 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import mixseq
-from mixseq.cli.console import announce, print_table, progress_bar
-from mixseq.cli.files import MODEL_EXTENSIONS, check_target, write_frames
-from mixseq.cli.options import FILE, examples, quiet_option, workers_options, writer_options
-from mixseq.cli.overwriting import Claim, overwrite_option
-from mixseq.cli.settings import CommandWithSettings, setting
+from mixseq.cli.files import MODEL_EXTENSIONS, Claim, check_target, overwrite_option, write_frames
+from mixseq.cli.group import announce, print_table, progress_bar
+from mixseq.cli.options import (
+    FILE,
+    CommandWithSettings,
+    examples,
+    quiet_option,
+    setting,
+    workers_options,
+    writer_options,
+)
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
-    from mixseq.mapping import Executor
     from mixseq.operations.script import Edit
-    from mixseq.signals import Model
+    from mixseq.runtime.parallel import Executor
+    from mixseq.signals.model import Model
 
 
 SCRIPT = """\b
@@ -104,8 +110,7 @@ def command(
     sketch and swap_key; their settings are the parameters of these functions in mixseq.operations. Paths in a script
     are relative to it, and lead to its folder or those below.
     """
-    from mixseq.operations.arguments import Readers
-    from mixseq.operations.script import RETIMING, read_script
+    from mixseq.operations.script import RETIMING, Readers, read_script
 
     as_model = target.suffix.lower() in MODEL_EXTENSIONS
     of_sequences = {"fps": fps, "velocities": velocities, **writing}
@@ -158,7 +163,7 @@ def command(
 def _write_travel(path: Path, model: Model, edit: Edit) -> None:
     """Write the distance that a body has travelled at every frame, before an edit removes it."""
     from mixseq.operations import travel_of
-    from mixseq_io.atomic import replacing
+    from mixseq_io.files import replacing
 
     places = travel_of(model, **edit.arguments)(model.times)
     rows = (

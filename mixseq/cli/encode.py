@@ -12,28 +12,27 @@ import click
 import mixseq
 from mixseq.choices import POSE_FORMS, STILLS, PoseForm, StillName
 from mixseq.cli.compressed import aim_options, coding_facts, coding_rows, compressed
-from mixseq.cli.console import announce, print_table, progress_bar
-from mixseq.cli.files import GLB, Decoded, check_model_name, is_model
+from mixseq.cli.files import GLB, Claim, Decoded, check_model_name, is_model, overwrite_option, parts_given
+from mixseq.cli.group import announce, print_table, progress_bar
 from mixseq.cli.info import bytes_of_frames, dimension_rows, size_row
-from mixseq.cli.labelled import parts_given
 from mixseq.cli.options import (
     FILE,
+    CommandWithSettings,
     examples,
     fit_options,
     labels_options,
     quiet_option,
     reader_options,
+    setting,
     workers_options,
 )
-from mixseq.cli.overwriting import Claim, overwrite_option
-from mixseq.cli.settings import CommandWithSettings, setting
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
-    from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
-    from mixseq.mapping import Executor
+    from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
     from mixseq.metrics import Comparison
-    from mixseq.signals import Model
+    from mixseq.runtime.parallel import Executor
+    from mixseq.signals.model import Model
 
 
 @click.command(
@@ -115,7 +114,7 @@ def command(
         raise SettingsError("--still is for .glb files; leave it out")
     still = still or "draco"
     claim(target)
-    from mixseq_io.compressed_files import read_compressed
+    from mixseq_io.verification import read_compressed
 
     start = perf_counter()
     error: Comparison | None = None
@@ -152,7 +151,7 @@ def command(
 
 
 def _rows(model: Model | CompressedSequence, path: Path) -> dict[str, str]:
-    from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
+    from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
 
     if isinstance(model, CompressedSequence):
         return dict(coding_rows(coding_facts(path, model)))

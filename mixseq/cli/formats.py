@@ -6,9 +6,8 @@ from collections.abc import Sequence
 
 import click
 
-from mixseq.cli.console import print_table
-from mixseq.cli.options import examples
-from mixseq.cli.settings import CommandWithSettings, setting
+from mixseq.cli.group import print_table
+from mixseq.cli.options import CommandWithSettings, examples, setting
 
 Table = Sequence[Sequence[str]]
 
@@ -19,7 +18,7 @@ Table = Sequence[Sequence[str]]
 @setting("--markdown", is_flag=True, help="Print the tables in Markdown.")
 def command(markdown: bool) -> None:
     """List the file formats: what each can hold, which motion is read from it, and its options."""
-    from mixseq_io.formats import capabilities, motions
+    from mixseq_io.registry import capabilities, motions
 
     for number, (titles, *rows) in enumerate((capabilities(), motions())):
         if number:

@@ -12,25 +12,227 @@ Exit codes:
 ====  ======================================================================
 
 Anything else is a bug in mixseq, and those do come with a traceback.
+
+Output of commands: tables and finished files on stdout, progress on stderr.
+
+Names in files are untrusted: they must not move the cursor, colour or rename the terminal, or reverse the rest of a
+line. So all output goes through `printable`; JSON has escapes of its own.
+
+Limited address space, as after ``ulimit -v``: one thread, and a minimum.
+
+C libraries, with the stacks and arenas of their threads, take address space by the hundred megabytes before any work
+begins. Without it they crash, abort or hang, none of which Python can catch. So they are not loaded below a minimum,
+and start no threads under a limit.
+
+Parse sizes, and limit the memory of every command.
 """
 
 from __future__ import annotations
 
+import json
+import os
+import re
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import click
 
-from mixseq.cli.address_space import is_short_of_memory, make_do
-from mixseq.cli.console import say
-from mixseq.errors import MixseqError, MixseqWarning
-from mixseq.interrupts import unwinding
-from mixseq.warned import warnings_heard
+from mixseq.errors import MixseqError, MixseqWarning, SettingsError
+from mixseq.runtime.interrupts import unwinding
+from mixseq.runtime.progress import Progress, silent, warnings_heard
+
+_CONTROLS = re.compile(
+    "[\x00-\x1f\x7f-\x9f"  # C0, DEL and C1
+    "\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069"  # of bidirectional text
+    "\u2028\u2029\ud800-\udfff]"  # ends of lines and paragraphs; halves of characters
+)
+
+
+def printable(text: str) -> str:
+    """Return text with all control and formatting characters escaped."""
+    return _CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
+
+
+def say(text: str, err: bool = False) -> None:
+    """Print a line, on stdout or stderr."""
+    click.echo(printable(text), err=err)
+
+
+def print_table(rows: Iterable[Sequence[str]], heading: Sequence[str] | None = None) -> None:
+    """Print rows of text in columns: coloured on a terminal, aligned plain text elsewhere."""
+    lines = [[printable(cell) for cell in row] for row in rows]
+    if sys.stdout.isatty():
+        _print_rich(lines, heading)
+        return
+    if heading:
+        lines.insert(0, list(heading))
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    for line in lines:
+        cells = (cell.ljust(width) for cell, width in zip(line, widths, strict=True))
+        say("  ".join(cells).rstrip())
+
+
+def _print_rich(rows: list[list[str]], heading: Sequence[str] | None) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD if heading else None, show_header=bool(heading), pad_edge=False)
+    for number, name in enumerate(heading or rows[0]):
+        table.add_column(name, style="cyan" if number == 0 else None, overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    # Names in files are data: brackets and colons in them are not markup.
+    Console(markup=False, emoji=False, highlight=False).print(table)
+
+
+def print_json(data: dict[str, Any]) -> None:
+    """Print data as JSON."""
+    click.echo(json.dumps(data, indent=2, allow_nan=False))
+
+
+def announce(path: Path) -> None:
+    """Print that a file is written, and which others it needs."""
+    size = f" ({format_bytes(path.stat().st_size)})" if path.is_file() else ""
+    say(f"wrote {click.format_filename(path)}{size}{needed(path)}")
+
+
+def needed(path: Path) -> str:
+    """Return the files that a USD file depends on, "" if there are none."""
+    if path.suffix.lower() not in (".usd", ".usda", ".usdc"):
+        return ""
+    from mixseq_io.usd.stage import clips_of, sublayer_of
+
+    below, clips = sublayer_of(path), clips_of(path)
+    over = f", a layer over {below}" if below else ""
+    if not clips:
+        return over
+    size = format_bytes(sum(file.stat().st_size for file in clips))
+    return f"{over}, with {len(clips)} files ({size}) in {click.format_filename(clips[0].parent.name)}"
+
+
+def format_bytes(count: float) -> str:
+    """Format a size in the largest fitting unit.
+
+    >>> format_bytes(999), format_bytes(1_234_567)
+    ('999 bytes', '1.23 MB')
+    """
+    for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if count >= size:
+            return f"{count / size:.3g} {unit}"
+    return f"{count:.0f} bytes"
+
+
+@contextmanager
+def progress_bar(quiet: bool) -> Iterator[Progress]:
+    """Show the progress of work, if stderr is a terminal."""
+    if quiet or not sys.stderr.isatty():
+        yield silent
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bar
+
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
+    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("starting", total=None)
+
+        def tell(done: int, total: int, what: str) -> None:
+            bar.update(task, completed=done, total=total, description=printable(what))
+
+        yield tell
+
+
+FLOOR = 2000 << 20
+"""Smallest address space in bytes: small files take up to 1.8 GB on one thread (measured), libraries a sixth of it."""
+
+_THREADS = ("MIXSEQ_THREADS", "OPENBLAS_NUM_THREADS", "RAYON_NUM_THREADS")
+
+_SIGNS = ("can't start new thread", "failed to map segment", "Cannot allocate memory", "libllvmlite")
+"""Parts of error messages that signal a lack of memory."""
+
+
+def make_do() -> None:
+    """Set libraries that are not loaded yet to one thread, if the address space is limited."""
+    limit = _limit()
+    if limit is None:
+        return
+    if limit < FLOOR:
+        raise SettingsError(
+            f"the address space is limited to {limit >> 20} MiB (ulimit -v), and the libraries that mixseq works with "
+            f"need {FLOOR >> 20} MiB before they begin; raise the limit"
+        )
+    for name in _THREADS:
+        os.environ.setdefault(name, "1")
+
+
+def is_short_of_memory(error: Exception) -> bool:
+    """Return whether an error of another kind is due to limited memory."""
+    return _limit() is not None and any(sign in str(error) for sign in _SIGNS)
+
+
+def _limit() -> int | None:
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    return None if limit == resource.RLIM_INFINITY else limit
+
+
+_UNITS = {"": 1, "b": 1, "kb": 1e3, "mb": 1e6, "gb": 1e9, "kib": 2**10, "mib": 2**20, "gib": 2**30}
+_SIZE = re.compile(r"(\d+\.?\d*|\.\d+)\s*([kmg]?i?b|)", re.IGNORECASE)
+
+
+def as_bytes(context: click.Context, option: click.Parameter, value: str | None) -> int | None:
+    """Parse a size such as 2MB, 500kB or 1.5MiB; without a unit, bytes."""
+    if value is None:
+        return None
+    found = _SIZE.fullmatch(value.strip())
+    unit = found and _UNITS.get(found[2].lower())
+    if not found or not unit or float(found[1]) * unit < 1:
+        raise click.BadParameter(f"{value!r} is not a size such as 2MB, 500kB or 1.5MiB")
+    return int(float(found[1]) * unit)
+
+
+def _limit_memory(context: click.Context, option: click.Parameter, value: str | None) -> None:
+    size = as_bytes(context, option, value)
+    if size is None:
+        return
+    from mixseq_io.files import VARIABLE
+
+    # Inherited by threads and processes started here.
+    before = os.environ.get(VARIABLE)
+    os.environ[VARIABLE] = str(size / (1 << 30))
+
+    def restore() -> None:
+        if before is None:
+            del os.environ[VARIABLE]
+        else:
+            os.environ[VARIABLE] = before
+
+    context.call_on_close(restore)
+
+
+max_memory = click.Option(
+    ["--max-memory"],
+    callback=_limit_memory,
+    expose_value=False,
+    metavar="SIZE",
+    help="Memory that reading a file may take: 12GB, 500MB, ...  [default: 8GB, or half of the machine's]",
+)
+"""Option ``--max-memory`` of all commands."""
 
 
 class LazyGroup(click.Group):

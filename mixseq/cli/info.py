@@ -11,16 +11,15 @@ import click
 
 import mixseq
 from mixseq.cli.compressed import coding_facts, coding_rows
-from mixseq.cli.console import format_bytes, print_json, print_table
 from mixseq.cli.files import is_model
-from mixseq.cli.options import FILE, examples, json_option, quiet_option, reader_options
-from mixseq.cli.settings import CommandWithSettings
-from mixseq.frame_numbers import frames_text, number_at
-from mixseq.frame_rates import rate_text
+from mixseq.cli.group import format_bytes, print_json, print_table
+from mixseq.cli.options import FILE, CommandWithSettings, examples, json_option, quiet_option, reader_options
+from mixseq.sequence.frame_rates import frames_text, number_at, rate_text
 
 if TYPE_CHECKING:
-    from mixseq.sequence import SequenceHeader
-    from mixseq.signals import Model
+    from mixseq.sequence.header import SequenceHeader
+    from mixseq.signals.model import Model
+
 
 Rows = list[tuple[str, str]]
 
@@ -49,7 +48,7 @@ def command(path: Path, as_json: bool, reading: dict[str, Any], quiet: bool) -> 
     else:
         with mixseq.open_sequence(path, **reading) as reader:
             first = next(iter(reader.blocks(1)))[0]
-            from mixseq.sequence import bounding_diagonal
+            from mixseq.sequence.sequence import bounding_diagonal
 
             facts |= {"kind": "sequence", **_mesh(reader.header, bounding_diagonal(first))}
     if as_json:
@@ -111,7 +110,7 @@ def _surface(header: SequenceHeader) -> dict[str, Any]:
 
 def _coding(path: Path) -> dict[str, Any]:
     """Return the facts about a compressed model, empty for others."""
-    from mixseq_io.compressed_files import is_compressed, read_compressed
+    from mixseq_io.verification import is_compressed, read_compressed
 
     return coding_facts(path, read_compressed(path)) if is_compressed(path) else {}
 

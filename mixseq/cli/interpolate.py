@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 import mixseq
-from mixseq.cli.console import announce, print_table, progress_bar
-from mixseq.cli.files import write_sequence
-from mixseq.cli.labelled import parts_given
+from mixseq.cli.files import Claim, overwrite_option, parts_given, write_sequence
+from mixseq.cli.group import announce, print_table, progress_bar
 from mixseq.cli.options import (
     FILE,
+    CommandWithSettings,
     examples,
     labels_options,
     quiet_option,
@@ -24,15 +24,13 @@ from mixseq.cli.options import (
     workers_options,
     writer_options,
 )
-from mixseq.cli.overwriting import Claim, overwrite_option
-from mixseq.cli.settings import CommandWithSettings
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from mixseq.mapping import Executor
+    from mixseq.runtime.parallel import Executor
 
 
 class Pose(NamedTuple):

@@ -1,22 +1,143 @@
-"""Arguments and options shared by several commands."""
+"""Arguments and options shared by several commands.
+
+Settings: rare options, given as ``--set NAME=VALUE``, to keep the list of options short.
+
+The setting ``joint_width`` is also the option ``--joint-width``. Help lists settings apart from options.
+
+The camera option of films, pages and the viewer.
+
+Frames chosen by their numbers in the time line: ``1005-1010``, ``1001,1005-1010``.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+import re
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from functools import wraps
+from dataclasses import dataclass
+from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from mixseq.choices import PLACEMENTS, PROJECTIONS, SEGMENTATIONS, SPACES
-from mixseq.cli.settings import setting
 from mixseq.errors import SettingsError
+from mixseq.sequence.frame_rates import NEAR, frames_text, number_at, number_text, rate_text, time_of
 
 if TYPE_CHECKING:
-    from mixseq.mapping import Executor
+    from mixseq.runtime.parallel import Executor
+    from mixseq.sequence.header import SequenceHeader
+    from mixseq.types import FloatArray
+
+
+ON = ("yes", "true", "on", "1")
+OFF = ("no", "false", "off", "0")
+
+
+class Setting(click.Option):
+    """An option listed among the settings."""
+
+    @property
+    def key(self) -> str:
+        """Name of the setting."""
+        return self.opts[-1].removeprefix("--").replace("-", "_")
+
+    def usage(self, ctx: click.Context) -> str:
+        """Return the usage of the setting in help."""
+        return f"{self.key}={'yes' if self.is_flag else self.make_metavar(ctx)}"
+
+    def spelled(self, value: str) -> list[str]:
+        """Return the arguments of a value."""
+        if not self.is_flag:
+            return [self.opts[-1], value]
+        if value.lower() in ON:
+            return [self.opts[-1]]
+        if value.lower() not in OFF:
+            raise click.BadParameter(f"{self.key}={value} is neither yes nor no", param_hint="'--set'")
+        return self.secondary_opts[-1:]
+
+
+setting = partial(click.option, cls=Setting)
+"""Decorator like `click.option`, for a setting."""
+
+
+class CommandWithSettings(click.Command):
+    """A command with settings listed after its options; if it has any, it gets the option ``--set``."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        if self.settings:
+            text = "One of the settings below; may be given several times."
+            self.params.append(
+                click.Option(["--set"], metavar="NAME=VALUE", multiple=True, expose_value=False, help=text)
+            )
+
+    @property
+    def settings(self) -> dict[str, Setting]:
+        """Its settings by name."""
+        return {each.key: each for each in self.params if isinstance(each, Setting)}
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse arguments, with settings expanded to options."""
+        return super().parse_args(ctx, list(self._spelled(ctx, args)) if self.settings else args)
+
+    def _spelled(self, ctx: click.Context, args: list[str]) -> Iterator[str]:
+        rest = iter(args)
+        for arg in rest:
+            option, given, text = arg.partition("=")
+            if option != "--set":
+                yield arg
+                if arg == "--":
+                    yield from rest
+                continue
+            if not given:
+                text = next(rest, "")
+            name, given, value = text.partition("=")
+            found = self.settings.get(name.replace("-", "_"))
+            if found is None or not given:
+                names = ", ".join(self.settings)
+                raise click.BadParameter(
+                    f"{text!r} is not NAME=VALUE with one of: {names}", ctx=ctx, param_hint="'--set'"
+                )
+            yield from found.spelled(value)
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options, and after them the settings."""
+        options, settings = [], []
+        for param in self.get_params(ctx):
+            record = param.get_help_record(ctx)
+            if isinstance(param, Setting) and record is not None:
+                settings.append((param.usage(ctx), record[1]))
+            elif isinstance(param, click.Option) and record is not None:
+                options.append(record)
+        for title, rows in (("Options", options), ("Settings (--set NAME=VALUE)", settings)):
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
+
+
+def _as_camera(
+    context: click.Context, option: click.Parameter, value: str | None
+) -> tuple[float, float] | None:
+    if value is None:
+        return None
+    try:
+        angle, height = map(float, value.split(","))
+    except ValueError:
+        raise click.BadParameter(f"{value!r} is no angle and height such as 30,15") from None
+    return angle, height
+
+
+camera_option = setting(
+    "--camera",
+    callback=_as_camera,
+    metavar="ANGLE,HEIGHT",
+    help="Degrees from the body's front, to its left, and above the horizon.  [default: front and a side]",
+)
+"""Option ``--camera``; the command gets ``camera``, a pair of numbers or None."""
+
 
 Command = Callable[..., None]
 
@@ -100,7 +221,7 @@ def reader_options(command: Command) -> Command:
 
 
 def _unit(context: click.Context, option: click.Parameter, value: str | None) -> float | None:
-    from mixseq.unit_conversion import metres_of
+    from mixseq.sequence.sequence import metres_of
 
     return None if value is None else metres_of(value)
 
@@ -297,7 +418,7 @@ def _workers(threads: int | None, address: str | None) -> AbstractContextManager
         return threads_held(threads)
     if threads is not None:
         raise SettingsError("--threads and --cluster exclude each other; a cluster has threads of its own")
-    from mixseq.cluster import cluster
+    from mixseq.runtime.cluster import cluster
 
     return cluster(address)
 
@@ -305,7 +426,7 @@ def _workers(threads: int | None, address: str | None) -> AbstractContextManager
 @contextmanager
 def threads_held(count: int | None) -> Iterator[Executor]:
     """Set the number of threads meanwhile, also for code without the executor."""
-    from mixseq.mapping import on_threads
+    from mixseq.runtime.parallel import on_threads
 
     before = os.environ.get("MIXSEQ_THREADS")
     if count is not None:
@@ -321,3 +442,80 @@ def threads_held(count: int | None) -> Iterator[Executor]:
 
 def _those_given(options: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in options.items() if value is not None}
+
+
+_RANGE = re.compile(r"\s*(-?\d+)(?:-(-?\d+))?\s*")
+
+
+@dataclass(frozen=True)
+class FrameChoice:
+    """Frames by their numbers."""
+
+    ranges: tuple[tuple[int, int], ...]  # first and last number of every range; equal for a single frame
+
+    def indices(self, header: SequenceHeader) -> list[int]:
+        """Return the indices of the chosen frames of a sequence, in order."""
+        import numpy as np
+
+        numbers = header.times * header.fps
+        chosen = np.zeros(header.frame_count, dtype=bool)
+        for first, last in self.ranges:
+            self._check(header, first, last)
+            within = (numbers >= first - NEAR) & (numbers <= last + NEAR)
+            if not within.any():
+                header.index_of(first)
+            chosen |= within
+        return [int(index) for index in np.flatnonzero(chosen)]
+
+    def span(self, header: SequenceHeader) -> tuple[float, float]:
+        """Return the times of the first and last chosen frame, in seconds."""
+        if len(self.ranges) > 1:
+            raise SettingsError("--frames is one range here, such as 1005-1010")
+        ((first, last),) = self.ranges
+        self._check(header, first, last)
+        return time_of(first, header.fps), time_of(last, header.fps)
+
+    def _check(self, header: SequenceHeader, *numbers: int) -> None:
+        low, high = header.times[0] * header.fps - NEAR, header.times[-1] * header.fps + NEAR
+        for number in numbers:
+            if not low <= number <= high:
+                raise SettingsError(
+                    f"there is no frame {number_text(number)}; frames are {header.frame_numbers}"
+                )
+
+
+def _as_choice(context: click.Context, option: click.Parameter, value: str | None) -> FrameChoice | None:
+    if value is None:
+        return None
+    found = [_RANGE.fullmatch(part) for part in value.split(",")]
+    ranges = [(int(each[1]), int(each[2] or each[1])) for each in found if each]
+    if len(ranges) < len(found) or any(first > last for first, last in ranges):
+        raise click.BadParameter(f"{value!r} is not a range of frames such as 1005-1010, or a list of them")
+    return FrameChoice(tuple(ranges))
+
+
+def frames_option(help_text: str, metavar: str = "A-B") -> Callable[[Command], Command]:
+    """Return the option ``--frames``; the command gets ``frames``, a `FrameChoice` or None."""
+    return click.option("--frames", callback=_as_choice, metavar=metavar, help=help_text)
+
+
+def chosen_blocks(blocks: Iterable[FloatArray], indices: Iterable[int]) -> Iterator[FloatArray]:
+    """Yield the chosen frames of a sequence's blocks, in order; later ones are not read."""
+    left, first = sorted(indices), 0
+    for block in blocks:
+        here = [index - first for index in left if index < first + len(block)]
+        if here:
+            yield block[here]
+        left, first = left[len(here) :], first + len(block)
+        if not left:
+            return
+
+
+def time_rows(header: SequenceHeader) -> list[tuple[str, str]]:
+    """Return table rows about the written frames."""
+    first, last = (float(time) for time in header.times[[0, -1]])
+    numbers = (number_at(time, header.fps) for time in (first, last))
+    return [
+        ("frames", frames_text(header.frame_count, *numbers)),
+        ("time", f"{first:g} to {last:g} s at {rate_text(header.fps)} frames per second"),
+    ]

@@ -9,31 +9,32 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import mixseq
-from mixseq.cli.console import announce, print_table, progress_bar
-from mixseq.cli.files import is_model, write_sequence
-from mixseq.cli.frames import FrameChoice, frames_option, time_rows
+from mixseq.cli.files import Claim, is_model, overwrite_option, write_sequence
+from mixseq.cli.group import announce, print_table, progress_bar
 from mixseq.cli.options import (
     FILE,
+    CommandWithSettings,
+    FrameChoice,
     examples,
+    frames_option,
     quiet_option,
     reader_options,
+    setting,
+    time_rows,
     workers_options,
     writer_options,
 )
-from mixseq.cli.overwriting import Claim, overwrite_option
-from mixseq.cli.settings import CommandWithSettings, setting
 from mixseq.errors import SettingsError
-from mixseq.frame_numbers import span_text
-from mixseq.frame_rates import exact_rate
+from mixseq.sequence.frame_rates import exact_rate, span_text
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from mixseq.mapping import Executor
     from mixseq.operations.resampling import Resampling
-    from mixseq.progress import Progress
-    from mixseq.signals import Model
+    from mixseq.runtime.parallel import Executor
+    from mixseq.runtime.progress import Progress
+    from mixseq.signals.model import Model
 
 
 @click.command(
@@ -137,9 +138,8 @@ def command(
         raise SettingsError("--frames tells the section; leave out --start, --end and --retime")
     claim(target)
     from mixseq.operations.resampling import plan
-    from mixseq.operations.retiming import Retiming
-    from mixseq.operations.retiming_files import read_keys
-    from mixseq_io import in_step
+    from mixseq.operations.retiming import Retiming, read_keys
+    from mixseq_io.reader import in_step
 
     if whole_stage:
         writing = writing | {"whole_stage": True}

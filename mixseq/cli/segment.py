@@ -12,22 +12,31 @@ import click
 
 import mixseq
 from mixseq.choices import SEGMENTATIONS
-from mixseq.cli.console import announce, print_json, print_table, progress_bar, say
-from mixseq.cli.labelled import chosen_labels, connected
-from mixseq.cli.options import FILE, examples, json_option, labels_options, quiet_option, reader_options
-from mixseq.cli.overwriting import Claim, overwrite_option
-from mixseq.cli.settings import CommandWithSettings, setting
+from mixseq.cli.files import Claim, chosen_labels, connected, overwrite_option
+from mixseq.cli.group import announce, print_json, print_table, progress_bar, say
+from mixseq.cli.options import (
+    FILE,
+    CommandWithSettings,
+    examples,
+    json_option,
+    labels_options,
+    quiet_option,
+    reader_options,
+    setting,
+)
 from mixseq.errors import OutputError, SettingsError
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from mixseq.arrays import FloatArray
     from mixseq.choices import SegmentationName
     from mixseq.segmentation.methods import MethodSettings
-    from mixseq.sequence import SequenceHeader
-    from mixseq_io import Labels, SequenceReader
+    from mixseq.sequence.header import SequenceHeader
+    from mixseq.types import FloatArray
+    from mixseq_io.reader import SequenceReader
+    from mixseq_io.text.labels import Labels
+
 
 _GIVEN = ("labels", "skeleton")
 METHODS = (*SEGMENTATIONS, *_GIVEN)
@@ -98,7 +107,7 @@ def command(
     TARGET is an npz file with the part of every triangle, or the animation with its parts: as GeomSubsets in USD, as
     groups in OBJ, Alembic and HDF5. A picture of the parts is drawn beside it.
     """
-    from mixseq_io.labels.writing import check_holds_labels, write_labels
+    from mixseq_io.text.label_files import check_holds_labels, write_labels
 
     how = _method(method, parts, labels, label_source)
     if seed is not None:
@@ -111,8 +120,8 @@ def command(
     if drawn is not None:
         _check_picture(drawn)
     with progress_bar(quiet) as progress, mixseq.open_sequence(path, **reading) as reader:
-        from mixseq.frame_store import frame_store
-        from mixseq.segmentation import frames_to_look_at
+        from mixseq.segmentation.joints import frames_to_look_at
+        from mixseq.sequence.sequence import frame_store
 
         frames = frame_store(reader, progress)
         some = frames.points[frames_to_look_at(len(frames.points))]
@@ -192,7 +201,7 @@ def _picture_beside(target: Path) -> Path:
 
 def _check_picture(picture: Path) -> None:
     """Raise an error, before the work, for other extensions, or if the drawing library is missing."""
-    from mixseq.plots.sheet_layout import matplotlib_module
+    from mixseq.pictures.page import matplotlib_module
 
     if picture.suffix.lower() != ".png":
         raise OutputError(f"{picture}: the picture is a PNG file; end the name in .png")
@@ -202,9 +211,9 @@ def _check_picture(picture: Path) -> None:
 def _found(
     header: SequenceHeader, points: FloatArray, method: str, parts: int | None, seed: int | None
 ) -> Labels:
+    from mixseq.mesh.topology import Topology
     from mixseq.segmentation.methods import segment
-    from mixseq.topology import Topology
-    from mixseq_io import Labels
+    from mixseq_io.text.labels import Labels
 
     topology = Topology(header.faces, header.vertex_count)
     settings = None if seed is None else _with_seed(method, seed)
@@ -232,7 +241,7 @@ def _areas(points: FloatArray, header: SequenceHeader) -> NDArray[np.float64]:
 def _measured(header: SequenceHeader, points: FloatArray, labels: Labels) -> _Measured:
     import numpy as np
 
-    from mixseq.segmentation.scores import near_rigid_errors
+    from mixseq.segmentation.methods import near_rigid_errors
 
     parts, count = labels.part_of_face, len(labels.names)
     errors, whole = near_rigid_errors(points, header.faces, parts)
@@ -263,8 +272,8 @@ class _Agreement:
 
 
 def _agreement(reader: SequenceReader, points: FloatArray, labels: Labels, source: str) -> _Agreement:
-    from mixseq.segmentation.scores import adjusted_rand_index
-    from mixseq_io.labels.reading import labels_of
+    from mixseq.segmentation.methods import adjusted_rand_index
+    from mixseq_io.text.label_files import labels_of
 
     others = labels_of(reader, source)
     ours, theirs = labels.part_of_face, others.part_of_face
@@ -275,8 +284,8 @@ def _agreement(reader: SequenceReader, points: FloatArray, labels: Labels, sourc
 def _draw(picture: Path, header: SequenceHeader, points: FloatArray, labels: Labels) -> None:
     import numpy as np
 
-    from mixseq.plots import draw_segmentation
-    from mixseq_io.atomic import replacing
+    from mixseq.pictures.sheets import draw_segmentation
+    from mixseq_io.files import replacing
 
     no_joints: NDArray[np.int64] = np.full(len(header.faces), -1)
     title = f"{header.name}: {len(labels.names)} parts"

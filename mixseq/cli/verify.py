@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import mixseq
-from mixseq.cli.console import print_json, print_table, progress_bar
-from mixseq.cli.options import FILE, examples, json_option, quiet_option, reader_options
-from mixseq.cli.settings import CommandWithSettings
+from mixseq.cli.group import print_json, print_table, progress_bar
+from mixseq.cli.options import FILE, CommandWithSettings, examples, json_option, quiet_option, reader_options
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:

@@ -1,4 +1,7 @@
-"""``mixseq view``."""
+"""``mixseq view``.
+
+``mixseq view --markers``: set the markers of two meshes in a browser.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ import sys
 import threading
 import warnings
 import webbrowser
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -16,23 +19,112 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import mixseq
-from mixseq.cli.camera import camera_option
-from mixseq.cli.console import announce, needed, progress_bar, say
-from mixseq.cli.files import MODEL_EXTENSIONS, check_target, free_name, is_model, scene_items, write_frames
-from mixseq.cli.options import FILE, examples, quiet_option, reader_options, threads_held
-from mixseq.cli.overwriting import Claim, overwrite_option
-from mixseq.cli.settings import CommandWithSettings, setting
+from mixseq.cli.files import (
+    MODEL_EXTENSIONS,
+    Claim,
+    check_options,
+    check_place,
+    check_target,
+    first_frame,
+    free_name,
+    is_model,
+    overwrite_option,
+    scene_items,
+    write_frames,
+)
+from mixseq.cli.group import announce, needed, progress_bar, say
+from mixseq.cli.options import (
+    FILE,
+    CommandWithSettings,
+    camera_option,
+    examples,
+    quiet_option,
+    reader_options,
+    setting,
+    threads_held,
+)
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
-from mixseq.interrupts import answered
-from mixseq.progress import Progress, silent
+from mixseq.runtime.interrupts import answered
+from mixseq.runtime.progress import Progress, silent
 
 if TYPE_CHECKING:
-    from mixseq.frame_store import FrameStore
-    from mixseq.mapping import Executor
-    from mixseq.scene.colours import SceneColours
-    from mixseq.scene.items import Scene
-    from mixseq.signals import Model
-    from mixseq.viewing.live import ViewSettings
+    from mixseq.pictures.colours import SceneColours
+    from mixseq.pictures.scene import Scene
+    from mixseq.retargeting.markers import Markers
+    from mixseq.runtime.parallel import Executor
+    from mixseq.sequence.sequence import FrameStore, MeshSequence
+    from mixseq.signals.model import Model
+    from mixseq.viewer.live.marking import MarkedMeshes
+    from mixseq.viewer.live.viewer import ViewSettings
+
+
+def set_markers(
+    files: Sequence[Path],
+    path: Path,
+    reading: Mapping[str, Any],
+    settings: ViewSettings,
+    wait: Callable[[str], None],
+) -> None:
+    """Run a viewer for setting markers until `wait` returns; unsaved ones are then written beside the file."""
+    from mixseq.viewer.live.marking import marking_viewer
+    from mixseq_io.text.markers import write_markers
+
+    if len(files) != 2:
+        raise SettingsError(
+            f"markers are of two meshes, a source and a target; {len(files)} files were given"
+        )
+    meshes = _open_marked_meshes(files, path, reading)
+
+    def save(markers: Markers) -> str:
+        write_markers(path, markers)
+        return f"{len(markers)} markers are in {path.name}, for mixseq transfer --markers"
+
+    with marking_viewer(meshes, settings, save) as running:
+        try:
+            wait(running.address)
+        finally:
+            answered()  # later saves are intentional
+            if running.session.unsaved:
+                kept = free_name(path.with_stem(f"{path.stem}-unsaved"))
+                write_markers(kept, running.session.marking.markers)
+                warnings.warn(f"the markers were not saved; they are in {kept}", MixseqWarning, stacklevel=2)
+
+
+def _open_marked_meshes(files: Sequence[Path], path: Path, reading: Mapping[str, Any]) -> MarkedMeshes:
+    """Read both meshes, and the markers if there are any."""
+    import numpy as np
+
+    from mixseq.mesh.topology import Topology
+    from mixseq.retargeting.checks import check_numbers
+    from mixseq.retargeting.markers import Markers
+    from mixseq.viewer.live.marking import MarkedMeshes
+    from mixseq_io.registry import FORMATS
+    from mixseq_io.text.markers import read_markers
+
+    check_place(path)
+    check_options(files, reading)
+    if path.suffix.lower() in (extension for form in FORMATS for extension in form.extensions):
+        raise SettingsError(f"{path}: markers are a text; end the name in .txt, .json or .yml")
+    markers = read_markers(path) if path.exists() else Markers.of(np.zeros((0, 2), np.int64))
+    source, target = (_still(file, reading) for file in files)
+    tops = [Topology(mesh.faces, mesh.vertex_count) for mesh in (source, target)]
+    try:
+        check_numbers(markers, *tops)
+    except SettingsError as error:
+        raise SettingsError(f"{path}: {error}") from None
+    names = (files[0].name, files[1].name)
+    if names[0] == names[1]:
+        names = (str(files[0]), str(files[1]))
+    return MarkedMeshes(source, target, names, markers, path.name)
+
+
+def _still(path: Path, reading: Mapping[str, Any]) -> MeshSequence:
+    """Read a mesh at rest, as in a transfer."""
+    if not is_model(path):
+        return first_frame(path, reading)
+    model = mixseq.load(path)
+    first = model(model.start)[None]
+    return mixseq.MeshSequence.from_header(model.header.with_times(model.header.times[:1]), first)
 
 
 @click.command(
@@ -175,12 +267,10 @@ def command(
         _check_page(page)
         claim(page)
     else:
-        from mixseq.viewing.live import check_viser
+        from mixseq.viewer.live.viewer import check_viser
 
         check_viser()
     if markers is not None:
-        from mixseq.cli.view_markers import set_markers
-
         how = {"host": host, "port": port, "camera": camera}
         set_markers(files, markers, reading, _settings(how, shading), partial(_wait, browser=browser))
         return
@@ -218,8 +308,8 @@ def _opened(
     progress: Progress,
 ) -> tuple[Scene, FrameStore | None]:
     """Open models, and read sequences."""
-    from mixseq.frame_store import frame_store
-    from mixseq.scene import Scene
+    from mixseq.pictures.scene import Scene
+    from mixseq.sequence.sequence import frame_store
 
     with ExitStack() as stack:
         items, original = scene_items(files, _names(files), against, reading, stack)
@@ -237,7 +327,7 @@ def _names(files: Sequence[Path]) -> list[str]:
 
 
 def _scene_colours(scene: Scene, original: FrameStore | None) -> SceneColours:
-    from mixseq.scene.colours import SceneColours, check_original
+    from mixseq.pictures.colours import SceneColours, check_original
 
     if original is not None:
         check_original(scene, original)
@@ -252,8 +342,8 @@ def _run(
     shading: str | None,
 ) -> None:
     """Run the viewer until it is interrupted."""
-    from mixseq.mapping import thread_count
-    from mixseq.viewing.live import viewer
+    from mixseq.runtime.parallel import thread_count
+    from mixseq.viewer.live.viewer import viewer
 
     settings = _settings({"folder": Path.cwd(), "threads": thread_count(), **given}, shading)
     with viewer(colours, settings, partial(_save, files)) as running:
@@ -271,7 +361,7 @@ def _run(
 
 def _settings(given: Mapping[str, Any], shading: str | None) -> ViewSettings:
     """Return the settings of the viewer, from the given options."""
-    from mixseq.viewing.live import ViewSettings
+    from mixseq.viewer.live.viewer import ViewSettings
 
     material = "toon5" if shading == "simple" else "standard"
     return ViewSettings(
@@ -299,8 +389,8 @@ def _has_screen() -> bool:
 
 def _save(sources: Sequence[Path], path: Path, model: Model, replace: bool) -> str:
     """Write an edited model, as a model or as a sequence; return a message with its name and the files it needs."""
-    from mixseq.mapping import on_threads
-    from mixseq_io.numbered.names import files_of_pattern
+    from mixseq.runtime.parallel import on_threads
+    from mixseq_io.numbered.files import files_of_pattern
 
     for source in sources:
         check_target(path, source)
@@ -333,9 +423,10 @@ def _export(
     workers: Executor,
 ) -> None:
     """Write a page with all meshes."""
-    from mixseq.viewing.export import ExportSettings, export_page, page_items
-    from mixseq_io.atomic import replacing
-    from mixseq_io.compressed_files import is_compressed, read_compressed
+    from mixseq.viewer.export import ExportSettings, export_page
+    from mixseq.viewer.export_data import page_items
+    from mixseq_io.files import replacing
+    from mixseq_io.verification import is_compressed, read_compressed
 
     settings = ExportSettings(**{name: value for name, value in given.items() if value is not None})
     items = page_items(

@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING
 import click
 
 import mixseq
-from mixseq.cli.console import progress_bar, say
+from mixseq.cli.group import progress_bar, say
 from mixseq.cli.options import examples, quiet_option
 
 if TYPE_CHECKING:
     from mixseq.choices import PlacementName
-    from mixseq.sequence import MeshSequence
+    from mixseq.sequence.sequence import MeshSequence
+
 
 FRAMES = 6
 
@@ -48,7 +49,7 @@ def _work() -> Iterator[list[tuple[str, Callable[[], object]]]]:
     import numpy as np
 
     from mixseq.creature import walk_cycle
-    from mixseq.surface import CornerValues, Surface
+    from mixseq.mesh.surface import CornerValues, Surface
 
     walk = walk_cycle(FRAMES)
     corners = walk.polygons.indices

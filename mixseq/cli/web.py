@@ -6,10 +6,9 @@ from pathlib import Path
 
 import click
 
-from mixseq.cli.console import announce
-from mixseq.cli.options import FILE, examples, quiet_option
-from mixseq.cli.overwriting import Claim, overwrite_option
-from mixseq.cli.settings import CommandWithSettings
+from mixseq.cli.files import Claim, overwrite_option
+from mixseq.cli.group import announce
+from mixseq.cli.options import FILE, CommandWithSettings, examples, quiet_option
 
 
 @click.command("web", cls=CommandWithSettings, epilog=examples("mixseq web --out site/mixseq"))
@@ -29,8 +28,8 @@ def command(out: Path, claim: Claim, quiet: bool) -> None:
     types of both; example.html and player.html, pages with and without three.js; the schema of the glTF extension; and
     a README. "mixseq encode shot.usdz shot.glb --max-error 0.001" makes files for it.
     """
-    from mixseq.web.folder import contents
-    from mixseq_io.atomic import replacing
+    from mixseq.web import contents
+    from mixseq_io.files import replacing
 
     files = contents()
     out.mkdir(parents=True, exist_ok=True)

@@ -9,21 +9,15 @@ Operations are pure functions from models to a model, which compose::
     mixseq.save("attack.h5", transition(twice, mixseq.load("slash.h5"), at=1.0, duration=0.3))
 """
 
-from mixseq.operations.common_space import into
-from mixseq.operations.dragging import drag
-from mixseq.operations.exaggeration import exaggerate
-from mixseq.operations.filters import smooth
-from mixseq.operations.hand_edits import swap_key
-from mixseq.operations.limb_edits import exaggerate_part, hold
+from mixseq.operations.filters import exaggerate, smooth
+from mixseq.operations.limbs import exaggerate_part, hold
 from mixseq.operations.resampling import resample
-from mixseq.operations.retiming import Retiming, retime
-from mixseq.operations.retiming_files import read_retiming
-from mixseq.operations.sculpt import sculpt
+from mixseq.operations.retiming import Retiming, read_retiming, retime
+from mixseq.operations.sculpt import sculpt, swap_key
 from mixseq.operations.shape_exchange import key_poses, with_shapes
-from mixseq.operations.sketch import sketch
-from mixseq.operations.timeline import cut, loop, repeat, reverse, shift, speed
-from mixseq.operations.transitions import blend, concatenate, transition
-from mixseq.operations.travel import in_place, travel_of
+from mixseq.operations.sketch import drag, sketch
+from mixseq.operations.timeline import cut, in_place, loop, repeat, reverse, shift, speed, travel_of
+from mixseq.operations.transitions import blend, concatenate, into, transition
 
 __all__ = [
     "Retiming",

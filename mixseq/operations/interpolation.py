@@ -7,6 +7,8 @@ Bennamoun). Their vertices, and lengths and angles of joints, then blend linearl
 the other spaces of `mixseq.spaces` rigid-motion invariant coordinates blend linearly, poses as quaternions and centres.
 
 Whole turns of angles and rotations are unwrapped along the poses of nonzero weight, as in a sequence.
+
+The parts of a sequence, by any method.
 """
 
 from __future__ import annotations
@@ -16,18 +18,20 @@ from dataclasses import dataclass, replace
 from typing import Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from mixseq.arrays import Float
-from mixseq.choices import PlacementName, SpaceName
+from mixseq import segmentation
+from mixseq.choices import PlacementName, SegmentationName, SpaceName
 from mixseq.errors import SettingsError
-from mixseq.frame_store import FrameStore, frame_store
-from mixseq.mapping import Executor, on_threads
-from mixseq.pickling import PickledWithoutCaches
-from mixseq.progress import Progress, Stages, silent
-from mixseq.public import public
-from mixseq.sequence import Frames, SequenceHeader, check_frames
-from mixseq.shells.fitting import ShellReport
+from mixseq.mesh.topology import Topology
+from mixseq.runtime.lazy import PickledWithoutCaches
+from mixseq.runtime.parallel import Executor, on_threads, one_blas_thread
+from mixseq.runtime.progress import Progress, Stages, silent
+from mixseq.runtime.public import public
+from mixseq.segmentation.methods import MethodSettings
+from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.sequence import Frames, FrameStore, MeshSequence, check_frames, frame_store
+from mixseq.shells.gauss_newton import ShellReport
 from mixseq.signals.detail import encode
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.making import (
@@ -38,8 +42,47 @@ from mixseq.spaces.making import (
     part_of_faces,
     space_settings,
 )
-from mixseq.threads import one_blas_thread
-from mixseq.topology import Topology
+from mixseq.types import Float
+
+
+@public
+def segment(
+    sequence: MeshSequence,
+    method: SegmentationName = "motion",
+    parts: int | None = None,
+    settings: MethodSettings | None = None,
+) -> NDArray[np.int64]:
+    """Find the near-rigid parts of a sequence, as labels that `mixseq.fit` takes as its `parts`.
+
+    Parameters
+    ----------
+    sequence : MeshSequence
+        The animation, or poses of one mesh.
+    method : {"motion", "silhouettes", "spanning-tree"}
+        By rigid motion (the default), by augmented silhouettes (Marras et al. 2012), or by cutting a spanning tree
+        (Wuhrer and Brunton 2010).
+    parts : int, optional
+        Number of parts, by default automatic. Every connected component has at least one. Where little moves, the
+        motion method may find fewer.
+    settings : MotionSettings, SilhouetteSettings or SpanningTreeSettings, optional
+        Details of the method.
+
+    Returns
+    -------
+    (F,) int64
+        Part of every triangle, numbered from 0 by decreasing area. Parts are connected across edges.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If the argument is no sequence.
+    SettingsError
+        If there is no such method, the settings are another method's, or `parts` is out of range.
+    """
+    check_frames(sequence)
+    topology = Topology(sequence.faces, sequence.vertex_count)
+    return segmentation.segment(sequence.points, topology, method, parts, settings)
+
 
 SUM = 1e-6
 """Largest deviation of the sum of weights from one, that of single precision; weights are divided by their sum."""

@@ -12,18 +12,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.frame_rates import exact_rate
-from mixseq.mapping import Executor
 from mixseq.operations.retiming import Retiming
-from mixseq.progress import Progress, silent
-from mixseq.public import public
-from mixseq.sequence import Frames, MeshSequence, collect
-from mixseq.sequence_header import MOST_FRAMES, SequenceHeader
+from mixseq.runtime.parallel import Executor
+from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.public import public
+from mixseq.sequence.frame_rates import exact_rate
+from mixseq.sequence.header import MOST_FRAMES, SequenceHeader
+from mixseq.sequence.sequence import Frames, MeshSequence, collect
 from mixseq.signals.decoding import FRAMES
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
+from mixseq.types import Float
 
 SLACK = 1e-3
 """Fraction of a frame by which ends may miss a frame, as times are typed and printed with a few digits."""

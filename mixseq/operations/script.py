@@ -15,23 +15,219 @@
     duration = 0.25
 
 Operations are functions ``model -> model`` of this package, and the keys of a table are the names of their
-parameters, see `mixseq.operations.arguments`. A script that begins with ``unit = "frames"`` gives times, and how long
-things last, as numbers of frames of the model that is edited (`mixseq.frame_numbers`).
+parameters, see `mixseq.operations.script`. A script that begins with ``unit = "frames"`` gives times, and how long
+things last, as numbers of frames of the model that is edited (`mixseq.sequence.frame_rates`).
+
+Arguments of operations from tables of a script: the value of a key follows from the parameter's annotation.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from importlib import import_module
+from inspect import Parameter, signature
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
 
 from mixseq.errors import FormatError, MixseqError, SettingsError
-from mixseq.operations.arguments import InSeconds, Readers, WrongTypeError, keys_of
-from mixseq.operations.retiming_files import Unit, checked_unit
-from mixseq.operations.toml_text import parse_toml
+from mixseq.operations.retiming import RetimingKeys, Unit, checked_unit, parse_toml, read_keys
+from mixseq.sequence.frame_rates import time_of
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
+from mixseq.types import Float
+
+
+class Readers(NamedTuple):
+    """Readers of files, injected because the core has no file formats."""
+
+    model: Callable[[Path], Model]  # reader of model files
+    mesh: Callable[[Path], MeshSequence]  # reader of mesh files
+    folders: tuple[Path, ...] = ()  # where files may be besides the script's folder and those below
+
+
+Read = Callable[[Any, Path, Readers], Any]
+InSeconds = Callable[[Any, float, Unit], Any]
+
+
+class WrongTypeError(Exception):
+    """A value of the wrong type for a key."""
+
+
+class Key(NamedTuple):
+    """The meaning of a key of a table."""
+
+    parameter: str  # parameter of the operation that its value is for
+    required: bool  # whether there is no default
+    holds: str  # what the value is, for messages
+    # Makes the argument from the value, the folder that paths start from, and readers of files; raises WrongTypeError
+    # if the value is something else.
+    read: Read
+    # For times: makes seconds of what was read, with the frames per second of the model and the script's unit.
+    in_seconds: InSeconds | None = None
+
+
+def keys_of(function: Callable[..., Model]) -> dict[str, Key]:
+    """Return the keys of an operation: its parameters that a script can set, without the model."""
+    hints, marked = get_type_hints(function), get_type_hints(function, include_extras=True)
+    _, *parameters = signature(function).parameters.values()
+    keys = {}
+    for parameter in parameters:
+        name, required = parameter.name, parameter.default is Parameter.empty
+        if name in FILES:
+            key, holds, read = FILES[name]
+            keys[key] = Key(name, required, holds, read, TIMES.get(name))
+        elif holds := _holds(hints[name]):
+            time = _number_in_seconds if marked[name] != hints[name] else None
+            keys[name] = Key(name, required, holds, partial(_plain, hints[name]), time)
+    return keys
+
+
+def _plain(hint: Any, value: Any, folder: Path, readers: Readers) -> Any:
+    if not _fits(value, hint):
+        raise WrongTypeError
+    return value
+
+
+_NAMES = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
+
+
+def _holds(hint: Any) -> str:
+    """Return a description of the values that an annotation allows; empty if TOML has none."""
+    origin, choices = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        return " or ".join(filter(None, map(_holds, choices)))
+    if origin is Literal:
+        return " or ".join(map(repr, choices))
+    if origin in (Sequence, list) and choices == (int,):
+        return "a list of whole numbers"
+    return _NAMES.get(hint, "")
+
+
+def _fits(value: Any, hint: Any) -> bool:
+    origin, choices = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        return any(_fits(value, choice) for choice in choices)
+    if origin is Literal:
+        return value in list(choices)
+    if origin in (Sequence, list):
+        return isinstance(value, list) and all(_fits(item, choices[0]) for item in value)
+    if hint is float:
+        return isinstance(value, int | float) and not isinstance(value, bool)
+    return type(value) is hint
+
+
+def _path(value: Any, folder: Path, readers: Readers) -> Path:
+    """Return a file that a script may read: in its folder, `readers.folders`, or below."""
+    if not isinstance(value, str) or "\0" in value:
+        raise WrongTypeError
+    path = folder / value
+    found = path.resolve()  # links count as what they lead to
+    if not any(found.is_relative_to(each.resolve()) for each in (folder, *readers.folders)):
+        raise FormatError(
+            f"{value!r} is not in the script's folder, {folder.resolve()}, or below; if you trust the script, name "
+            "the folder where the file is: --files-from FOLDER"
+        )
+    if not path.is_file():
+        raise FormatError(f"{path} {'is not a file' if path.exists() else 'does not exist'}")
+    return path
+
+
+def _model(value: Any, folder: Path, readers: Readers) -> Model:
+    return readers.model(_path(value, folder, readers))
+
+
+def _mesh(value: Any, folder: Path, readers: Readers) -> MeshSequence:
+    path = _path(value, folder, readers)
+    mesh = readers.mesh(path)
+    if mesh.frame_count != 1:
+        raise SettingsError(f"{path} has {mesh.frame_count} frames; a file with one is expected")
+    return mesh
+
+
+def _pairs(value: Any, folder: Path, readers: Readers) -> Float:
+    """Return pairs of numbers ``(N, 2)``, from a list of them or a CSV file."""
+    if isinstance(value, list):
+        pairs = _as_pairs(value)
+        if pairs is None:
+            raise WrongTypeError
+        return pairs
+    return read_pairs(_path(value, folder, readers))
+
+
+def read_pairs(path: Path) -> Float:
+    """Read pairs of numbers ``(N, 2)`` from a CSV file without a header."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = (error.strerror if isinstance(error, OSError) else None) or error
+        raise FormatError(f"{path} cannot be read: {reason}") from error
+    pairs = _as_pairs([line.split(",") for line in lines if line.strip()])
+    if pairs is None:
+        raise FormatError(f"{path} is not CSV with two numbers on each line")
+    return pairs
+
+
+def _place(value: Any, folder: Path, readers: Readers) -> Float:
+    pairs = _as_pairs([value])
+    if pairs is None:
+        raise WrongTypeError
+    return np.asarray(pairs[0])
+
+
+def _as_pairs(rows: list[Any]) -> Float | None:
+    try:
+        pairs = np.array(rows, dtype=np.float64)
+    except (ValueError, TypeError):
+        return None
+    return pairs if pairs.ndim == 2 and pairs.shape[1] == 2 else None
+
+
+def _weight(value: Any, folder: Path, readers: Readers) -> float | Curve:
+    if _fits(value, float):
+        return float(value)
+    pairs = _pairs(value, folder, readers)
+    return Curve(pairs[:, 0], pairs[:, 1:])
+
+
+def _keys(value: Any, folder: Path, readers: Readers) -> RetimingKeys:
+    if isinstance(value, list):
+        return RetimingKeys(_pairs(value, folder, readers), None)
+    return read_keys(_path(value, folder, readers))
+
+
+def _number_in_seconds(value: float, fps: float, unit: Unit) -> float:
+    return time_of(value, fps) if unit == "frames" else value
+
+
+def _weight_in_seconds(value: float | Curve, fps: float, unit: Unit) -> float | Curve:
+    if isinstance(value, Curve) and unit == "frames":
+        return Curve(value.times / fps, value.values)
+    return value
+
+
+def _keys_in_seconds(value: RetimingKeys, fps: float, unit: Unit) -> Float:
+    return value.in_seconds(fps, fps, unit)
+
+
+FILES: Mapping[str, tuple[str, str, Read]] = {
+    "b": ("b", "the file of a model", _model),
+    "points": ("mesh", "the file of a mesh", _mesh),
+    "curve": ("curve", "pairs of x and y, as a list or a CSV file,", _pairs),
+    "to": ("to", "a list of two numbers, x and y,", _place),
+    "keys": ("keys", "pairs of output and source times, as a list or a CSV or TOML file,", _keys),
+    "weight": ("weight", "a number, or pairs of time and weight as a list or a CSV file,", _weight),
+}
+"""Parameters without plain values, in all operations: key in a script, description of its value, reader."""
+
+TIMES: Mapping[str, InSeconds] = {"keys": _keys_in_seconds, "weight": _weight_in_seconds}
+"""Conversions to seconds of those parameters that hold times."""
+
 
 OPERATIONS: Mapping[str, str] = {
     "cut": "timeline:cut",
@@ -44,15 +240,15 @@ OPERATIONS: Mapping[str, str] = {
     "concatenate": "transitions:concatenate",
     "transition": "transitions:transition",
     "blend": "transitions:blend",
-    "in_place": "travel:in_place",
-    "exaggerate": "exaggeration:exaggerate",
-    "exaggerate_part": "limb_edits:exaggerate_part",
-    "hold": "limb_edits:hold",
+    "in_place": "timeline:in_place",
+    "exaggerate": "filters:exaggerate",
+    "exaggerate_part": "limbs:exaggerate_part",
+    "hold": "limbs:hold",
     "smooth": "filters:smooth",
     "sculpt": "sculpt:sculpt",
-    "drag": "dragging:drag",
+    "drag": "sketch:drag",
     "sketch": "sketch:sketch",
-    "swap_key": "hand_edits:swap_key",
+    "swap_key": "sculpt:swap_key",
 }
 """Modules of this package and functions in them, by the names of operations; imported on first use."""
 

@@ -15,21 +15,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.frame_store import frame_store
-from mixseq.geometry.rigid import nearest_rotations
-from mixseq.geometry.rotations import continued, inverse, normalised, product, quaternions, rotations_of
-from mixseq.prediction.poses import Poses
-from mixseq.progress import silent
-from mixseq.public import public
-from mixseq.sequence import Frames, MeshSequence, check_frames
+from mixseq.mesh.rigid import nearest_rotations
+from mixseq.mesh.rotations import continued, inverse, normalised, product, quaternions, rotations_of
+from mixseq.runtime.parallel import one_blas_thread
+from mixseq.runtime.progress import silent
+from mixseq.runtime.public import public
+from mixseq.sequence.sequence import Frames, MeshSequence, check_frames, frame_store
 from mixseq.signals.curve import Curve
 from mixseq.signals.detail import encode
 from mixseq.signals.model import Model
 from mixseq.spaces.making import make_space
-from mixseq.spaces.mixed import as_mixed
-from mixseq.threads import one_blas_thread
+from mixseq.spaces.mixed.mixed_space import as_mixed
+from mixseq.spaces.temporal import Poses
+from mixseq.types import Float
 
 
 @public

@@ -3,39 +3,130 @@ r"""From one motion into another: concatenation, transitions, blends.
 .. math:: s(t) = (1 - w(t))\, s_a(t) + w(t)\, s_b(t)
 
 for all signals except rotations of bodies, which are interpolated along the rotation between both
-(`mixseq.operations.placements`). The weight of a transition is the C2 step :math:`w = 6x^5 - 15x^4 + 10x^3`. The
+(`mixseq.operations.sections`). The weight of a transition is the C2 step :math:`w = 6x^5 - 15x^4 + 10x^3`. The
 product of weight and signal is approximated by a cubic spline through dense knots; the rest is exact.
+
+Two models of one mesh in one space, with the same key shapes, so that their signals can be added.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from mixseq.arrays import Float
-from mixseq.errors import SettingsError
-from mixseq.frame_numbers import Seconds
-from mixseq.operations.common_space import together
-from mixseq.operations.joining import (
+from mixseq.errors import InvalidSequenceError, SettingsError
+from mixseq.operations.sections import (
     SLACK,
     ModelSection,
     Seam,
+    between,
+    breakpoints,
     concatenated,
+    continued,
     fade_of,
     frames_of,
     going_on,
+    mean,
+    mean_placements,
+    refined,
     section_of,
     shifted,
+    sites_of,
     snapped,
 )
-from mixseq.operations.placements import continued, mean, mean_placements
-from mixseq.operations.splines import between, breakpoints, refined, sites_of
-from mixseq.operations.travel import carried, drift, place_of
-from mixseq.public import public
+from mixseq.operations.timeline import carried, drift, place_of
+from mixseq.runtime.parallel import one_blas_thread
+from mixseq.runtime.public import public
+from mixseq.sequence.frame_rates import Seconds
 from mixseq.signals.curve import Curve
+from mixseq.signals.detail import Detail, build, encode
 from mixseq.signals.model import Model
+from mixseq.signals.pose import PoseMap
+from mixseq.spaces.base import ShapeSpace
+from mixseq.types import Float
+
+
+@public
+def into(model: Model, space: ShapeSpace) -> Model:
+    """Return a model in another shape space of its mesh.
+
+    Its frames are decoded and encoded again, and interpolated by cubic splines in the new space. They are equal as far
+    as the new space represents the shapes exactly. A model in that space already is returned as it is.
+    The residual layer is encoded with the frames, so the result has none.
+
+    Parameters
+    ----------
+    model : Model
+        The motion.
+    space : ShapeSpace
+        A space of the same mesh, in the same units.
+    """
+    if model.space is space:
+        return model
+    common, _, carry = space.joined(model.space)
+    if common is space and carry is not None:
+        return replace(model, space=space, shapes=carry(model.shapes))
+    with one_blas_thread():
+        return build(encode(model.sample(), space), Detail())
+
+
+def together(first: Model, second: Model) -> tuple[Model, Model]:
+    """Return two models of one mesh in one space, with the same pose and shape signals.
+
+    The space is that of the first model. A basis space is extended to the shapes of both, or replaced by the second
+    space if that is of another kind. Where key shapes differ, both models get all of them, with their weights as pose
+    space.
+    """
+    _check_meshes(first, second)
+    space, *carries = first.space.joined(second.space)
+    first, second = (
+        into(model, space) if carry is None else replace(model, space=space, shapes=carry(model.shapes))
+        for model, carry in zip((first, second), carries, strict=True)
+    )
+    if _same_shapes(first, second):
+        return first, replace(second, pose=first.pose, shapes=first.shapes)
+    counts = len(first.shapes), len(second.shapes)
+    pose = PoseMap.of_weights(sum(counts))
+    shapes = np.concatenate([first.shapes, second.shapes])
+    starts = 0, counts[0]
+    both = [
+        replace(model, pose=pose, shapes=shapes, time=_weights_of(model, start, sum(counts)))
+        for model, start in zip((first, second), starts, strict=True)
+    ]
+    return both[0], both[1]
+
+
+def _weights_of(model: Model, start: int, count: int) -> Curve:
+    """Return the weights of all but the first of `count` key shapes; those of the model begin at index `start`."""
+    weights = np.zeros((len(model.time.times), count))
+    weights[:, start : start + len(model.shapes)] = model.pose.weights(model.time.values)
+    return Curve(model.time.times, weights[:, 1:])
+
+
+def _same_shapes(first: Model, second: Model) -> bool:
+    pairs = (
+        (first.shapes, second.shapes),
+        (first.pose.offset, second.pose.offset),
+        (first.pose.matrix, second.pose.matrix),
+    )
+    return all(a is b or np.array_equal(a, b) for a, b in pairs)
+
+
+def _check_meshes(first: Model, second: Model) -> None:
+    a, b = first.header, second.header
+    if a.vertex_count != b.vertex_count:
+        raise InvalidSequenceError(
+            f"{a.name!r} has {a.vertex_count} vertices, {b.name!r} {b.vertex_count}; two models of one mesh are needed"
+        )
+    if a.faces.shape != b.faces.shape or not np.array_equal(a.faces, b.faces):
+        raise InvalidSequenceError(
+            f"the faces of {a.name!r} and {b.name!r} differ; two models of one mesh, with the same order of vertices "
+            "and faces, are needed"
+        )
+
 
 DENSE = 8
 """Knots of the approximating spline for each knot of the curve that it replaces."""
@@ -94,7 +185,7 @@ def transition(a: Model, b: Model, at: Seconds, duration: Seconds, travel: bool 
         Seconds until the result is `b`; both models cover them.
     travel : bool
         Continue the second model from the place that the first reaches along the ground; heading and height stay, and
-        the ground speed is blended (`mixseq.operations.travel`). By default the second model keeps its place.
+        the ground speed is blended (`mixseq.operations.timeline`). By default the second model keeps its place.
 
     Raises
     ------

@@ -1,10 +1,7 @@
-"""Transfer the motion of one mesh to another: deformation transfer.
+"""Transfer the motion of one mesh to another (deformation transfer).
 
-`transfer` is the entry point: `sources` reads the motion and its rest shape, `alignment` the pose of the target
-relative to it. There are two methods. `gradient_transfer` moves triangles as those of the source, and pieces by their
-`attachments`. `mixed_transfer` cuts the target into parts as the source (`part_correspondence`), assembles them at
-their `pivots`, transfers changes of joints (`joint_changes`), and solves for these (`joint_solver`, `solved_joints`).
-`planting` keeps named vertices from sliding: `footskate` finds when they rest (`stance`), moves the body (`footing`),
-then the limbs of the `articulated_body` (`inverse_kinematics`). `report` measures the result (`transfer_measures`,
-`coverage`).
+Meshes are put into correspondence first: `markers` are pairs of vertices, `suggestions` proposes them, `checks`
+refuses those that cannot be meant; `registration` deforms one mesh onto the other and `matching` reads closest points.
+`transfer` then moves the target: by `mixed_transfer` (parts, pivots and joints) or `gradient_transfer` (triangles).
+`contacts` keeps standing feet from sliding; `report` measures the result.
 """

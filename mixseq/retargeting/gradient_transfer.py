@@ -6,7 +6,7 @@ triangles. The target's vertices are those with the closest gradients (`mixseq.s
 .. math:: \min_x \sum_{f'} A_{f'}\, | \nabla x - G J_{f(f')} G^T |^2 .
 
 Gradients do not determine positions of pieces. The largest piece moves as its corresponding points of the source do, on
-average; every other piece is attached to the vertex next to it (`mixseq.geometry.attachments`), and rotates with it:
+average; every other piece is attached to the vertex next to it (`mixseq.mesh.nearest`), and rotates with it:
 
 .. math:: x_a = x_b + R_b (y_a - y_b) + s G (g_t - \bar R_b\, g_0)
 
@@ -23,16 +23,16 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from mixseq.arrays import Float, FloatArray, Index
-from mixseq.correspondence.dense import Correspondence
-from mixseq.correspondence.triangle_mesh import TriangleMesh
-from mixseq.geometry.attachments import Attachments, attach
-from mixseq.geometry.rigid import nearest_rotations
-from mixseq.pickling import PickledWithoutCaches
-from mixseq.retargeting.alignment import Alignment, align
-from mixseq.sequence import bounding_diagonal
+from mixseq.mesh.nearest import Attachments, attach
+from mixseq.mesh.rigid import nearest_rotations
+from mixseq.mesh.topology import Topology
+from mixseq.mesh.triangle_mesh import TriangleMesh
+from mixseq.retargeting.markers import Correspondence
+from mixseq.retargeting.sources import Alignment, align
+from mixseq.runtime.lazy import PickledWithoutCaches
+from mixseq.sequence.sequence import bounding_diagonal
 from mixseq.spaces.gradient import GradientSpace
-from mixseq.topology import Topology
+from mixseq.types import Float, FloatArray, Index
 
 
 @dataclass(frozen=True, eq=False)

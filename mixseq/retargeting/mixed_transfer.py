@@ -18,23 +18,27 @@ from functools import cached_property
 
 import numpy as np
 
-from mixseq.arrays import Float, FloatArray, Index
-from mixseq.correspondence.dense import Correspondence
-from mixseq.correspondence.triangle_mesh import TriangleMesh
-from mixseq.disk_array import LargeArray
-from mixseq.geometry.lengths_angles import length_weights
-from mixseq.pickling import PickledWithoutCaches
-from mixseq.retargeting.alignment import Alignment
-from mixseq.retargeting.articulated_body import ArticulatedBody
+from mixseq.mesh.measures import length_weights
+from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.gradient_transfer import GradientTransfer
-from mixseq.retargeting.joint_changes import JointChanges, OtherEdges, SameEdges
-from mixseq.retargeting.joint_solver import JointFrame, JointSolver
-from mixseq.retargeting.part_correspondence import PartCorrespondence, PartPoses, RestShapes, carry_parts
-from mixseq.retargeting.pivots import Pivots, PivotSolver
-from mixseq.segmentation.joints import Decomposition, decompose
-from mixseq.segmentation.observed import Watched, frames_to_look_at, observe
-from mixseq.shells.fitting import ShellSettings
+from mixseq.retargeting.joints import JointChanges, JointFrame, JointSolver, OtherEdges, SameEdges
+from mixseq.retargeting.limbs import ArticulatedBody
+from mixseq.retargeting.markers import Correspondence
+from mixseq.retargeting.parts import (
+    PartCorrespondence,
+    PartPoses,
+    Pivots,
+    PivotSolver,
+    RestShapes,
+    carry_parts,
+)
+from mixseq.retargeting.sources import Alignment
+from mixseq.runtime.lazy import PickledWithoutCaches
+from mixseq.runtime.low_memory import LargeArray
+from mixseq.segmentation.joints import Decomposition, Watched, decompose, frames_to_look_at, observe
+from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.spaces.gradient import GradientSpace
+from mixseq.types import Float, FloatArray, Index
 
 OFFSET_WEIGHT = 0.3
 """Weight of offsets of free vertices against edge lengths, both relative; small enough not to stretch joints."""

@@ -9,28 +9,24 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mixseq.arrays import Float, FloatArray
 from mixseq.choices import TRANSFERS, TransferName
-from mixseq.correspondence.dense import Correspondence
-from mixseq.correspondence.map_completion import Mesh
-from mixseq.correspondence.markers import Markers
-from mixseq.correspondence.matching import Quality
 from mixseq.errors import SettingsError
-from mixseq.frame_store import block_size
-from mixseq.mapping import Executor, on_threads
-from mixseq.progress import Progress, silent
-from mixseq.public import public
-from mixseq.retargeting.footskate import ContactReport
+from mixseq.mesh.topology import Topology
+from mixseq.retargeting.contacts import ContactReport, PlantedTransfer, plant_contacts
 from mixseq.retargeting.gradient_transfer import gradient_transfer
+from mixseq.retargeting.markers import Correspondence, Markers
+from mixseq.retargeting.matching import Mesh, Quality
 from mixseq.retargeting.mixed_transfer import MixedTransfer, mixed_transfer
-from mixseq.retargeting.part_correspondence import PartCorrespondence, PartPoses
-from mixseq.retargeting.planting import PlantedTransfer, plant_contacts
+from mixseq.retargeting.parts import PartCorrespondence, PartPoses
 from mixseq.retargeting.sources import SourceMotion, source_motion
-from mixseq.sequence import Frames, MeshSequence, SequenceHeader, check_frames, collect
-from mixseq.shells.fitting import ShellSettings
+from mixseq.runtime.parallel import Executor, on_threads, one_blas_thread
+from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.public import public
+from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.sequence import Frames, MeshSequence, block_size, check_frames, collect
+from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.signals.model import Model
-from mixseq.threads import one_blas_thread
-from mixseq.topology import Topology
+from mixseq.types import Float, FloatArray
 
 
 class TransferMethod(Protocol):
@@ -157,7 +153,7 @@ def correspondence_of(
         mapping.check(*sizes)
         return mapping, None
     if markers is not None:
-        from mixseq.correspondence.correspond import correspond_and_assess
+        from mixseq.retargeting.correspond import correspond_and_assess
 
         given = markers if isinstance(markers, Markers) else Markers.of(markers)
         still = MeshSequence.from_header(source.header.with_times([0.0]), source.rest[None])
@@ -221,7 +217,7 @@ def transfer(
     progress : callable, optional
         Called for every stage.
     workers : Executor, optional
-        Executor for blocks of frames, see `mixseq.mapping`; by default one thread per core.
+        Executor for blocks of frames, see `mixseq.runtime.parallel`; by default one thread per core.
 
     Returns
     -------

@@ -23,16 +23,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from mixseq.arrays import Float, Index
 from mixseq.errors import InvalidSequenceError, SettingsError
-from mixseq.frame_store import frame_store
-from mixseq.progress import Progress, silent
-from mixseq.public import public
+from mixseq.mesh.topology import Topology
 from mixseq.rigging.bones import merged, vertex_labels
-from mixseq.segmentation import segment
-from mixseq.sequence import Frames, SequenceHeader, bounding_diagonal, check_frames
-from mixseq.threads import one_blas_thread
-from mixseq.topology import Topology
+from mixseq.runtime.parallel import one_blas_thread
+from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.public import public
+from mixseq.segmentation.methods import segment
+from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.sequence import Frames, bounding_diagonal, check_frames, frame_store
+from mixseq.types import Float, Index
 
 _FEWER = 2 / 3
 """Ratio of successive numbers of parts that are tried."""

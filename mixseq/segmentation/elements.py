@@ -1,6 +1,21 @@
 """Elements of clustering: faces of a mesh, or cells of faces, and their trajectories.
 
 Every element has a few vertices, which define its motion, and neighbours, over which costs are averaged.
+
+Boundaries between neighbouring parts.
+
+Growing regions over a landscape, and the passes between them.
+
+Every hinge has a height. Rising water connects faces across hinges in the order of height, which is Kruskal's
+algorithm for the minimum spanning tree of the dual graph: its nodes are faces, its edges hinges. A hinge that joins two
+lakes is the *pass* between them, with
+
+- an *area*: that of the smaller lake when they meet,
+- a *depth*: its height above the bottom of the shallower lake (the persistence of that lake).
+
+Cutting the tree at passes leaves regions, connected across hinges, in every component one more than passes. If all cut
+passes have at least some area, so have all regions. If they have at least some depth, every region has one bottom, its
+*seed*, as deep below the surrounding passes.
 """
 
 from __future__ import annotations
@@ -10,9 +25,138 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse import csgraph
 
-from mixseq.arrays import Float, Index, Single
-from mixseq.topology import Topology
+from mixseq.errors import SettingsError
+from mixseq.mesh.topology import Topology
+from mixseq.types import Float, FloatArray, Index, IntArray, Mask, Single
+
+
+@dataclass(frozen=True, eq=False)
+class Boundaries:
+    """The boundaries between n pairs of neighbouring parts."""
+
+    parts: Index  # (n, 2) the parts i < j
+    edges: Index  # (k, 2) vertices of the edges between faces of two parts
+    pair: Index  # (k,) the pair of parts of each edge
+
+    @classmethod
+    def of(cls, topology: Topology, part_of_face: Index) -> Boundaries:
+        """Find the boundaries between the parts ``(F,)`` of faces: hinges between faces of two parts."""
+        sides = np.sort(part_of_face[topology.hinge_faces], axis=1)
+        across = sides[:, 0] != sides[:, 1]
+        parts, pair = np.unique(sides[across], axis=0, return_inverse=True)
+        edges = topology.edges[topology.hinge_edges[across]]
+        return cls(parts.astype(np.int64).reshape(-1, 2), edges, pair.reshape(-1))
+
+    def middles(self, frame: FloatArray) -> Float:
+        """Return the middles ``(n, 3)`` of the boundaries in a frame ``(V, 3)``: means of edge midpoints."""
+        middles = frame[self.edges].mean(axis=1)
+        sums = [np.bincount(self.pair, column, minlength=len(self.parts)) for column in middles.T]
+        return np.stack(sums, axis=1) / np.bincount(self.pair, minlength=len(self.parts))[:, None]
+
+
+@dataclass(frozen=True, eq=False)
+class Rim:
+    """Edges and faces near the boundaries of patches."""
+
+    vertex_count: int  # number of vertices of the mesh
+    ends: Index  # (n, 2) vertices of the boundary edges
+    sides: Index  # (n, 2) faces beside the boundary edges
+    edges: Index  # (m, 2) edges with an end on a boundary
+    faces: Index  # (k,) faces with a corner on a boundary or one edge away
+    corners: IntArray  # (k, 3) vertices of these faces
+
+    @classmethod
+    def of(cls, topology: Topology, patches: Index) -> Rim:
+        """Find the rim of patches ``(F,)`` of faces."""
+        of_hinge = patches[topology.hinge_faces]
+        across = of_hinge[:, 0] != of_hinge[:, 1]
+        ends = topology.edges[topology.hinge_edges[across]]
+        edges = topology.edges[_marked(ends, topology.vertex_count)[topology.edges].any(axis=1)]
+        faces = np.flatnonzero(_marked(edges, topology.vertex_count)[topology.faces].any(axis=1))
+        sides, corners = topology.hinge_faces[across], topology.faces[faces]
+        return cls(topology.vertex_count, ends, sides, edges, faces, corners)
+
+    def narrowness(self, patches: Index) -> Float:
+        """Return the share of each patch's corners on its boundary or one edge away: patches ``(F,)``, also merged."""
+        across = patches[self.sides]
+        boundary = _marked(self.ends[across[:, 0] != across[:, 1]], self.vertex_count)
+        near = _marked(self.edges[boundary[self.edges].any(axis=1)], self.vertex_count)
+        sizes = np.bincount(patches)
+        shares = np.bincount(patches[self.faces], near[self.corners].sum(axis=1) / 3.0, minlength=len(sizes))
+        return np.asarray(shares / np.maximum(sizes, 1), dtype=np.float64)
+
+
+def _marked(some: Index, count: int) -> Mask:
+    """Return a mask ``(count,)`` of vertices."""
+    marks = np.zeros(count, dtype=bool)
+    marks[some] = True
+    return marks
+
+
+@dataclass(frozen=True, eq=False)
+class Passes:
+    """The minimum spanning tree of the dual graph, from its lowest hinge to its highest."""
+
+    topology: Topology  # connectivity of the mesh
+    face_areas: Float  # (F,) areas of the faces
+    hinges: Index  # (n,) hinges of the tree; n is the number of faces less that of components
+    areas: Float  # (n,) areas of the passes
+    depths: Float  # (n,) depths of the passes
+
+    def cut(self, where: Index) -> Index:
+        """Cut the tree at n hinges; number the regions ``(F,)`` by decreasing area."""
+        count = len(self.face_areas)
+        i, j = self.topology.hinge_faces[np.delete(self.hinges, where)].T
+        graph = sparse.coo_array((np.ones(len(i), dtype=bool), (i, j)), shape=(count, count))
+        region = csgraph.connected_components(graph, directed=False)[1]
+        return by_area(region, self.face_areas)
+
+    def deepest(self, parts: int, least_area: float) -> Index:
+        """Choose the deepest passes that leave `parts` regions; the least area is halved until there are enough."""
+        components = len(self.face_areas) - len(self.hinges)
+        count = min(max(parts - components, 0), len(self.hinges))
+        while np.count_nonzero(self.areas >= least_area) < count:
+            least_area /= 2.0
+        large = np.flatnonzero(self.areas >= least_area)
+        return np.asarray(large[np.argsort(-self.depths[large], kind="stable")[:count]], dtype=np.int64)
+
+    def deeper(self, than: float, least_area: float) -> Index:
+        """Choose all passes above a depth and an area."""
+        return np.flatnonzero((self.depths > than) & (self.areas >= least_area))
+
+
+def flood(topology: Topology, heights: Float, bottoms: Float, areas: Float) -> Passes:
+    """Find the passes of a landscape: heights ``(H,)``; bottoms ``(F,)``; areas ``(F,)``."""
+    from mixseq.segmentation.segmentation_kernels import kruskal
+
+    order = np.argsort(heights, kind="stable")
+    tree, area, depth = kruskal(topology.hinge_faces[order], heights[order], bottoms.copy(), areas.copy())
+    return Passes(topology, areas, order[tree], area, depth)
+
+
+def by_area(labels: NDArray[np.integer], areas: Float) -> Index:
+    """Renumber the labels ``(F,)`` of faces by decreasing area, equal ones in the order of first faces."""
+    _, first, dense = np.unique(labels, return_index=True, return_inverse=True)
+    order = np.lexsort((first, -np.bincount(dense, areas)))
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return np.asarray(rank[dense], dtype=np.int64)
+
+
+def check_parts(parts: int | None, topology: Topology) -> None:
+    """Raise `SettingsError` for a number of parts that no segmentation has."""
+    if parts is None:
+        return
+    whole = isinstance(parts, int | np.integer)
+    if not (whole and 1 <= parts <= len(topology.faces)):
+        given = parts if np.ndim(parts) == 0 else f"of type {type(parts).__name__}"
+        raise SettingsError(
+            f"parts is {given}; a whole number from 1 to {len(topology.faces)} (the faces) is expected"
+        )
+
 
 Table = NDArray[np.int32]
 

@@ -1,4 +1,28 @@
-"""Cut a mesh into parts by a named method, or by given labels."""
+r"""Cut a mesh into parts by a named method, or by given labels.
+
+Scores of segmentations: agreement of two of them, and near-rigidity of parts.
+
+*Adjusted Rand index* (Hubert and Arabie 1985) of two segmentations of one mesh. With :math:`n_{ij}` the weight that is
+in part i of one and part j of the other, :math:`a_i = \sum_j n_{ij}`, :math:`b_j = \sum_i n_{ij}`, N their sum, and the
+sums of squares
+
+.. math:: S = \sum_{ij} n_{ij}^2, \quad A = \sum_i a_i^2, \quad B = \sum_j b_j^2, \quad Q = \sum_f w_f^2,
+
+of which Q is the contribution of pairs of a face with itself, the index is
+
+.. math:: \mathrm{ARI} = \frac{(S - Q) - E}{\frac{1}{2} (A + B) - Q - E}, \qquad
+          E = \frac{(A - Q)(B - Q)}{N^2 - Q} .
+
+For weights of one that is the usual index of counts, since :math:`n^2 - n = 2 \binom{n}{2}`.
+
+*Karni-Gotsman error* ("Compression of soft-body animation sequences", Computers & Graphics 2004). With B the
+vertices of A moved by the best rigid motion of their part in every frame (Kabsch), from the first frame on,
+
+.. math:: \mathrm{KG} = 100\, \frac{\|A - B\|_F}{\|A - \bar A\|_F},
+
+where :math:`\bar A` holds centroids of every frame: of the part for the error of a part, of all vertices for that of
+the whole. Vertices on a boundary count once in each of their parts.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +32,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mixseq.arrays import FloatArray, Index
 from mixseq.choices import SegmentationName
 from mixseq.errors import SegmentationError, SettingsError
-from mixseq.segmentation.motion import MotionSettings, segment_by_motion
-from mixseq.segmentation.silhouettes import SilhouetteSettings, segment_by_silhouettes
-from mixseq.segmentation.spanning_tree import SpanningTreeSettings, segment_by_spanning_tree
-from mixseq.threads import one_blas_thread
-from mixseq.topology import Topology, split_labels
+from mixseq.mesh.topology import Topology, split_labels
+from mixseq.runtime.parallel import one_blas_thread
+from mixseq.segmentation.motion import MotionSettings, moments, segment_by_motion
+from mixseq.segmentation.silhouettes import (
+    SilhouetteSettings,
+    SpanningTreeSettings,
+    segment_by_silhouettes,
+    segment_by_spanning_tree,
+)
+from mixseq.types import Float, FloatArray, Index, IntArray
 
 MethodSettings = MotionSettings | SilhouetteSettings | SpanningTreeSettings
 Segmentation = SegmentationName | MethodSettings
@@ -80,3 +108,47 @@ def segment_by_labels(labels: ArrayLike, topology: Topology) -> NDArray[np.int64
             f"one whole number for each of the {len(topology.faces)} triangles is expected"
         )
     return split_labels(topology, given)
+
+
+def adjusted_rand_index(first: ArrayLike, second: ArrayLike, weights: ArrayLike | None = None) -> float:
+    """Return the adjusted Rand index of two labelings ``(F,)`` of the same faces, with weights ``(F,)``."""
+    a, b = np.asarray(first), np.asarray(second)
+    if a.ndim != 1 or a.shape != b.shape:
+        raise SegmentationError(
+            f"labels have shapes {a.shape} and {b.shape}; one for each face of the same mesh are expected"
+        )
+    w = np.ones(len(a)) if weights is None else np.asarray(weights, dtype=np.float64)
+    if w.shape != a.shape or not (np.isfinite(w).all() and (w >= 0).all()):
+        raise SegmentationError(
+            f"weights have shape {w.shape}; for each of the {len(a)} faces one number of at least 0 is expected"
+        )
+    _, i = np.unique(a, return_inverse=True)
+    columns, j = np.unique(b, return_inverse=True)
+    _, both = np.unique(i.astype(np.int64) * len(columns) + j, return_inverse=True)
+    together, of_first, of_second = (_pairs(group, w) for group in (both, i, j))
+    pairs = _pairs(np.zeros(len(w), dtype=np.int64), w)
+    expected = of_first * of_second / pairs if pairs > 0 else 0.0
+    possible = (of_first + of_second) / 2.0 - expected
+    # It is zero where both are one part each, or all faces alone: the same.
+    return (together - expected) / possible if possible > 0 else 1.0
+
+
+def _pairs(group: NDArray[np.intp], weights: NDArray[np.float64]) -> float:
+    """Return the weight of pairs of different faces in one group; exactly 0 where every face is alone."""
+    squared, own = np.bincount(group, weights) ** 2, np.bincount(group, weights**2)
+    return float(np.sum(squared - own))
+
+
+def near_rigid_errors(points: FloatArray, faces: IntArray, part_of_face: IntArray) -> tuple[Float, float]:
+    """Return KG errors ``(p,)`` of parts ``(F,)`` and of the whole: points ``(T, V, 3)``, faces ``(F, 3)``."""
+    count = int(part_of_face.max(initial=-1)) + 1
+    centroids = points.mean(axis=1, dtype=np.float64)[None]  # (1, T, 3)
+    errors, own, whole = np.zeros(count), np.zeros(count), 0.0
+    for part in range(count):
+        vertices = np.unique(faces[part_of_face == part])
+        x = np.moveaxis(np.asarray(points[:, vertices], dtype=np.float64), 1, 0) - centroids
+        errors[part] = moments(x[:, 0], x, np.ones(len(vertices))).error()
+        own[part] = np.square(x - x.mean(axis=0)).sum()
+        whole += float(np.square(x).sum())
+    ratios = np.sqrt(np.divide(errors, own, out=np.zeros(count), where=own > 0))
+    return 100 * ratios, 100 * float(np.sqrt(errors.sum() / whole)) if whole > 0 else 0.0

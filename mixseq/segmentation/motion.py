@@ -1,4 +1,4 @@
-"""Segmentation by rigid motion: faces that rotate together form a part.
+r"""Segmentation by rigid motion: faces that rotate together form a part.
 
 1. *Cluster.* Every cluster has one rigid motion per frame; faces go to the cluster that predicts them best
    (Lloyd's iteration), after costs are diffused over the surface for smooth boundaries. The worst predicted patch
@@ -9,23 +9,233 @@
    which suits slides and small deformations, but shortens what rotates.
 
 The result is deterministic: there are no random numbers.
+
+Deviation of vertex sets from rigid motion, from additive sums.
+
+For vertices with weights w, rest positions h and positions x_t in frame t, the error of the best rigid motion is
+
+.. math:: E = \sum_t \Bigl( S^{xx}_t + S^{hh} - 2 \max_R \mathrm{tr}(R^T C_t) \Bigr), \qquad
+          C_t = \sum w\, x_t h^T - \frac{1}{W} \bigl(\sum w\, x_t\bigr)\bigl(\sum w\, h\bigr)^T
+
+with centred second moments S. The maximum is the sum of the singular values of C_t, the last one with the sign
+of det C_t (Kabsch 1976). All sums are additive over disjoint sets: the error of a union needs no vertices.
+
+Clustering by rigid motion: Lloyd's iteration with incremental updates.
+
+A cluster's motion follows from sums over its vertices ("tallies"), which moving elements take along. Costs of unchanged
+clusters are reused.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from mixseq.arrays import Float, FloatArray, Index
-from mixseq.geometry.rigid import bend
-from mixseq.segmentation.boundaries import Rim
-from mixseq.segmentation.clusters import Clusters, moments_of, tally
-from mixseq.segmentation.elements import Elements
-from mixseq.segmentation.growing import by_area, check_parts
-from mixseq.segmentation.observed import frames_to_look_at
-from mixseq.segmentation.rigid_error import Moments
-from mixseq.topology import Topology, split_labels
+from mixseq.mesh.rigid import bend, nearest_rotations
+from mixseq.mesh.topology import Topology, split_labels
+from mixseq.segmentation.elements import Elements, Rim, Trajectories, by_area, check_parts
+from mixseq.segmentation.joints import frames_to_look_at
+from mixseq.types import Float, FloatArray, Index, Mask, Single
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Weighted sums over a set of vertices, for T frames."""
+
+    weight: float  # sum of w
+    rest: Float  # (3,) sum of w h
+    moved: Float  # (T, 3) sum of w x_t
+    rest_square: float  # sum of w |h|^2
+    moved_square: Float  # (T,) sum of w |x_t|^2
+    cross: Float  # (T, 3, 3) sum of w x_t h^T
+
+    def __add__(self, other: Moments) -> Moments:
+        return Moments(
+            weight=self.weight + other.weight,
+            rest=self.rest + other.rest,
+            moved=self.moved + other.moved,
+            rest_square=self.rest_square + other.rest_square,
+            moved_square=self.moved_square + other.moved_square,
+            cross=self.cross + other.cross,
+        )
+
+    @property
+    def covariance(self) -> Float:
+        """Centred cross moments ``(T, 3, 3)``, the C_t above."""
+        return self.cross - self.moved[:, :, None] * self.rest / max(self.weight, _TINY)
+
+    def errors(self) -> Float:
+        """Weighted squared error ``(T,)`` of the best rigid motion of every frame."""
+        weight = max(self.weight, _TINY)
+        moved = self.moved_square - np.einsum("ti,ti->t", self.moved, self.moved) / weight
+        rest = self.rest_square - float(self.rest @ self.rest) / weight
+        covariance = self.covariance
+        traces = np.einsum("tij,tij->t", nearest_rotations(covariance), covariance)
+        return np.asarray(np.maximum(moved + rest - 2.0 * traces, 0.0))
+
+    def error(self) -> float:
+        """Sum of `errors` over all frames."""
+        return float(self.errors().sum())
+
+    @property
+    def softness(self) -> float:
+        """Largest error of a frame, root mean square, relative to the radius of gyration at rest."""
+        rest = self.rest_square - float(self.rest @ self.rest) / max(self.weight, _TINY)
+        return float(np.sqrt(self.errors().max() / max(rest, _TINY)))
+
+    def motion(self) -> tuple[Float, Float]:
+        """Rotation ``(T, 3, 3)`` and translation ``(T, 3)`` of the best rigid motion."""
+        weight = max(self.weight, _TINY)
+        rotation = nearest_rotations(self.covariance)
+        return rotation, (self.moved - rotation @ self.rest) / weight
+
+
+_TINY = np.finfo(np.float64).tiny
+
+
+def moments(rest: Float, moved: Float, weights: Float) -> Moments:
+    """Gather the moments of vertices with rest positions ``(N, 3)``, positions ``(N, T, 3)``, weights ``(N,)``."""
+    weighted = moved * weights[:, None, None]
+    return Moments(
+        weight=float(weights.sum()),
+        rest=weights @ rest,
+        moved=weighted.sum(axis=0),
+        rest_square=float(weights @ np.einsum("ni,ni->n", rest, rest)),
+        moved_square=np.einsum("nti,nti->t", weighted, moved),
+        cross=(weighted.reshape(len(rest), -1).T @ rest).reshape(-1, 3, 3),
+    )
+
+
+def union_errors(one: Moments, others: Sequence[Moments]) -> Float:
+    """Return the errors ``(n,)`` of the unions of a set with each of n others, ``(one + other).error()``, at once."""
+    weight = np.maximum(one.weight + np.array([other.weight for other in others]), _TINY)[:, None]
+    rest = one.rest + np.stack([other.rest for other in others])
+    moved = one.moved + np.stack([other.moved for other in others])
+    squares = one.rest_square + np.array([other.rest_square for other in others])[:, None]
+    squares = squares + one.moved_square + np.stack([other.moved_square for other in others])
+    cross = one.cross + np.stack([other.cross for other in others])
+    covariance = cross - moved[..., None] * (rest / weight)[:, None, None]
+    means = np.einsum("nti,nti->nt", moved, moved) + np.einsum("ni,ni->n", rest, rest)[:, None]
+    traces = np.einsum("ntij,ntij->nt", nearest_rotations(covariance), covariance)
+    return np.asarray(np.maximum(squares - means / weight - 2.0 * traces, 0.0).sum(axis=1))
+
+
+_LANES = 8  # columns of costs computed at a time
+_WORK = 1 << 24  # numbers in an array of costs, unless `_LANES` columns have more
+
+
+class Clusters:
+    """Elements in at most `capacity` clusters."""
+
+    def __init__(self, elements: Elements, labels: Index, capacity: int) -> None:
+        self.labels = labels
+        self._elements = elements
+        self._tallies = tally(elements, labels, capacity)
+        self._sizes = np.bincount(labels, minlength=capacity)
+        self._stale = self._sizes > 0
+        self._rounds = -1
+        longest = 1 + max(len(elements), elements.trajectories.moved.shape[1])
+        self._at_once = max(_LANES, min(capacity + _LANES - 1, _WORK // longest) // _LANES * _LANES)
+        self._work = np.empty((3, longest * self._at_once), dtype=np.float32)
+        self._costs = np.full((len(elements), capacity), np.inf, dtype=np.float32)
+
+    def assign(self, rounds: int) -> Single:
+        """Assign every element to the cluster of lowest cost ``(E,)``, averaged `rounds` times over neighbours."""
+        from mixseq.segmentation.segmentation_kernels import cheapest
+
+        stale = np.flatnonzero(self._sizes > 0 if rounds != self._rounds else self._stale)
+        self._rounds = rounds
+        self._stale[:] = False
+        labels, lowest = np.empty_like(self.labels), np.empty(len(self.labels), dtype=np.float32)
+        for start in range(0, max(len(stale), 1), self._at_once):
+            some = stale[start : start + self._at_once]
+            cheapest(self._diffused(some, rounds), some, self._costs, labels, lowest)
+        self._move(labels)
+        return lowest
+
+    def seed(self, members: Index, cluster: int) -> None:
+        """Move elements to a cluster."""
+        labels = self.labels.copy()
+        labels[members] = cluster
+        self._move(labels)
+
+    def _move(self, labels: Index) -> None:
+        from mixseq.segmentation.segmentation_kernels import transfer
+
+        moved = np.flatnonzero(labels != self.labels)
+        e = self._elements
+        before = self._tallies[:, 3, -1].copy()
+        transfer(moved, self.labels, labels, e.corners, e.weights, e.trajectories.rows, self._tallies)
+        self._stale[self.labels[moved]] = self._stale[labels[moved]] = True
+        self.labels = labels
+        self._sizes = np.bincount(labels, minlength=len(self._sizes))
+        # What is left of almost all is rounding: look again.
+        for cluster in np.flatnonzero(self._stale & (self._tallies[:, 3, -1] < 1e-3 * before)):
+            self._tallies[cluster] = tally(e, labels, len(self._sizes), labels == cluster)[cluster]
+        for empty in np.flatnonzero((self._sizes == 0) & self._stale):
+            self._stale[empty] = False
+            self._costs[:, empty] = np.inf
+
+    def _diffused(self, clusters: Index, rounds: int) -> Single:
+        """Costs ``(E, n)`` of clusters, averaged over neighbours."""
+        from mixseq.segmentation.segmentation_kernels import averages, squared_distances
+
+        e = self._elements
+        moved = e.trajectories.moved
+        width = -(-len(clusters) // _LANES) * _LANES
+        motions = motions_of(self._tallies[clusters], e.trajectories).astype(np.float32)
+        costs, spare = (self._work[i, : (len(e) + 1) * width].reshape(len(e) + 1, width) for i in range(2))
+        per_vertex = self._work[2, : (moved.shape[1] + 1) * width].reshape(moved.shape[1] + 1, width)
+        costs[-1] = spare[-1] = per_vertex[-1] = 0.0  # of elements and vertices that are none
+        per_vertex[:, len(clusters) :] = 0.0
+        squared_distances(moved, moved[:3], motions, per_vertex[:-1])
+        averages(per_vertex, e.corners, e.corner_factors, costs)
+        for _ in range(rounds):
+            averages(costs, e.around, e.factors, spare)
+            costs, spare = spare, costs
+        return costs
+
+
+def tally(elements: Elements, labels: Index, count: int, counted: Mask | None = None) -> Float:
+    """Sum ``w h y^T`` ``(count, 4, 4T + 4)`` over the vertices of the (counted) elements with each label."""
+    from mixseq.segmentation.segmentation_kernels import transfer
+
+    rows = elements.trajectories.rows
+    tallies = np.zeros((count, 4, rows.shape[1]))
+    chosen = np.arange(len(elements)) if counted is None else np.flatnonzero(counted)
+    transfer(chosen, np.full(len(elements), -1), labels, elements.corners, elements.weights, rows, tallies)
+    return tallies
+
+
+def motions_of(tallies: Float, trajectories: Trajectories) -> Float:
+    """Return the best rigid motions ``(K, 3T, 4)``, rotations and translations, of clusters."""
+    count, frames = len(tallies), trajectories.frame_count
+    sums = tallies[:, :, : 3 * frames].reshape(count, 4, frames, 3)
+    cross, moved = sums[:, :3].transpose(0, 2, 3, 1), sums[:, 3]
+    rest = tallies[:, 3, -4:-1]
+    weight = np.maximum(tallies[:, 3, -1], _TINY)[:, None, None]
+    rotations = nearest_rotations(cross - moved[..., None] * (rest / weight[:, 0])[:, None, None])
+    translations = (moved - np.einsum("ktij,kj->kti", rotations, rest)) / weight
+    return np.concatenate([rotations, translations[..., None]], axis=3).reshape(count, 3 * frames, 4)
+
+
+def moments_of(tallies: Float, trajectories: Trajectories) -> list[Moments]:
+    """Return the moments of clusters."""
+    frames = trajectories.frame_count
+    return [
+        Moments(
+            weight=float(sums[3, -1]),
+            rest=sums[3, -4:-1],
+            moved=sums[3, : 3 * frames].reshape(frames, 3),
+            rest_square=float(np.trace(sums[:3, -4:-1])),
+            moved_square=sums[3, 3 * frames : 4 * frames],
+            cross=sums[:3, : 3 * frames].reshape(3, frames, 3).transpose(1, 2, 0),
+        )
+        for sums in tallies
+    ]
+
 
 DENSE = 20000
 """Number of faces above which meshes are clustered by cells first."""

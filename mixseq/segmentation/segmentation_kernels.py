@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.arrays import Float, Index, Mask, Single
-from mixseq.compiled import compiled
+from mixseq.runtime.jit import compiled
+from mixseq.types import Float, Index, Mask, Single
 
 Table = NDArray[np.int32]
 

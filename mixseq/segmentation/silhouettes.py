@@ -12,28 +12,224 @@ The method (paper, Section 2.1, Figure 3):
 Choices that the paper leaves open, like all numbers:
 
 - Views are orthographic, with directions spread over a half sphere: silhouettes are the same from behind.
-- A vertex deforms by :math:`\Delta\theta_v + \epsilon_v` (`mixseq.segmentation.deformation`), smoothed over a small
+- A vertex deforms by :math:`\Delta\theta_v + \epsilon_v` (`mixseq.segmentation.silhouettes`), smoothed over a small
   radius; on every silhouette a fixed share of vertices is marked; those marked on at least half of their silhouettes
   are significant.
 - The height of a significant vertex is minus its distance from the nearest other one, so that regions meet in the
   middle of what deforms.
 - A seed makes a part if it is high enough above the pass to a higher one (its persistence, see
-  `mixseq.segmentation.growing`), and its region is large enough. Every connected component is at least one part.
+  `mixseq.segmentation.elements`), and its region is large enough. Every connected component is at least one part.
+
+Deformation of edges and hinges: their largest variation between any two frames.
+
+.. math:: \Delta\theta_h = \max_{s,t} \lvert \mathrm{wrap}(\theta_{h,s} - \theta_{h,t}) \rvert, \qquad
+          \Delta l_e = \max_{s,t} \lvert l_{e,s} - l_{e,t} \rvert
+
+Segmentations by boundaries, rather than by motions, start from these (paper, Sections 1.3 and 2.1). Values at vertices
+are means over the incident hinges or edges, weighted by length in the first frame:
+
+.. math:: \Delta\theta_v = \frac{\sum_h l_h \Delta\theta_h}{\sum_h l_h}, \qquad
+          \epsilon_v = \frac{\sum_e \Delta l_e}{\sum_e l_e} .
+
+Diffusion on a surface: smoothing, and diffusion distance.
+
+With the cotangent Laplacian L and the vertex areas M of a mesh, heat spreads as :math:`M \dot u = -L u`. One implicit
+step of time :math:`r^2`,
+
+.. math:: (M + r^2 L)\, u = M u_0,
+
+smooths values over about the distance r. The eigenvectors :math:`L \phi_i = \lambda_i M \phi_i`,
+:math:`\phi_i^T M \phi_j = \delta_{ij}`, embed the surface so that Euclidean distances are *diffusion distances*
+(Coifman et al. 2005; Bronstein and Bronstein 2011), which measure how well two vertices are connected:
+
+.. math:: d_t(v, w)^2 = \sum_{i \ge 1} e^{-2 t \lambda_i} \bigl(\phi_i(v) - \phi_i(w)\bigr)^2 .
+
+Distances are independent of the signs of eigenvectors and of their basis where eigenvalues coincide.
+
+Segmentation by a spanning tree, after Wuhrer and Brunton (2010): cut where hinges bend most.
+
+1. Every hinge has the largest variation of its dihedral angle between any two frames.
+2. A minimum spanning tree of the dual graph (nodes are faces, edges are hinges) connects the faces across the hinges
+   that bend least.
+3. The tree is cut at hinges of large variation, which leaves near-rigid parts.
+
+That is the method of the paper (Section 1.3). On noisy meshes it leaves one large part and crumbs: the largest
+variations are those of single bad triangles, and the tree passes joints along sides of limbs that are only sheared.
+Two additions:
+
+- *Smoothing.* Variations are averaged at vertices and smoothed over a small radius on the surface; a hinge has the
+  mean of its two ends. That closes the rings about joints.
+- *Where to cut.* A hinge is cut if it bends by enough more than the insides of both its sides (its depth as a
+  `mixseq.segmentation.elements` pass, instead of its height), and if both sides are large enough.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy import sparse
 
-from mixseq.arrays import Float, FloatArray, Index, Mask
 from mixseq.errors import SettingsError
-from mixseq.segmentation.deformation import some_frames, vertex_bending, vertex_strain
-from mixseq.segmentation.diffusion import Diffusion
-from mixseq.segmentation.elements import face_areas
-from mixseq.segmentation.growing import check_parts, flood
-from mixseq.topology import Topology
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap
+from mixseq.mesh.topology import Topology
+from mixseq.segmentation.elements import check_parts, face_areas, flood
+from mixseq.segmentation.joints import frames_to_look_at
+from mixseq.types import Float, FloatArray, Index, Mask
+
+if TYPE_CHECKING:
+    from scipy.sparse.linalg import SuperLU
+
+
+_TINY = np.finfo(np.float64).tiny
+
+
+def some_frames(points: FloatArray, frames: int) -> Float:
+    """Return at most `frames` evenly spread frames ``(T, V, 3)``, in diagonals of the first, or else of the largest."""
+    x = points[frames_to_look_at(len(points), frames)].astype(np.float64)
+    x -= x[0].mean(axis=0)
+    diagonals = np.linalg.norm(np.ptp(x, axis=1), axis=1)
+    return np.asarray(x / (diagonals[0] or diagonals.max() or 1.0))
+
+
+def angle_variation(points: FloatArray, topology: Topology) -> Float:
+    """Return the largest change ``(H,)`` of dihedral angles between frames ``(T, V, 3)``, wrapped, in radians."""
+    angles = np.stack([dihedral_angles(frame, topology.hinges) for frame in points])
+    largest = np.zeros(angles.shape[1])
+    for frame in range(1, len(angles)):
+        largest = np.maximum(largest, np.abs(wrap(angles[frame] - angles[:frame])).max(axis=0))
+    return largest
+
+
+def length_variation(points: FloatArray, topology: Topology) -> Float:
+    """Return the largest change ``(E,)`` of edge lengths between two of the frames ``(T, V, 3)``."""
+    lengths = np.stack([edge_lengths(frame, topology.edges) for frame in points])
+    return np.asarray(np.ptp(lengths, axis=0), dtype=np.float64)
+
+
+def vertex_bending(points: FloatArray, topology: Topology) -> Float:
+    """Return the mean change ``(V,)`` of the dihedral angles at every vertex, in radians."""
+    hinged = topology.edges[topology.hinge_edges]
+    lengths = edge_lengths(points[0], hinged)
+    count = topology.vertex_count
+    change = _gathered(hinged, lengths * angle_variation(points, topology), count)
+    return change / np.maximum(_gathered(hinged, lengths, count), _TINY)
+
+
+def vertex_strain(points: FloatArray, topology: Topology) -> Float:
+    """Return the mean relative change ``(V,)`` of edge lengths at every vertex."""
+    count = topology.vertex_count
+    lengths = _gathered(topology.edges, edge_lengths(points[0], topology.edges), count)
+    change = _gathered(topology.edges, length_variation(points, topology), count)
+    return np.where(lengths > 0.0, change / np.maximum(lengths, _TINY), 0.0)
+
+
+def _gathered(edges: Index, values: Float, count: int) -> Float:
+    """Sum the values ``(n,)`` of edges ``(n, 2)`` at their vertices ``(count,)``."""
+    return np.asarray(np.bincount(edges.reshape(-1), np.repeat(values, 2), count), dtype=np.float64)
+
+
+_LEAST, _MOST = 1e-2, 1e2
+"""Range of an edge's cotangent weight: slivers and obtuse triangles neither cut nor weld the surface."""
+
+_DENSE = 400
+"""Number of vertices of a component below which its matrix is decomposed as a dense one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Diffusion:
+    """Diffusion on one frame of a mesh."""
+
+    points: FloatArray
+    topology: Topology
+
+    @cached_property
+    def areas(self) -> Float:
+        """Area ``(V,)`` of every vertex: a third of its faces'; tiny without faces, all equal without area."""
+        corners = self.points[self.topology.faces]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        thirds = np.repeat(np.linalg.norm(normals, axis=1) / 6.0, 3)
+        areas = np.bincount(self.topology.faces.reshape(-1), thirds, self.topology.vertex_count)
+        return np.asarray(np.maximum(areas, 1e-6 * (float(areas.mean()) or 1.0)))
+
+    @cached_property
+    def laplacian(self) -> sparse.csc_array:
+        """The positive semidefinite Laplacian ``(V, V)`` of cotangent weights."""
+        start, end, opposite = (np.roll(self.topology.faces, -i, axis=1).T.reshape(-1) for i in range(3))
+        u, v = self.points[start] - self.points[opposite], self.points[end] - self.points[opposite]
+        height = np.linalg.norm(np.cross(u, v), axis=1)
+        cotangents = np.einsum("ci,ci->c", u, v) / np.maximum(height, 1e-12)
+        weights = np.zeros(len(self.topology.edges))
+        np.add.at(weights, self.topology.face_edges.T.reshape(-1), 0.5 * cotangents)
+        weights = np.clip(weights, _LEAST, _MOST)
+        i, j = self.topology.edges.T
+        count = self.topology.vertex_count
+        half = sparse.coo_array((weights, (i, j)), shape=(count, count))
+        adjacency = half + half.T
+        return sparse.csc_array(sparse.diags_array(adjacency.sum(axis=0)) - adjacency)
+
+    def smoothed(self, values: Float, radius: float) -> Float:
+        """Smooth values ``(V,)`` over about a radius; their mean over the surface is kept."""
+        if radius == 0.0:
+            return values.copy()
+        system = sparse.diags_array(self.areas) + radius**2 * self.laplacian
+        return np.asarray(_factored(system).solve(self.areas * values), dtype=np.float64)
+
+    def embedding(self, time: float, count: int) -> Float:
+        """Coordinates ``(V, count)`` with diffusion distances within each component; padded with zeros if small."""
+        result = np.zeros((self.topology.vertex_count, count))
+        for component, values, vectors in self._spectra(count):
+            result[component, : len(values)] = vectors * np.exp(-time * values)
+        return result
+
+    def heat_kernel(self, times: Float, count: int) -> Float:
+        """Return the heat ``(V, n)`` left at its source after times ``(n,)``, less the constant part."""
+        result = np.zeros((self.topology.vertex_count, len(times)))
+        for component, values, vectors in self._spectra(count):
+            result[component] = vectors**2 @ np.exp(-2 * np.outer(values, times))
+        return result
+
+    def _spectra(self, count: int) -> Iterator[tuple[Index, Float, Float]]:
+        """Yield vertices ``(n,)``, lowest eigenvalues ``(k,)``, and eigenvectors ``(n, k)`` of every component."""
+        roots = 1.0 / np.sqrt(self.areas)
+        scaled = sparse.csr_array(self.laplacian.multiply(roots[:, None]).multiply(roots[None, :]))
+        number = self.topology.component_of_vertex
+        order, ends = np.argsort(number, kind="stable"), np.cumsum(np.bincount(number))
+        blocks = scaled[order][:, order]  # on its diagonal there is one for every component
+        for start, end in zip(np.append(0, ends[:-1]), ends, strict=True):
+            component = order[start:end]
+            values, vectors = _lowest(blocks[start:end, start:end], min(count, len(component) - 1))
+            yield component, values, vectors * roots[component, None]
+
+
+def _lowest(matrix: sparse.csr_array, count: int) -> tuple[Float, Float]:
+    """Return the lowest eigenvalues ``(count,)`` without the first, which is zero, and their eigenvectors."""
+    from scipy.sparse.linalg import LinearOperator, eigsh
+
+    size = matrix.shape[0]
+    if size < _DENSE or count >= size // 4:
+        values, vectors = np.linalg.eigh(matrix.toarray())
+        return values[1 : count + 1], vectors[:, 1 : count + 1]
+    # The shift makes the matrix definite. It is small against the eigenvalues wanted, of which the mean is about
+    # that of all divided by the number of vertices.
+    shift = 1e-3 * float(matrix.diagonal().mean()) / size
+    factor = _factored(matrix + shift * sparse.eye_array(size))
+    inverse = LinearOperator((size, size), matvec=factor.solve, dtype=np.float64)
+    start = np.cos(np.arange(size, dtype=np.float64))  # any, but always the same
+    values, vectors = eigsh(matrix, count + 1, sigma=-shift, OPinv=inverse, v0=start, tol=1e-8)
+    order = np.argsort(values, kind="stable")[1:]
+    return values[order], vectors[:, order]
+
+
+def _factored(matrix: sparse.sparray) -> SuperLU:
+    """Factor a symmetric positive definite matrix."""
+    from scipy.sparse.linalg import splu
+
+    options = {"SymmetricMode": True}
+    return splu(sparse.csc_matrix(matrix), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
 
 
 @dataclass(frozen=True)
@@ -171,3 +367,62 @@ def _signed_distance(surface: Diffusion, significant: Mask, settings: Silhouette
             across = cKDTree(places[here & rim & ~side])
             result[here & side] = sign * across.query(places[here & side])[0]
     return result
+
+
+@dataclass(frozen=True)
+class SpanningTreeSettings:
+    """Settings of `segment_by_spanning_tree`. The values are ours; the paper gives none.
+
+    Attributes
+    ----------
+    frames : int
+        Number of frames, evenly spread over the sequence.
+    radius : float
+        Smoothing radius of variations, in diagonals; 0 for none.
+    contrast : float
+        Without a number of parts, cuts are where the variation is larger than inside the parts by this fraction of
+        the mesh's mean variation ...
+    still : float
+        ... and by more than this angle, in degrees; smaller variations are noise.
+    small_region : float
+        Least fraction of the area of a part, unless more parts are requested than that allows.
+    """
+
+    frames: int = 24
+    radius: float = 0.015
+    contrast: float = 0.25
+    still: float = 0.1
+    small_region: float = 0.005
+
+    def __post_init__(self) -> None:
+        sizes = (self.radius, self.contrast, self.still)
+        if self.frames < 1 or not (
+            np.isfinite(sizes).all() and min(sizes) >= 0 and 0 <= self.small_region < 1
+        ):
+            raise SettingsError(
+                f"{self}: frames of at least 1, radius, contrast and still of at least 0, and a small_region from 0 to "
+                f"below 1 are expected"
+            )
+
+
+def segment_by_spanning_tree(
+    points: FloatArray,
+    topology: Topology,
+    parts: int | None = None,
+    settings: SpanningTreeSettings | None = None,
+) -> Index:
+    """Cut a moving mesh ``(T, V, 3)`` where its dihedral angles vary most; returns parts ``(F,)``."""
+    settings = settings or SpanningTreeSettings()
+    check_parts(parts, topology)
+    x = some_frames(points, settings.frames)
+    surface = Diffusion(x[0], topology)
+    bending = surface.smoothed(vertex_bending(x, topology), settings.radius)
+    heights = bending[topology.edges[topology.hinge_edges]].mean(axis=1)
+    bottoms = np.full(len(topology.faces), np.inf)
+    np.minimum.at(bottoms, topology.hinge_faces.reshape(-1), np.repeat(heights, 2))
+    passes = flood(topology, heights, bottoms, face_areas(x[0], topology))
+    least_area = settings.small_region * float(passes.face_areas.sum())
+    if parts is not None:
+        return passes.cut(passes.deepest(parts, least_area))
+    deep = settings.contrast * float(np.average(bending, weights=surface.areas))
+    return passes.cut(passes.deeper(max(deep, np.radians(settings.still)), least_area))

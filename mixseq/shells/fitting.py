@@ -10,33 +10,194 @@ Minimises, over the free vertices of a patch,
 with ``w_e = 1 / mean length of e`` and one weight for all angles, so that both terms count relative changes
 (Froehlich and Botsch 2011). The last term is optional: soft constraints of positions. Angle residuals are wrapped to
 (-pi, pi], so that folds beyond half a turn are pulled the right way.
+
+A patch of triangles to be rebuilt from lengths and angles, and the pattern of its normal equations.
+
+Rebuild a patch from edge lengths and dihedral angles: linear initialisation, then Gauss-Newton.
+
+The linear initialisation (after Wang, Liu and Tong 2012) uses no pose:
+
+1. Frames: minimise :math:`\sum \|F_j - F_i T_{ij}\|^2`, a sparse linear system; faces whose vertices are all fixed
+   have known frames (if nothing is fixed the first face gets the identity). Project every frame to a rotation.
+2. Vertices: minimise :math:`\sum_f \sum_{ab \in f} \|x_b - x_a - F_f\, u_{ab}\|^2` over the sides of all faces, where
+   ``u`` is the side in the frame; fixed vertices stay (if there are none the first one is the origin).
+
+Where a mesh has these lengths and angles the result is that mesh, exactly.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from mixseq.arrays import Float
-from mixseq.geometry.lengths_angles import dihedral_gradients, length_gradients
-from mixseq.shells.block_pattern import BlockSparsePattern
-from mixseq.shells.fitting_kernels import conjugate_gradients, shell_equations, shell_residuals
-from mixseq.shells.gauss_newton import DampedStep, ShellReport, ShellSettings, damped, minimise
-from mixseq.shells.patch import Patch
+from mixseq.mesh.measures import (
+    dihedral_angles,
+    dihedral_gradients,
+    edge_lengths,
+    length_gradients,
+    sound_lengths,
+)
+from mixseq.mesh.rigid import nearest_rotations
+from mixseq.mesh.rotations import rotations_of
+from mixseq.mesh.topology import Topology
+from mixseq.runtime.lazy import PickledWithoutCaches
+from mixseq.segmentation.joints import Joint
+from mixseq.shells.face_frames import Hinges, flat_triangles, frames_of
+from mixseq.shells.gauss_newton import (
+    BlockSparsePattern,
+    DampedStep,
+    ShellReport,
+    ShellSettings,
+    damped,
+    minimise,
+)
+from mixseq.shells.kernels import conjugate_gradients, shell_equations, shell_residuals
+from mixseq.shells.solvers import Factor, factorise
+from mixseq.types import Float, Index, Mask
 
-__all__ = [
-    "UNCONSTRAINED",
-    "DenseTerm",
-    "ShellProblem",
-    "ShellReport",
-    "ShellSettings",
-    "SoftConstraint",
-    "fit_shell",
-]
+
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """Lengths and angles around the free vertices of a patch, and the pattern of their matrix."""
+
+    edges: Index  # (e', 2) edges with a free vertex
+    hinges: Index  # (h', 4) hinges with a free vertex
+    free: Index  # (f,) the free vertices
+    number: Index  # (n,) place of every vertex among them, -1 if fixed
+    pattern: BlockSparsePattern  # pattern of the matrix, one triple of unknowns for each free vertex
+    edge_blocks: Index  # (e',) block that couples the two vertices of an edge, -1 if one is fixed
+    # (h', 6) blocks that couple the vertices ba, ca, cb, da, db, dc of a hinge, -1 if one is fixed.
+    hinge_blocks: Index
+
+    @classmethod
+    def of(
+        cls, edges: Index, hinges: Index, free: Index, number: Index, threads: int | None = None
+    ) -> NormalEquations:
+        """Find the blocks of edges and hinges."""
+        ends, corners = number[edges], number[hinges]
+        p, o = np.tril_indices(4, -1)
+        first, second = corners[:, p], corners[:, o]
+        pairs = np.concatenate([ends, np.stack([first, second], axis=-1).reshape(-1, 2)])
+        pattern = BlockSparsePattern.of(len(free), pairs, threads)
+        return cls(
+            edges=np.ascontiguousarray(edges),
+            hinges=np.ascontiguousarray(hinges),
+            free=free,
+            number=number,
+            pattern=pattern,
+            edge_blocks=pattern.block(*ends.T),
+            hinge_blocks=np.ascontiguousarray(pattern.block(first, second)),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Patch(PickledWithoutCaches):
+    """A hinge-connected patch of triangles in local indices, with some vertices fixed in space."""
+
+    faces: Index  # (m, 3) triangles
+    edges: Index  # (e, 2) edges, in the order of the lengths
+    face_edges: Index  # (m, 3) edge of the sides 01, 12, 20 of every face
+    hinges: Index  # (h, 4) hinges a, b, c, d, in the order of the angles
+    hinge_faces: Index  # (h, 2) their two faces
+    fixed: Mask  # (n,) vertices whose positions are given
+    threads: int | None = None  # threads that factor one matrix; by default from its size
+
+    @classmethod
+    def of_joint(cls, topology: Topology, joint: Joint, fixed: Mask) -> Patch:
+        """Make the patch of a joint; `fixed` ``(n,)`` marks the joint's given vertices."""
+        return cls(
+            faces=joint.faces,
+            edges=np.searchsorted(joint.vertices, topology.edges[joint.edge_ids]),
+            face_edges=np.searchsorted(joint.edge_ids, topology.face_edges[joint.face_ids]),
+            hinges=np.searchsorted(joint.vertices, topology.hinges[joint.hinge_ids]),
+            hinge_faces=np.searchsorted(joint.face_ids, topology.hinge_faces[joint.hinge_ids]),
+            fixed=fixed,
+        )
+
+    def constants(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.constants` for the linear initialisation and Gauss-Newton."""
+        return self.equations.pattern, self.frame_pattern, self.laplacian_factor
+
+    @cached_property
+    def free(self) -> Index:
+        """Unknown vertices."""
+        return np.flatnonzero(~self.fixed)
+
+    @cached_property
+    def free_number(self) -> Index:
+        """Place ``(n,)`` of every vertex among the free ones, -1 if fixed."""
+        number = np.full(len(self.fixed), -1, dtype=np.int64)
+        number[self.free] = np.arange(len(self.free))
+        return number
+
+    @cached_property
+    def free_edges(self) -> Mask:
+        """Mark the edges ``(e,)`` with a free vertex."""
+        return np.asarray(~self.fixed[self.edges].all(axis=1))
+
+    @cached_property
+    def free_hinges(self) -> Mask:
+        """Mark the hinges ``(h,)`` with a free vertex."""
+        return np.asarray(~self.fixed[self.hinges].all(axis=1))
+
+    @cached_property
+    def fixed_faces(self) -> Mask:
+        """Mark the faces ``(m,)`` whose three vertices are fixed."""
+        return np.asarray(self.fixed[self.faces].all(axis=1))
+
+    @cached_property
+    def hinge_frames(self) -> Hinges:
+        """The hinges in the frames of their faces."""
+        return Hinges(self.faces, self.hinges, self.hinge_faces)
+
+    @cached_property
+    def equations(self) -> NormalEquations:
+        """The normal equations of lengths and angles around the free vertices."""
+        return NormalEquations.of(
+            self.edges[self.free_edges],
+            self.hinges[self.free_hinges],
+            self.free,
+            self.free_number,
+            self.threads,
+        )
+
+    @cached_property
+    def frame_pattern(self) -> BlockSparsePattern:
+        """Block pattern of unknown frames of faces, coupled by hinges."""
+        count, pairs = int((self.face_number >= 0).sum()), self.face_number[self.hinge_faces]
+        return BlockSparsePattern.of(count, pairs, self.threads)
+
+    @cached_property
+    def face_number(self) -> Index:
+        """Place ``(m,)`` of every face among those with unknown frames; -1 for fixed faces, or for the first one."""
+        known = self.fixed_faces.copy()
+        known[0] |= not known.any()
+        return np.where(known, -1, np.cumsum(~known) - 1)
+
+    @cached_property
+    def laplacian(self) -> sparse.csr_array:
+        """Graph Laplacian ``(n, n)``; an edge counts once per face."""
+        starts = self.faces.reshape(-1)
+        ends = np.roll(self.faces, -1, axis=1).reshape(-1)
+        size = (len(self.fixed), len(self.fixed))
+        half = sparse.coo_array((np.ones(len(starts)), (starts, ends)), shape=size).tocsr()
+        adjacency = (half + half.T).tocsr()
+        return (sparse.diags_array(np.asarray(adjacency.sum(axis=1)).reshape(-1)) - adjacency).tocsr()
+
+    @cached_property
+    def laplacian_factor(self) -> Factor:
+        """Factor of the Laplacian's block of integrated vertices; constant over a sequence."""
+        return factorise(self.laplacian[self.integrated][:, self.integrated])
+
+    @cached_property
+    def integrated(self) -> Index:
+        """Unknown vertices of the Poisson system: the free ones, but the first where nothing is fixed."""
+        return self.free if self.fixed.any() else self.free[1:]
 
 
 CLOSE = 0.03
@@ -238,3 +399,104 @@ def _dense_step(pattern: BlockSparsePattern, values: Float, gradient: Float, row
     both = pattern.analysis.factor(values).solve(np.stack([-gradient, row], axis=1))
     step, along = both.T
     return np.asarray(step - along * (row @ step) / (1.0 + row @ along))
+
+
+NEAR = 0.5
+"""Largest weighted residual of a guess from which Gauss-Newton may start."""
+
+
+def linear_initialisation(patch: Patch, lengths: Float, angles: Float, positions: Float) -> Float:
+    """Rebuild a patch ``(n, 3)`` linearly from lengths ``(e,)``, angles ``(h,)`` and fixed positions ``(n, 3)``."""
+    return integrate(patch, _sides(patch, lengths, angles, positions), positions)
+
+
+def _sides(patch: Patch, lengths: Float, angles: Float, positions: Float) -> Float:
+    """Return the sides 01, 12, 20 of all faces ``(m, 3, 3)``, in their frames, before solving for vertices."""
+    local = flat_triangles(lengths[patch.face_edges])
+    frames = _frames(patch, local, angles, positions)
+    return np.asarray(np.einsum("fij,fkj->fki", frames[:, :, :2], np.roll(local, -1, axis=1) - local))
+
+
+def _frames(patch: Patch, local: Float, angles: Float, positions: Float) -> Float:
+    known = np.zeros((len(patch.faces), 3, 3))
+    is_known = patch.fixed_faces.copy()
+    if is_known.any():
+        known[is_known] = rotations_of(frames_of(positions, patch.faces[is_known]))
+    else:
+        is_known[0] = True
+        known[0] = np.eye(3)
+    number = patch.face_number
+    unknown = np.flatnonzero(number >= 0)
+    if not unknown.size:
+        return known
+
+    # Rows of F (one per world coordinate) are independent: F_j - F_i T = 0 reads f_j - T^T f_i = 0 for rows f.
+    i, j = patch.hinge_faces.T
+    turns = rotations_of(patch.hinge_frames.turns(local, angles))
+    right = np.zeros((unknown.size, 3, 3))  # (face, column of F, world coordinate)
+    for target, source, turn in ((j, i, turns), (i, j, np.swapaxes(turns, 1, 2))):
+        border = is_known[source] & ~is_known[target]
+        pulled = known[source[border]] @ turn[border]
+        np.add.at(right, number[target[border]], np.swapaxes(pulled, 1, 2))
+
+    pattern = patch.frame_pattern
+    values = np.zeros(len(pattern.rows))
+    counts = np.bincount(patch.hinge_faces.reshape(-1), minlength=len(patch.faces))
+    values[pattern.diagonal] = np.repeat(counts[unknown].astype(np.float64), 3)
+    inner = ~is_known[i] & ~is_known[j]
+    first, second = number[i[inner]], number[j[inner]]
+    # -T^T couples row block j to column block i; below the diagonal is the higher number's row.
+    turned = turns[inner]
+    blocks = -np.where((second > first)[:, None, None], np.swapaxes(turned, 1, 2), turned)
+    places = pattern.places[pattern.block(first, second)][:, None, :] + np.arange(3)[:, None]
+    np.add.at(values, places, blocks)
+    solution = pattern.analysis.factor(values).solve(right.reshape(-1, 3)).reshape(-1, 3, 3)
+    known[unknown] = nearest_rotations(np.swapaxes(solution, 1, 2))
+    return known
+
+
+def integrate(patch: Patch, sides: Float, positions: Float) -> Float:
+    """Solve for the vertices whose sides ``x_b - x_a`` are closest to ``(m, 3, 3)`` given ones."""
+    count = len(patch.fixed)
+    right = np.zeros((count, 3))
+    np.add.at(right, patch.faces.reshape(-1), -sides.reshape(-1, 3))
+    np.add.at(right, np.roll(patch.faces, -1, axis=1).reshape(-1), sides.reshape(-1, 3))
+    result = np.where(patch.fixed[:, None], positions, 0.0)
+    coupling = patch.laplacian[patch.integrated][:, patch.fixed]
+    right = right[patch.integrated] - coupling @ result[patch.fixed]
+    result[patch.integrated] = patch.laplacian_factor.solve(right)
+    return result
+
+
+def rebuild(
+    patch: Patch,
+    lengths: Float,
+    angles: Float,
+    weights: Float,
+    positions: Float,
+    settings: ShellSettings,
+    guess: Float | None = None,
+    soft: SoftConstraint = UNCONSTRAINED,
+) -> tuple[Float, ShellReport]:
+    """Rebuild a patch ``(n, 3)`` from lengths ``(e',)`` and angles ``(h',)``, in radians, at its free vertices.
+
+    Weights ``(e',)`` are inverse typical lengths. Of positions ``(n, 3)`` those of fixed vertices are used. A guess
+    ``(f, 3)`` is an alternative start of the free vertices.
+    """
+    lengths = sound_lengths(lengths, weights)
+    problem = ShellProblem(patch, lengths, angles, weights, settings.bending, soft)
+    if guess is None:
+        return fit_shell(problem, _initial(problem, positions), settings)
+    start = np.array(positions, dtype=np.float64)
+    start[patch.free] = guess
+    if not soft.weights.size and np.abs(problem.residuals(start)).max(initial=0.0) > NEAR:
+        start = min(_initial(problem, positions), start, key=problem.energy)
+    return fit_shell(problem, start, settings)
+
+
+def _initial(problem: ShellProblem, positions: Float) -> Float:
+    """Return the linear start; lengths and angles between fixed vertices are their own."""
+    patch = problem.patch
+    lengths, angles = edge_lengths(positions, patch.edges), dihedral_angles(positions, patch.hinges)
+    lengths[patch.free_edges], angles[patch.free_hinges] = problem.lengths, problem.angles
+    return linear_initialisation(patch, lengths, angles, positions)

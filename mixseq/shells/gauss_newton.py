@@ -2,19 +2,88 @@ r"""Damped Gauss-Newton (Levenberg-Marquardt): minimise the sum of squared resid
 
 A step s solves :math:`(J^T J + \lambda \, \mathrm{diag}\, J^T J)\, s = -J^T r`. If it does not lower the energy, it is
 tried again with ten times the damping :math:`\lambda`; if it lowers it as the linear model predicts, damping falls.
+
+Sparsity pattern of symmetric matrices of 3 x 3 blocks.
+
+Unknowns come in threes: the coordinates of a vertex, or the columns of a face's frame. Coupled pairs follow from
+connectivity, so the places of all values are found once. A matrix is its values alone, the lower triangle column by
+column (compressed sparse columns).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
-from mixseq.arrays import Float
 from mixseq.errors import ReconstructionError, SettingsError
-from mixseq.shells.block_pattern import BlockSparsePattern
+from mixseq.runtime.lazy import PickledWithoutCaches
+from mixseq.shells.solvers import Analysis, analyse
+from mixseq.types import Float, Index
+
+
+@dataclass(frozen=True, eq=False)
+class BlockSparsePattern(PickledWithoutCaches):
+    """The lower triangle of a symmetric matrix of n x n blocks, with all diagonal blocks."""
+
+    starts: Index  # (3n + 1,) where the values of every column start
+    rows: Index  # (N,) row of every value, ascending in each column; the first is that of the diagonal
+    # (n + m, 3) for each of the n blocks of the diagonal and the m blocks below it, and for each of the block's
+    # columns, where the value of the block's row 0 is; rows 1 and 2 follow. The diagonal's blocks have only the rows on
+    # and below the diagonal.
+    places: Index
+    keys: Index  # (m,) n * column + row of the blocks below the diagonal, ascending
+    threads: int | None = None  # threads that factor one matrix; by default from its size
+
+    @classmethod
+    def of(cls, count: int, pairs: Index, threads: int | None = None) -> BlockSparsePattern:
+        """Make the pattern of `count` triples of unknowns, coupled in pairs ``(k, 2)``; negative ones are ignored."""
+        low, high = pairs.min(axis=1, initial=count), pairs.max(axis=1, initial=-1)
+        coupled = (low >= 0) & (low < high)
+        keys = np.unique(count * low[coupled] + high[coupled])
+        column, row = np.divmod(keys, max(count, 1))
+        below = np.bincount(column, minlength=count)
+        heights = (3 * below[:, None] + np.array([3, 2, 1])).reshape(-1)
+        starts = np.concatenate([[0], np.cumsum(heights)]).astype(np.int64)
+        tops = starts[:-1].reshape(-1, 3)
+        rank = np.arange(len(keys)) - np.searchsorted(column, np.arange(count))[column]
+        places = np.concatenate([tops - np.arange(3), tops[column] + np.array([3, 2, 1]) + 3 * rank[:, None]])
+        rows = np.empty(starts[-1], dtype=np.int64)
+        for j in range(3):
+            for i in range(j, 3):
+                rows[places[:count, j] + i] = 3 * np.arange(count) + i
+            for i in range(3):
+                rows[places[count:, j] + i] = 3 * row + i
+        return cls(starts, rows, places.astype(np.int64), keys, threads)
+
+    @property
+    def count(self) -> int:
+        """Number n of triples of unknowns."""
+        return (len(self.starts) - 1) // 3
+
+    def block(self, i: Index, j: Index) -> Index:
+        """Return the block of `places` that couples i and j, -1 where one is negative."""
+        low, high = np.minimum(i, j), np.maximum(i, j)
+        below = self.count + np.searchsorted(self.keys, self.count * low + high)
+        return np.where(low < 0, -1, np.where(low == high, low, below)).astype(np.int64)
+
+    def constants(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.constants`."""
+        return (self.analysis,)
+
+    @cached_property
+    def diagonal(self) -> Index:
+        """Places ``(3n,)`` of the values of the diagonal."""
+        return self.starts[:-1]
+
+    @cached_property
+    def analysis(self) -> Analysis:
+        """Ordering and symbolic factorisation, shared by all matrices of the pattern."""
+        return analyse(self.starts, self.rows, self.threads)
+
 
 DampedStep = Callable[[float], Float]
 

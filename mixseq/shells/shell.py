@@ -23,14 +23,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mixseq.arrays import Float, Index, Mask
 from mixseq.errors import ReconstructionError, SettingsError
-from mixseq.geometry.lengths_angles import NO_LENGTH, dihedral_angles, edge_lengths, length_weights
-from mixseq.pickling import PickledWithoutCaches
-from mixseq.shells import shell_kernels as kernels
+from mixseq.mesh.measures import NO_LENGTH, dihedral_angles, edge_lengths, length_weights
+from mixseq.mesh.topology import Topology
+from mixseq.runtime.lazy import PickledWithoutCaches
+from mixseq.shells import kernels
 from mixseq.shells.face_frames import flat_triangles
 from mixseq.shells.solvers import Factor, factored_laplacian
-from mixseq.topology import Topology
+from mixseq.types import Float, Index, Mask
 
 ROUNDS = 15
 """Rounds of power iteration for the largest curvature."""

@@ -20,8 +20,8 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from mixseq.arrays import Float, Index
 from mixseq.errors import ReconstructionError
+from mixseq.types import Float, Index
 
 ALONE = 30_000
 """Number of rows below which matrices are factored by one thread: several are factored at the same time."""

@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.polygons import frozen
+from mixseq.mesh.polygons import frozen
+from mixseq.types import Float
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
+
 
 CLOSEST = 1e-100
 """Least time between knots, in seconds, whose third power is still a divisor in double precision."""

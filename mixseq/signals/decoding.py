@@ -9,15 +9,14 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.frame_numbers import seconds_meant, span_text
-from mixseq.frame_rates import exact_rate
-from mixseq.mapping import Executor, on_threads, serially
-from mixseq.progress import Progress, silent
-from mixseq.sequence import MeshSequence
-from mixseq.sequence_header import SequenceHeader, frame_times
+from mixseq.runtime.parallel import Executor, on_threads, serially
+from mixseq.runtime.progress import Progress, silent
+from mixseq.sequence.frame_rates import exact_rate, seconds_meant, span_text
+from mixseq.sequence.header import SequenceHeader, frame_times
+from mixseq.sequence.sequence import MeshSequence
 from mixseq.spaces.base import ShapeSpace
+from mixseq.types import Float
 
 Decoded = TypeVar("Decoded")
 
@@ -99,7 +98,7 @@ class Decodable(ABC):
             Times in seconds, increasing; by default those of the sequence.
         fps : float, optional
             Frames per second: without `times` the rate at which the sequence is sampled from its first time on; with
-            `times` their time line only. 23.976 means 24000/1001, see `mixseq.frame_rates`.
+            `times` their time line only. 23.976 means 24000/1001, see `mixseq.sequence.frame_rates`.
         progress : callable, optional
             Called for every frame.
         frames : iterable of int, optional

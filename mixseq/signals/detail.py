@@ -1,32 +1,114 @@
-"""Signals of an encoded sequence, with a given detail."""
+"""Signals of an encoded sequence, with a given detail.
+
+Fit curves with few knots to values.
+
+Frames of a sequence as key shapes: their choice, and their weights in pose space.
+
+Signals within a tolerance, and exact models: the error of all decoded frames is measured.
+
+For a tolerance the coarsest signals that keep it are searched for. If not even the finest do, an error is raised.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from hashlib import blake2b
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import linalg
+from scipy.interpolate import make_lsq_spline
 
-from mixseq.arrays import Float, FloatArray, Index, evenly
 from mixseq.choices import PoseForm
-from mixseq.disk_array import LargeArray, new_large_array
-from mixseq.errors import SettingsError
-from mixseq.frame_store import FrameStore, blocks_of
-from mixseq.geometry.rotations import continued
-from mixseq.mapping import Executor, serially
-from mixseq.prediction.operator import Operator, Rows, chosen, with_middles
-from mixseq.prediction.poses import Poses
-from mixseq.progress import Progress, silent
-from mixseq.sequence import MeshSequence, SequenceHeader
+from mixseq.errors import ReconstructionError, SettingsError
+from mixseq.mesh.rotations import continued
+from mixseq.runtime.low_memory import LargeArray, new_large_array
+from mixseq.runtime.parallel import Executor, serially
+from mixseq.runtime.progress import Progress, silent
+from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.sequence import (
+    FrameStore,
+    MeshSequence,
+    block_size,
+    blocks_of,
+    bounding_diagonal,
+    digits_end,
+    farthest,
+    largest_coordinate,
+)
 from mixseq.signals.curve import Curve
-from mixseq.signals.curve_fitting import Measure, fit_curve, largest, least_squares_curve
-from mixseq.signals.key_shapes import choose_keys, key_map
+from mixseq.signals.decoding import FRAMES
 from mixseq.signals.model import Model
 from mixseq.signals.modes import Modes, principal_modes
 from mixseq.signals.pose import PoseMap
 from mixseq.spaces.base import ShapeSpace
+from mixseq.spaces.temporal import Operator, Poses, Rows, chosen, with_middles
+from mixseq.types import Float, FloatArray, Index, evenly
+
+Measure = Callable[[Float], Float]
+"""Map of the deviations ``(T, k)`` of a curve to their sizes ``(T,)``."""
+
+
+def largest(weights: Float) -> Measure:
+    """Return the measure of the largest coordinate, with weights ``(k,)``."""
+    return lambda deviations: np.asarray(np.abs(deviations * weights).max(axis=1, initial=0.0))
+
+
+def fit_curve(times: Float, values: Float, tolerance: float, measure: Measure) -> Curve:
+    """Fit a curve with few knots to values ``(T, k)`` at times ``(T,)``, within a tolerance."""
+    candidates = np.arange(2, len(times) - 2)  # those of the not-a-knot spline through all values
+    chosen = np.zeros(0, dtype=np.int64)
+    while len(chosen) < len(candidates):
+        curve = least_squares_curve(times, values, times[chosen])
+        outside = np.flatnonzero(measure(curve(times) - values) > tolerance)
+        if not len(outside):
+            return curve
+        ends = np.concatenate([[1], chosen, [len(times) - 2]])
+        intervals = np.unique(np.clip(np.searchsorted(ends, outside) - 1, 0, len(ends) - 2))
+        low, high = ends[intervals], ends[intervals + 1]
+        middles = ((low + high) // 2)[high - low > 1]
+        if not len(middles):  # violations are next to knots on both sides
+            break
+        chosen = np.union1d(chosen, middles)
+    return Curve(times, values)
+
+
+def least_squares_curve(times: Float, values: Float, inner: Float) -> Curve:
+    """Fit a curve with inner knots ``(n,)`` to values ``(T, k)`` at times ``(T,)``, by least squares."""
+    first, last = times[0], times[-1]
+    if len(times) < 4 or len(inner) >= len(times) - 4:
+        return Curve(times, values)
+    if len(inner):
+        sites = np.concatenate([[first, (first + inner[0]) / 2], inner, [(inner[-1] + last) / 2, last]])
+    else:
+        sites = np.linspace(first, last, 4)
+    if not values.shape[1]:
+        return Curve(sites, np.zeros((len(sites), 0)))
+    knots = np.concatenate([[first] * 4, inner, [last] * 4])
+    return Curve(sites, make_lsq_spline(times, values, knots, k=3)(sites))
+
+
+def choose_keys(scores: Float) -> Index:
+    """Choose frames ``(r + 1,)`` as key shapes for points of pose space ``(T, r)``."""
+    size = np.abs(scores).max(initial=0.0) or 1.0
+    corners = np.concatenate([np.full((1, len(scores)), size), scores.T])
+    pivots = linalg.qr(corners, mode="r", pivoting=True)[1]
+    return np.sort(pivots[: scores.shape[1] + 1]).astype(np.int64)
+
+
+def key_map(keys: Float) -> PoseMap:
+    """Make the pose map of key shapes at points of pose space ``(K, r)``."""
+    corners = np.concatenate(
+        [np.ones((1, len(keys))), keys.T]
+    )  # weights w of a point c: corners @ w = (1, c)
+    inverse = np.linalg.pinv(corners)
+    offset, matrix = inverse[:, 0], inverse[:, 1:].T
+    # Rounding, and points that the keys do not span, must not make the sums drift.
+    return PoseMap(offset + (1 - offset.sum()) / len(keys), matrix - matrix.mean(axis=1, keepdims=True))
+
 
 OPERATOR_SAMPLES = 256
 """Number of vertices from which the temporal operator is chosen."""
@@ -265,3 +347,126 @@ def _inner_knots(knots: int | ArrayLike, times: Float) -> Float:
             where = ends[number + 2]
             raise SettingsError(f"there are no frames between the knots near {where:g} s; leave some out")
     return inner
+
+
+LOSSLESS_TO_THE_EYE = 5e-4
+"""Default tolerance in diagonals: half a pixel, where a mesh fills a picture of 1000 pixels."""
+
+EXACT = 1e-8
+"""Tolerance of exact models in diagonals, for rounding; near the origin the error is some 1e-15."""
+
+EXACT_STEP = 2.0**-38
+"""Rounding step of signals of exact models, in diagonals: frames are off by some 1e-11."""
+
+STEPS = 64
+"""Ratio of the tolerance to the rounding step of signals; the step is refined where it is too coarse."""
+
+ENOUGH = 0.6
+"""Ratio of error to tolerance above which a model is not made coarser."""
+
+ROUNDS = 7
+"""Largest number of models that are tried before the finest one."""
+
+
+def within(
+    encoded: Encoded,
+    sequence: FrameStore | MeshSequence,
+    tolerance: float,
+    progress: Progress = silent,
+    workers: Executor | None = None,
+) -> Model:
+    """Find signals that reproduce a sequence to a tolerance.
+
+    Slack of the signals and error of the frames grow together, unevenly: the slack is scaled by the measured error, and
+    bisected once it was both too small and too large.
+    """
+    low, high, slack = 0.0, np.inf, tolerance / 4
+    best: Model | None = None
+    step = 2.0 ** np.floor(np.log2(tolerance / STEPS))
+    errors: dict[bytes, float] = {}  # of tried models: short sequences have few
+    for number in range(ROUNDS):
+        progress(number, ROUNDS, "choosing modes and knots")
+        model = build(encoded, Detail(slack=slack, step=step))
+        signals = _digest(model)
+        if signals not in errors:
+            errors[signals] = largest_error(model, sequence, 2 * tolerance, workers)
+        elif errors[signals] > tolerance:  # these are all modes and knots
+            step /= 2
+        error = errors[signals]
+        if error <= tolerance:
+            low, best = slack, model
+            if error > ENOUGH * tolerance or len(model.shapes) == 1 or number > ROUNDS // 2:
+                break
+        else:
+            high = slack
+        scaled = slack * float(np.clip(0.8 * tolerance / max(error, tolerance / 100), 0.1, 10.0))
+        slack = scaled if low < scaled < high else float(np.sqrt(max(low, high / 100) * high))
+    progress(ROUNDS, ROUNDS, "choosing modes and knots")
+    if best is not None:
+        return best
+    finest = build(encoded, Detail(step=min(step, EXACT_STEP)))
+    return made_sure(finest, sequence, tolerance, workers)
+
+
+def _digest(model: Model) -> bytes:
+    """Hash the curves of a model, to compare models of one sequence."""
+    digest = blake2b()
+    for curve in model.curves:
+        digest.update(curve.times.data)
+        digest.update(np.ascontiguousarray(curve.values).data)
+    return digest.digest()
+
+
+def made_sure(
+    model: Model,
+    sequence: FrameStore | MeshSequence,
+    promise: float,
+    workers: Executor | None = None,
+    progress: Progress = silent,
+) -> Model:
+    """Return a model after verifying the tolerance `promise` at all frames."""
+    error = largest_error(model, sequence, workers=workers)
+    progress(1, 1, "checking")
+    if error <= promise:
+        return model
+    missed = (
+        f"{sequence.header.name!r}: a vertex of the most accurate model is off by {error:.3g} diagonals, more than "
+        f"{promise:g}"
+    )
+    unit = bounding_diagonal(sequence.points[:1][0]) or 1.0
+    away, largest = farthest(sequence.points), largest_coordinate(sequence.points)
+    if promise * unit < digits_end(away):  # wherever the sequence is
+        raise SettingsError(
+            f"{missed}: vertices get up to {away / unit:.3g} diagonals of the first frame away from it, beside which "
+            "double precision has no digits for that; give a larger tolerance, or fit the frames that have grown or "
+            "moved so far apart from the first ones"
+        )
+    if promise * unit < digits_end(largest):
+        raise SettingsError(
+            f"{missed}: coordinates are up to {largest / unit:.3g} diagonals, beside which double precision has no "
+            "digits for that; move the sequence to the origin, or give a larger tolerance"
+        )
+    raise ReconstructionError(f"{missed}; give a larger tolerance, or another space or placement")
+
+
+def largest_error(
+    model: Model,
+    sequence: FrameStore | MeshSequence,
+    stop: float = np.inf,
+    workers: Executor | None = None,
+) -> float:
+    """Return the largest distance of a vertex at the frames, in diagonals."""
+    unit = bounding_diagonal(sequence.points[:1][0]) or 1.0
+    # Every 4th frame first, then those between: violations occur at many frames.
+    frames = np.concatenate([np.arange(first, len(sequence.points), 4) for first in (0, 2, 1, 3)])
+    largest, done = 0.0, 0
+    size = min(FRAMES, block_size(sequence.header.vertex_count))
+    for block in model.blocks(model.times[frames], size, workers=workers):
+        apart = block - sequence.points[frames[done : done + len(block)]]
+        error = float(np.sqrt(np.einsum("tvi,tvi->tv", apart, apart).max())) / unit
+        if not np.isfinite(error):
+            return np.inf
+        largest, done = max(largest, error), done + len(block)
+        if largest > stop:
+            break
+    return largest

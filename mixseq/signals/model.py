@@ -18,21 +18,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.pickling import PickledWithoutCaches
-from mixseq.polygons import frozen
-from mixseq.sequence_header import SequenceHeader
+from mixseq.mesh.polygons import frozen
+from mixseq.runtime.lazy import PickledWithoutCaches
+from mixseq.runtime.parallel import one_blas_thread
+from mixseq.sequence.header import SequenceHeader
 from mixseq.signals.curve import Curve
 from mixseq.signals.decoding import Decodable, ResidualLayer
-from mixseq.signals.mds_embedding import Plane, plane_of
-from mixseq.signals.pose import PoseMap
+from mixseq.signals.pose import Plane, PoseMap, plane_of
 from mixseq.spaces.base import ShapeSpace
-from mixseq.threads import one_blas_thread
+from mixseq.types import Float
 
 if TYPE_CHECKING:
     from mixseq.segmentation.joints import Decomposition
-    from mixseq.spaces.mixed import MixedSpace
+    from mixseq.spaces.mixed.mixed_space import MixedSpace
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +154,9 @@ class Model(Decodable, PickledWithoutCaches):
     @property
     def mixed(self) -> MixedSpace:
         """The space, if it is the mixed shape space; else raises `SettingsError`."""
-        from mixseq.spaces.mixed import as_mixed  # heavy, and compressed models have another space
+        from mixseq.spaces.mixed.mixed_space import (
+            as_mixed,  # heavy, and compressed models have another space
+        )
 
         return as_mixed(self.space)
 

@@ -20,11 +20,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mixseq.arrays import Float, Index
-from mixseq.disk_array import LargeArray, column_blocks
+from mixseq.runtime.low_memory import LargeArray, column_blocks
 from mixseq.signals.pose import PoseMap
+from mixseq.types import Float, Index
 
-NEGLIGIBLE = 1e-15
+NEGLIGIBLE_MODE = 1e-15
 """Ratio to the largest mode below which modes are rounding errors."""
 
 FAINTEST = 1e-9
@@ -126,5 +126,5 @@ def _of_coordinates(vectors: LargeArray, metric: Float) -> Modes:
 
 def _largest_first(sizes: Float) -> Index:
     """Return the modes above rounding errors, largest first."""
-    there = sizes > NEGLIGIBLE * sizes.max(initial=0.0)
+    there = sizes > NEGLIGIBLE_MODE * sizes.max(initial=0.0)
     return np.flatnonzero(there)[np.argsort(-sizes[there], kind="stable")]

@@ -1,23 +1,63 @@
-"""The contract of all shape spaces."""
+"""The contract of all shape spaces.
+
+Weights of lengths, angles and rotations in the metric: how far they move vertices.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mixseq.arrays import Float, FloatArray, Index
 from mixseq.errors import SettingsError
-from mixseq.pickling import PickledWithoutCaches
-from mixseq.prediction.operator import Operator
-from mixseq.prediction.poses import Poses, predicted_alone
-from mixseq.progress import Progress, silent
+from mixseq.mesh.measures import edge_lengths
+from mixseq.runtime.lazy import PickledWithoutCaches
+from mixseq.runtime.low_memory import LargeArray
+from mixseq.runtime.parallel import Executor
+from mixseq.runtime.progress import Progress, silent
+from mixseq.sequence.sequence import blocks_of
+from mixseq.spaces.temporal import Operator, Poses, predicted_alone
+from mixseq.types import Float, FloatArray, Index
 
 if TYPE_CHECKING:
     from mixseq.segmentation.joints import Decomposition
     from mixseq.shells.gauss_newton import ShellReport
+
+
+ANGLE = 0.3
+"""Weight of a radian relative to the length of the hinge's edge, in the metrics of all spaces with both."""
+
+SMALLEST = 1e-3
+"""Least radius of gyration of a part, in diagonals."""
+
+
+def radii_of_gyration(shapes: Float, parts: Sequence[Index]) -> Float:
+    """Return the radii of gyration ``(p,)`` of centred shapes ``(N, 3)``, part by part, at least `SMALLEST`."""
+    squares = np.square(shapes).sum(axis=1)
+    sizes = [len(vertices) for vertices in parts]
+    starts = np.cumsum([0, *sizes[:-1]])
+    return np.maximum(np.sqrt(np.add.reduceat(squares, starts) / sizes), SMALLEST)
+
+
+def mean_lengths(
+    points: LargeArray, edges: NDArray[np.integer], scale: float, workers: Executor, progress: Progress
+) -> Float:
+    """Return mean lengths ``(E,)`` of edges ``(E, 2)`` over frames ``(T, V, 3)``, in units of the scale."""
+    total, done = np.zeros(len(edges)), 0
+    for block in workers(_lengths, edges, blocks_of(points)):
+        for lengths in block:  # one by one: the sum must not depend on the blocks
+            total += lengths
+        done += len(block)
+        progress(done, len(points), "measuring edges")
+    return total / (done * scale)
+
+
+def _lengths(edges: NDArray[np.integer], points: FloatArray) -> list[Float]:
+    return [edge_lengths(frame.astype(np.float64), edges) for frame in points]
+
 
 Carry = Callable[[Float], Float]
 """Map of shapes ``(K, S)`` of one space to the same shapes of another space."""
@@ -123,7 +163,7 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         """Predict part poses relative to bodies ``(N, ...)``, for `corrections`, and placements ``(N, P)``.
 
         Poses ``(T, pose_dim)`` and placements ``(T, P)`` are those of the frames; ``in_body`` adds predictions in body
-        axes. Here rotations are chained, centres are weighted sums (`mixseq.prediction`), and there are no parts.
+        axes. Here rotations are chained, centres are weighted sums (`mixseq.spaces.temporal`), and there are no parts.
         """
         placed = self.placements(predicted_alone(operator.at(times), self.poses(placements)))
         return np.zeros((len(times), 0)), placed

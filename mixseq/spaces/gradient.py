@@ -16,6 +16,18 @@ vertex along the normal, so with the columns ``D = [e_1, e_2, n / sqrt |n|]`` of
 A vector is ``[rotation vectors (F, 3) | stretches (F, 6) | centres]``. The normal makes ``det J >= 0``: reflections
 are rotations of the surface. Affine maps of the reference are reproduced; their blends are blends of matrices for
 uniform scales on any mesh, and for stretches along the axes of a box's faces.
+
+Vertices from their differences: the sparse Poisson systems at the end of linear reconstructions.
+
+Given the sides ``ij`` of a mesh, the vertices are
+
+.. math:: \min_x \sum_{ij} w_{ij} \, | x_j - x_i - s_{ij} |^2 ,
+
+which is ``L x = B^T W s`` with the incidence matrix B of the sides and the Laplacian ``L = B^T W B``. The first vertex
+of every connected component is the origin. L depends on connectivity and weights only: it is factored once.
+
+Sides of triangles weighted by half the cotangent of the angle opposite to each make this the Poisson equation
+:math:`\min_x \sum_f A_f | \nabla x - J_f |^2` of face gradients J with areas A (Botsch et al. 2006).
 """
 
 from __future__ import annotations
@@ -25,18 +37,75 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse import csgraph
 
-from mixseq.arrays import Float, FloatArray, Index
-from mixseq.errors import ReconstructionError
-from mixseq.geometry.rigid import nearest_rotations
-from mixseq.geometry.rotations import matrices, unwrap, vectors
-from mixseq.progress import Progress, silent
+from mixseq.errors import ReconstructionError, SettingsError
+from mixseq.mesh.rigid import nearest_rotations
+from mixseq.mesh.rotations import matrices, unwrap, vectors
+from mixseq.mesh.topology import Topology
+from mixseq.mesh.triangle_mesh import completed, with_area
+from mixseq.runtime.lazy import PickledWithoutCaches
+from mixseq.runtime.parallel import one_blas_thread
+from mixseq.runtime.progress import Progress, silent
+from mixseq.shells.solvers import Factor, factorise
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.pieces import Pieces
-from mixseq.spaces.poisson import Integration
-from mixseq.spaces.robust_triangles import completed, with_area
-from mixseq.threads import one_blas_thread
-from mixseq.topology import Topology
+from mixseq.types import Float, FloatArray, Index
+
+
+@dataclass(frozen=True, eq=False)
+class Integration(PickledWithoutCaches):
+    """The Poisson system of given sides."""
+
+    # (S, 2) pairs i, j of vertices; a pair may be there more than once, or name one vertex twice.
+    sides: Index
+    # (S,) weights w. Single ones may be negative, if L is positive semidefinite all the same (obtuse triangles).
+    weights: Float
+    count: int  # number n of vertices
+
+    def constants(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.constants`."""
+        return (self.factor,) if self.solved.size else ()
+
+    @cached_property
+    def incidence(self) -> sparse.csr_array:
+        """The matrix B ``(S, n)``: -1 at a side's first vertex, +1 at its second."""
+        number = len(self.sides)
+        value = np.tile([-1.0, 1.0], number)
+        places = (np.repeat(np.arange(number), 2), self.sides.reshape(-1))
+        return sparse.coo_array((value, places), shape=(number, self.count)).tocsr()
+
+    @cached_property
+    def weighted(self) -> sparse.csr_array:
+        """The matrix ``B^T W`` ``(n, S)``."""
+        return sparse.csr_array(self.incidence.T @ sparse.diags_array(self.weights))
+
+    @cached_property
+    def solved(self) -> Index:
+        """Unknown vertices: all but the first of every component."""
+        i, j = self.sides.T
+        graph = sparse.coo_array((np.ones(len(i)), (i, j)), shape=(self.count, self.count))
+        component = csgraph.connected_components(graph, directed=False)[1]
+        return np.setdiff1d(np.arange(self.count), np.unique(component, return_index=True)[1])
+
+    @cached_property
+    def factor(self) -> Factor:
+        """Factor of the Laplacian of the unknown vertices."""
+        laplacian = sparse.csr_array(self.weighted @ self.incidence)
+        return factorise(laplacian[self.solved][:, self.solved])
+
+    def vertices(self, differences: Float) -> Float:
+        """Solve for the vertices ``(n, 3)`` with sides ``x_j - x_i`` closest to differences ``(S, 3)``."""
+        if differences.shape != (len(self.sides), 3):
+            raise SettingsError(
+                f"differences have shape {differences.shape}; one for each side is expected, ({len(self.sides)}, 3)"
+            )
+        result = np.zeros((self.count, 3))
+        if self.solved.size:
+            result[self.solved] = self.factor.solve((self.weighted @ differences)[self.solved])
+        return result
+
 
 UPPER = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
 """Rows and columns of the six numbers of a symmetric matrix, its diagonal first."""

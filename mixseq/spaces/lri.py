@@ -26,12 +26,12 @@ from functools import cached_property
 
 import numpy as np
 
-from mixseq.arrays import Float, Index
-from mixseq.geometry.rigid import nearest_rotations
-from mixseq.shells.block_pattern import BlockSparsePattern
-from mixseq.spaces.poisson import Integration
-from mixseq.spaces.posed import PosedSpace
-from mixseq.spaces.robust_triangles import FLAT, across, unit, vertex_normals
+from mixseq.mesh.rigid import nearest_rotations
+from mixseq.mesh.triangle_mesh import FLAT, across, unit, vertex_normals
+from mixseq.shells.gauss_newton import BlockSparsePattern
+from mixseq.spaces.gradient import Integration
+from mixseq.spaces.pieces import PosedSpace
+from mixseq.types import Float, Index
 
 PER_EDGE = 15
 """Numbers per edge: nine of the connection, three from either end."""

@@ -11,31 +11,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from mixseq.choices import SPACES, PlacementName, ProjectionName, SpaceName
 from mixseq.errors import SettingsError
-from mixseq.frame_store import FrameStore, blocks_of
-from mixseq.mapping import Executor, serially
-from mixseq.progress import Progress, Stages, silent
-from mixseq.segmentation import (
-    Observed,
-    Segmentation,
-    Watched,
-    chosen,
-    decompose,
-    frames_to_look_at,
-    gather,
-    observe,
-    segment,
-    segment_by_labels,
-)
-from mixseq.sequence import MeshSequence, bounding_diagonal
-from mixseq.shells.fitting import ShellSettings
-from mixseq.spaces.base import ShapeSpace
-from mixseq.spaces.edge.edge_space import EdgeSettings, EdgeSpace
+from mixseq.mesh.topology import Topology
+from mixseq.runtime.parallel import Executor, serially
+from mixseq.runtime.progress import Progress, Stages, silent
+from mixseq.segmentation.joints import Observed, Watched, decompose, frames_to_look_at, gather, observe
+from mixseq.segmentation.methods import Segmentation, chosen, segment, segment_by_labels
+from mixseq.sequence.sequence import FrameStore, MeshSequence, blocks_of, bounding_diagonal
+from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.spaces.base import ShapeSpace, mean_lengths
+from mixseq.spaces.edge import EdgeSettings, EdgeSpace
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.spaces.lri import LRISpace
-from mixseq.spaces.metric import mean_lengths
-from mixseq.spaces.mixed import MixedSpace, Purpose, mixed_space
+from mixseq.spaces.mixed.construction import Purpose, mixed_space
+from mixseq.spaces.mixed.mixed_space import MixedSpace
 from mixseq.spaces.vertex import VertexSpace
-from mixseq.topology import Topology
 
 MAKING = 3
 """Number of stages; each counts as much progress as one pass over all frames."""

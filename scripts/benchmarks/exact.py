@@ -19,16 +19,16 @@ from contextlib import contextmanager
 import numpy as np
 
 import mixseq
-from mixseq.arrays import Float
-from mixseq.coding.bitstream.compressed_sequence import (
+from mixseq.compression.bitstream.compressed_sequence import (
     CompressedSequence,
     decode_basis,
     decode_coefficients,
 )
-from mixseq.coding.bitstream.predictor import Predictor
-from mixseq.coding.bitstream.signal_graph import mesh_graph
+from mixseq.compression.bitstream.predictor import Predictor
+from mixseq.compression.bitstream.signal_graph import mesh_graph
 from mixseq.creature import walk_cycle
 from mixseq.errors import FormatError
+from mixseq.types import Float
 from scripts.benchmarks.common.animations import animation
 
 NAMES = (

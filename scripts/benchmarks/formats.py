@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 
 import mixseq
-from mixseq.arrays import FloatArray
-from mixseq.polygons import Polygons
-from mixseq.sequence import SequenceHeader
+from mixseq.mesh.polygons import Polygons
+from mixseq.sequence.header import SequenceHeader
+from mixseq.types import FloatArray
 
 SIDE = 150
 BLOCK = 16

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import mixseq
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles, wrap
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, unwrap_angles, wrap
 from mixseq.operations.interpolation import PoseInterpolator
 
 PAIRS = (

@@ -17,8 +17,8 @@ import numpy as np
 
 import mixseq
 from mixseq.choices import ORDERS
-from mixseq.sequence import MeshSequence
-from mixseq_io.compressed_files import compressed_sizes
+from mixseq.sequence.sequence import MeshSequence
+from mixseq_io.verification import compressed_sizes
 
 KG = 0.1
 

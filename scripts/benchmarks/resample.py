@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 import mixseq
-from mixseq.arrays import Float
-from mixseq.signals import Model
+from mixseq.signals.model import Model
+from mixseq.types import Float
 from scripts.benchmarks.common.inbetween import (
     accelerations,
     errors,

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 
 import mixseq
-from mixseq.arrays import Float
 from mixseq.rigging.bones import vertex_labels
 from mixseq.rigging.decomposition import free_bones
-from mixseq.segmentation import segment
-from mixseq.threads import one_blas_thread
+from mixseq.runtime.parallel import one_blas_thread
+from mixseq.segmentation.methods import segment
+from mixseq.types import Float
 from scripts.benchmarks.common.animations import animation
 from scripts.benchmarks.common.child import run_module
 

@@ -21,11 +21,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import mixseq
-from mixseq.arrays import Float
-from mixseq.geometry.rigid import nearest_rotations
-from mixseq.rigging import Skin
-from mixseq.rigging.rigs import rotation_matrices
-from mixseq_io.skeletons import parents_first
+from mixseq.mesh.rigid import nearest_rotations
+from mixseq.rigging.rigs import Skin, rotation_matrices
+from mixseq.types import Float
+from mixseq_io.rig_arrays import parents_first
 
 FILES = (
     "gltf/CesiumMan.glb",
@@ -136,9 +135,9 @@ def _rig(path: Path, options: dict[str, Any], times: Float) -> Rig:
 def _gltf_joints(path: Path, options: dict[str, Any], times: Float) -> dict[str, Float]:
     """Return the matrices ``(T, 4, 4)`` of all nodes by path."""
     from mixseq_io.gltf.animation import choose_animation, pose_at, read_channels
-    from mixseq_io.gltf.compression import plain
+    from mixseq_io.gltf.codecs import plain
     from mixseq_io.gltf.document import load_document
-    from mixseq_io.gltf.node_tree import read_scene
+    from mixseq_io.gltf.scene import read_scene
 
     document = plain(load_document(path))
     scene = read_scene(document)

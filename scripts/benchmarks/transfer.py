@@ -27,11 +27,11 @@ from numpy.typing import NDArray
 
 import mixseq
 from mixseq.choices import TRANSFERS, TransferName
-from mixseq.correspondence.correspond import Assessed, correspond_and_assess
+from mixseq.retargeting.correspond import Assessed, correspond_and_assess
 from mixseq.retargeting.report import TransferReport, measure
 from mixseq.retargeting.transfer import Transfer, plan
-from mixseq.sequence import MeshSequence
-from mixseq_io.correspondence.markers import read_markers
+from mixseq.sequence.sequence import MeshSequence
+from mixseq_io.text.markers import read_markers
 
 Float = NDArray[np.floating]
 
@@ -149,7 +149,7 @@ def worst_acceleration(transfer: Transfer, points: Float) -> float:
 
     Frames in which the source hardly accelerates, less than half as much as on average, are left out.
     """
-    from mixseq.retargeting.transfer_measures import Expected
+    from mixseq.retargeting.report import Expected
 
     scale = Expected.of(transfer).gradients.alignment.scale
     carried = scale * transfer.correspondence.carry(transfer.source.points[:].astype(np.float64))

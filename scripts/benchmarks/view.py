@@ -17,13 +17,12 @@ from io import StringIO
 import numpy as np
 
 import mixseq
-from mixseq.frame_store import frame_store
-from mixseq.mapping import thread_count
-from mixseq.scene.colours import SceneColours
-from mixseq.scene.items import Scene, SceneItem
-from mixseq.sequence import MeshSequence
-from mixseq.viewing.live.stage import LiveStage
-from mixseq.viewing.playback import Moment, Playback
+from mixseq.pictures.colours import SceneColours
+from mixseq.pictures.scene import Scene, SceneItem
+from mixseq.runtime.parallel import thread_count
+from mixseq.sequence.sequence import MeshSequence, frame_store
+from mixseq.viewer.live.stage import LiveStage
+from mixseq.viewer.playback import Moment, Playback
 from scripts.benchmarks.common.animations import animation
 
 NAMES = ("q_wolf_gallop", "horse_gallop", "elephant_gallop")

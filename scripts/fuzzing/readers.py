@@ -13,12 +13,11 @@ import click
 import numpy as np
 
 from mixseq.cli import main
-from mixseq.cli.batch.report import read_report, rows
+from mixseq.cli.batch import read_report, rows
 from mixseq.cli.group import exit_code
-from mixseq.operations.retiming_files import read_retiming
-from mixseq_io.correspondence.contacts import read_contacts
-from mixseq_io.correspondence.maps import read_map, to_correspondence
-from mixseq_io.correspondence.markers import read_markers
+from mixseq.operations.retiming import read_retiming
+from mixseq_io.text.maps import read_map, to_correspondence
+from mixseq_io.text.markers import read_contacts, read_markers
 from scripts.fuzzing import samples
 from scripts.fuzzing.damage import (
     Damage,

@@ -14,8 +14,9 @@ import trimesh
 
 import mixseq
 from mixseq.cli import main
-from mixseq.sequence import MeshSequence, Polygons
-from mixseq.surface import CornerValues, FaceSet, MeshObject, Surface
+from mixseq.mesh.polygons import Polygons
+from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Surface
+from mixseq.sequence.sequence import MeshSequence
 
 PACKED = Path(__file__).parents[2] / "tests" / "formats" / "gltf" / "packed"
 

@@ -10,7 +10,7 @@ from html import escape
 import click
 
 from mixseq.cli import main
-from mixseq.cli.settings import Setting
+from mixseq.cli.options import Setting
 
 INTRODUCTION = """# Commands and options
 

@@ -18,7 +18,7 @@ import pytest
 from click.testing import CliRunner
 
 import mixseq
-from mixseq.blender import extension, wheels
+from mixseq.blender import extension
 from mixseq.blender.extension import (
     ADDON,
     PLATFORMS,
@@ -96,7 +96,7 @@ def test_the_same_archive_is_made_twice(downloaded: None, tmp_path: Path) -> Non
 
 
 def test_our_own_wheel_holds_what_its_record_says(tmp_path: Path) -> None:
-    with zipfile.ZipFile(wheels.own_wheel(tmp_path)) as wheel:
+    with zipfile.ZipFile(extension.own_wheel(tmp_path)) as wheel:
         records = csv.reader(
             wheel.read(f"mixseq-{mixseq.__version__}.dist-info/RECORD").decode().splitlines()
         )
@@ -118,7 +118,7 @@ def test_our_own_wheel_decodes_models_without_anything_but_its_libraries(
     tmp_path: Path, golden: Path
 ) -> None:
     """What else is imported would have to be bundled, too."""
-    path = wheels.own_wheel(tmp_path)
+    path = extension.own_wheel(tmp_path)
     code = "import sys, mixseq; mixseq.load(sys.argv[1])(0); print(*sorted({n.partition('.')[0] for n in sys.modules}))"
     words = [sys.executable, "-c", code, str(golden)]
     environment = {
@@ -139,14 +139,14 @@ def golden(request: pytest.FixtureRequest) -> Path:
 
 
 def test_libraries_are_among_what_mixseq_requires() -> None:
-    assert [re.split(r"[^\w.-]", line)[0] for line in wheels.requirements()] == list(wheels.LIBRARIES)
+    assert [re.split(r"[^\w.-]", line)[0] for line in extension.requirements()] == list(extension.LIBRARIES)
 
 
 def test_what_pip_says_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("PIP_NO_INDEX", "1")
     monkeypatch.setenv("PIP_FIND_LINKS", str(tmp_path))
     with pytest.raises(OutputError, match=r"pip cannot download the libraries .*PIP_FIND_LINKS"):
-        wheels.download(tmp_path, "3.11", "numpy==1.26.4", ["win_amd64"])
+        extension.download(tmp_path, "3.11", "numpy==1.26.4", ["win_amd64"])
 
 
 def test_platforms_are_named_as_blender_names_them(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mixseq.arrays import Single
-from mixseq.blender.frames import Frames, Models
+from mixseq.blender.motion import Frames, Models
 from mixseq.errors import FormatError
-from mixseq.signals import Model
+from mixseq.signals.model import Model
+from mixseq.types import Single
 
 SIZE = 12
 """Bytes of a frame of one vertex."""

@@ -10,11 +10,11 @@ import pytest
 import mixseq
 from mixseq.blender.motion import Motion, Placing, fitting, part_names, part_of, seconds
 from mixseq.errors import SettingsError
-from mixseq.polygons import Polygons
-from mixseq.sequence import MeshSequence
-from mixseq.sequence_header import SequenceHeader
-from mixseq.signals import Model
-from mixseq.surface import MeshObject, Surface
+from mixseq.mesh.polygons import Polygons
+from mixseq.mesh.surface import MeshObject, Surface
+from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.model import Model
 
 
 @pytest.fixture(scope="module")

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixseq.arrays import Index
-from mixseq.blender.surfaces import MeshParts
-from mixseq.polygons import Polygons
-from mixseq.sequence_header import SequenceHeader
-from mixseq.surface import CornerValues, FaceSet, MeshObject, Surface
+from mixseq.blender.motion import MeshParts
+from mixseq.mesh.polygons import Polygons
+from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Surface
+from mixseq.sequence.header import SequenceHeader
+from mixseq.types import Index
 
 ROOF = [[0, 1, 2, 3], [3, 2, 4, 5]]
 """Two quads that share the edge from 2 to 3."""

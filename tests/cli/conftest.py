@@ -12,8 +12,9 @@ from pxr import Gf, Usd, UsdGeom
 
 import mixseq
 from mixseq.cli import main
-from mixseq.sequence import MeshSequence, Polygons
-from mixseq.signals import Model
+from mixseq.mesh.polygons import Polygons
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.model import Model
 
 Run = Callable[..., Result]
 

@@ -10,9 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from mixseq.cli import address_space
-from mixseq.cli.address_space import FLOOR, is_short_of_memory, make_do
-from mixseq.cli.group import exit_code
+from mixseq.cli import group
+from mixseq.cli.group import FLOOR, exit_code, is_short_of_memory, make_do
 from mixseq.errors import SettingsError
 
 
@@ -79,7 +78,7 @@ def test_other_errors_are_bugs() -> None:
 def test_in_a_process(tmp_path: Path, line: str, code: int) -> None:
     ended = subprocess.run(
         [sys.executable, "-m", "mixseq", *line.split()],
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (address_space.FLOOR // 4,) * 2),
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (group.FLOOR // 4,) * 2),
         capture_output=True,
         text=True,
         timeout=60,

@@ -14,13 +14,22 @@ from click.testing import CliRunner, Result
 
 import mixseq
 from mixseq.cli import main
-from mixseq.cli.batch.plan import Asset, find_sources, plan
-from mixseq.cli.batch.report import Entry, Report, read_report
-from mixseq.cli.batch.work import encode_asset, in_turn, on_cluster, run
+from mixseq.cli.batch import (
+    Asset,
+    Entry,
+    Report,
+    encode_asset,
+    find_sources,
+    in_turn,
+    on_cluster,
+    plan,
+    read_report,
+    run,
+)
 from mixseq.errors import FormatError, MixseqWarning, OutputError
-from mixseq.mapping import serially
-from mixseq.progress import silent
-from mixseq.sequence import MeshSequence
+from mixseq.runtime.parallel import serially
+from mixseq.runtime.progress import silent
+from mixseq.sequence.sequence import MeshSequence
 
 pytestmark = pytest.mark.slow
 
@@ -371,7 +380,7 @@ def test_damaged_reports(text: str, tmp_path: Path) -> None:
 
 def test_assets_on_a_cluster_of_which_a_worker_dies(tmp_path: Path, bent_bar: MeshSequence) -> None:
     pytest.importorskip("distributed")
-    from mixseq.cluster import cluster
+    from mixseq.runtime.cluster import cluster
 
     for number in range(6):
         points = bent_bar.points * (1 + np.arange(4) * number)[:, None, None]
@@ -408,13 +417,13 @@ def test_only_the_asset_that_kills_workers_fails(
 ) -> None:
     dask = pytest.importorskip("dask")
     pytest.importorskip("distributed")
-    from mixseq.cluster import cluster
+    from mixseq.runtime.cluster import cluster
 
     for name in ("a", "killer", "x", "y"):
         mixseq.write(tmp_path / f"{name}.npz", bent_bar)
     (tmp_path / "models").mkdir()
     assets = plan(find_sources([tmp_path]), tmp_path / "models", {})
-    monkeypatch.setattr("mixseq.cli.batch.work.encode_asset", encode_or_die)
+    monkeypatch.setattr("mixseq.cli.batch.encode_asset", encode_or_die)
     with dask.config.set({"distributed.scheduler.allowed-failures": 1}), cluster("local:2") as workers:
         report = run(
             assets, SETTINGS, Report({}), tmp_path / "models", on_cluster(workers, silent), force=False

@@ -15,8 +15,8 @@ from click.testing import Result
 
 import mixseq
 from mixseq.cli import main
-from mixseq.sequence import MeshSequence
-from mixseq.surface import MeshObject, Surface
+from mixseq.mesh.surface import MeshObject, Surface
+from mixseq.sequence.sequence import MeshSequence
 
 pytestmark = pytest.mark.slow
 

@@ -15,12 +15,12 @@ import pytest
 from click.testing import Result
 
 import mixseq
-from mixseq.cli.limits import as_bytes
-from mixseq.sequence import MeshSequence
-from mixseq.surface import CornerValues
-from mixseq_io.coded.stream_index import Stream, StreamIndex, read_index
-from mixseq_io.compressed_files import read_compressed
-from tests.coding.encoder.test_numbering import shuffled
+from mixseq.cli.group import as_bytes
+from mixseq.mesh.surface import CornerValues
+from mixseq.sequence.sequence import MeshSequence
+from mixseq_io.coded.streams import Stream, StreamIndex, read_index
+from mixseq_io.verification import read_compressed
+from tests.compression.encoder.test_numbering import shuffled
 from tests.meshes import bar
 
 pytestmark = pytest.mark.slow
@@ -61,7 +61,7 @@ def test_threads_are_as_many_as_were_asked_for(
         asked.append(os.environ["MIXSEQ_THREADS"])
         return 3
 
-    monkeypatch.setattr("mixseq.mapping.thread_count", count)
+    monkeypatch.setattr("mixseq.runtime.parallel.thread_count", count)
     Path("edits.toml").write_text('[[edit]]\noperation = "reverse"\n')
     for arguments in (
         "encode bar.npz again.h5 --max-error 0.001",
@@ -83,7 +83,7 @@ def damage(path: Path, stream: Callable[[StreamIndex], Stream]) -> None:
     """Flip a bit in the middle of a stream."""
     import h5py
 
-    from mixseq_io.compressed_files import read_container
+    from mixseq_io.verification import read_container
 
     chosen = stream(read_index(path, read_container(path)))
     with h5py.File(path) as file:

@@ -13,9 +13,9 @@ import pytest
 from click.testing import Result
 
 import mixseq
-from mixseq.cli import console, overwriting
-from mixseq.cli.console import print_table, printable, progress_bar
-from mixseq.sequence import MeshSequence
+from mixseq.cli import files, group
+from mixseq.cli.group import print_table, printable, progress_bar
+from mixseq.sequence.sequence import MeshSequence
 
 Run = Callable[..., Result]
 
@@ -90,7 +90,7 @@ def test_errors(run: Run, folder: Path, arguments: tuple[str, ...]) -> None:
 def test_warnings_files_and_questions(run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     result = run("convert", "bar.npz", "\x1b[2J_#.obj")
     assert (result.exit_code, "warning: \\x1b[2J_#.obj: OBJ files" in result.stderr) == (0, True)
-    monkeypatch.setattr(overwriting, "on_terminal", lambda: True)
+    monkeypatch.setattr(files, "on_terminal", lambda: True)
     asked = run("convert", "bar.npz", "\x1b[2J_#.obj")
     for text in (result.stdout, result.stderr, asked.stderr):
         assert r"\x1b[2J" in text
@@ -99,6 +99,6 @@ def test_warnings_files_and_questions(run: Run, folder: Path, monkeypatch: pytes
 
 def test_nothing_is_printed_elsewhere() -> None:
     """All of a command's lines go through `say`, but for help and tables of our own."""
-    modules = sorted(Path(console.__file__).parent.rglob("*.py"))
+    modules = sorted(Path(group.__file__).parent.rglob("*.py"))
     printing = {path.name for path in modules if re.search(r"\bclick\.s?echo\(.|\bprint\(", path.read_text())}
-    assert printing == {"__init__.py", "console.py", "formats.py", "view.py"}
+    assert printing == {"__init__.py", "formats.py", "group.py", "view.py"}

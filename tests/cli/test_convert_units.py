@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
 from tests.cli.conftest import Run
 
 CONVERTED = ("--convert-axes", "Z", "--convert-units", "cm")

@@ -12,7 +12,7 @@ import pytest
 from click.testing import Result
 
 import mixseq
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
 from tests.cli.test_commands import rows, succeed
 from tests.formats.gltf_files import Gltf
 

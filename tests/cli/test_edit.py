@@ -12,7 +12,7 @@ from click.testing import Result
 import mixseq
 from mixseq.operations import repeat, reverse, transition, travel_of
 from mixseq.operations.script import OPERATIONS
-from mixseq.signals import Model
+from mixseq.signals.model import Model
 
 pytestmark = pytest.mark.slow
 

@@ -142,7 +142,7 @@ def test_an_error_while_writing(run: Run, contents: Contents, monkeypatch: pytes
     def full(*_: object) -> NoReturn:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("mixseq_io.atomic._flush", full)
+    monkeypatch.setattr("mixseq_io.files._flush", full)
     before = contents()
     for line in (
         "convert bar.npz old.usdc",
@@ -193,7 +193,7 @@ def test_interrupt_in_the_middle_of_a_file(
         calls.append(file.name)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("mixseq_io.atomic._flush", stop)
+    monkeypatch.setattr("mixseq_io.files._flush", stop)
     before = contents()
     assert run("encode", "bar.npz", "old.h5", "--parts", "2").exit_code == 130
     assert run("decode", "model.h5", "old.usdc").exit_code == 130

@@ -12,7 +12,7 @@ from click.testing import Result
 import mixseq
 from mixseq.choices import SPACES
 from mixseq.cli.interpolate import command
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
 
 Run = Callable[..., Result]
 Contents = Callable[[], dict[str, bytes | None]]

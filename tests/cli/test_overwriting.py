@@ -13,8 +13,8 @@ import pytest
 from click.testing import CliRunner, Result
 
 import mixseq
-from mixseq.cli import main, overwriting
-from mixseq.sequence import MeshSequence
+from mixseq.cli import files, main
+from mixseq.sequence.sequence import MeshSequence
 
 Run = Callable[..., Result]
 Contents = Callable[[], dict[str, bytes | None]]
@@ -42,7 +42,7 @@ WRITING = {
 @pytest.fixture
 def terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let somebody sit at a terminal."""
-    monkeypatch.setattr(overwriting, "on_terminal", lambda: True)
+    monkeypatch.setattr(files, "on_terminal", lambda: True)
 
 
 def answer(text: str, *arguments: str) -> Result:

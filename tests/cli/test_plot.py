@@ -13,8 +13,8 @@ from click.testing import Result
 import mixseq
 from mixseq.choices import PICTURES
 from mixseq.errors import MissingExtraError
-from mixseq.sequence import MeshSequence
-from mixseq.signals import fit
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.fitting import fit
 
 pytestmark = pytest.mark.slow
 
@@ -161,7 +161,7 @@ def test_without_matplotlib(run: Run, contents: Contents, monkeypatch: pytest.Mo
     def missing(name: str) -> NoReturn:
         raise MissingExtraError("pictures need matplotlib; get it with: pip install 'mixseq[plot]'")
 
-    monkeypatch.setattr("mixseq.plots.charts.matplotlib_module", missing)
+    monkeypatch.setattr("mixseq.pictures.charts.matplotlib_module", missing)
     before = contents()
     result = run("plot", "model.h5", "new.png")
     assert (result.exit_code, result.stdout) == (2, "")
@@ -173,7 +173,7 @@ def test_an_error_while_writing(run: Run, contents: Contents, monkeypatch: pytes
     def full(*_: object) -> NoReturn:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("mixseq_io.atomic._flush", full)
+    monkeypatch.setattr("mixseq_io.files._flush", full)
     before = contents()
     result = run("plot", "model.h5", "new.png", "--kind", "embedding")
     assert result.exit_code == 2

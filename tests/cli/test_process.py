@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 
 import mixseq
-from mixseq.cli.console import progress_bar
-from mixseq.progress import silent
+from mixseq.cli.group import progress_bar
+from mixseq.runtime.progress import silent
 from tests.meshes import bar
 
 pytestmark = pytest.mark.slow

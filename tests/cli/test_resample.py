@@ -13,8 +13,8 @@ from click.testing import Result
 from pxr import Usd, UsdGeom
 
 import mixseq
-from mixseq.mapping import serially
-from mixseq.sequence import MeshSequence
+from mixseq.runtime.parallel import serially
+from mixseq.sequence.sequence import MeshSequence
 
 Run = Callable[..., Result]
 Contents = Callable[[], dict[str, bytes | None]]

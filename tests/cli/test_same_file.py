@@ -10,7 +10,7 @@ from click.testing import Result
 
 import mixseq
 from mixseq.errors import FormatError, OutputError, SettingsError
-from mixseq.signals import Model
+from mixseq.signals.model import Model
 
 
 @pytest.mark.parametrize(

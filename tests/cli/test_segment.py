@@ -14,8 +14,8 @@ from pxr import Usd, UsdGeom
 
 import mixseq
 from mixseq.choices import SEGMENTATIONS
-from mixseq.cli.labelled import numbered
-from mixseq.segmentation import METHODS
+from mixseq.cli.files import numbered
+from mixseq.segmentation.methods import METHODS
 from mixseq_io import read_labels
 from tests.formats.gltf_maker import Maker
 

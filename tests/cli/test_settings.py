@@ -10,8 +10,8 @@ from click.testing import CliRunner
 
 import mixseq
 from mixseq.cli import main
-from mixseq.cli.settings import CommandWithSettings, setting
-from mixseq.spaces import MixedSpace
+from mixseq.cli.options import CommandWithSettings, setting
+from mixseq.spaces.mixed.mixed_space import MixedSpace
 from tests.cli.conftest import Run
 
 

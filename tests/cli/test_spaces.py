@@ -12,8 +12,8 @@ from click.testing import Result
 import mixseq
 from mixseq.choices import SPACES
 from mixseq.cli.encode import command
-from mixseq.sequence import MeshSequence
-from mixseq.spaces import EdgeSpace
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.spaces.edge import EdgeSpace
 
 pytestmark = pytest.mark.slow
 

@@ -12,8 +12,8 @@ import pytest
 from click.testing import Result
 
 import mixseq
-from mixseq.arrays import FloatArray
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import FloatArray
 from tests.meshes import tube
 
 pytestmark = pytest.mark.slow

@@ -24,15 +24,15 @@ import pytest
 from click.testing import Result
 
 import mixseq
-import mixseq.cli.view as module
+from mixseq.cli import view as module
 from mixseq.errors import OutputError
-from mixseq.mapping import thread_count
-from mixseq.scene.colours import SceneColours
-from mixseq.sequence import MeshSequence
-from mixseq.signals import Model
-from mixseq.viewing import live
-from mixseq.viewing.session import Save
-from tests.viewing.pages import Opened
+from mixseq.pictures.colours import SceneColours
+from mixseq.runtime.parallel import thread_count
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.model import Model
+from mixseq.viewer.live import viewer as live
+from mixseq.viewer.session import Save
+from tests.viewer.pages import Opened
 
 pytestmark = pytest.mark.slow
 

@@ -14,11 +14,12 @@ import pytest
 from click.testing import Result
 
 import mixseq
-import mixseq.cli.view as module
-from mixseq.correspondence.markers import Markers
-from mixseq.viewing import live
-from mixseq.viewing.live import MarkedMeshes, ViewSettings
-from mixseq.viewing.marking import Marking, Pair
+from mixseq.cli import view as module
+from mixseq.retargeting.markers import Markers
+from mixseq.viewer.live import marking as live
+from mixseq.viewer.live.marking import MarkedMeshes
+from mixseq.viewer.live.viewer import ViewSettings
+from mixseq.viewer.marking import Marking, Pair
 from tests.meshes import bar, tube
 
 pytestmark = pytest.mark.slow

@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mixseq.arrays import FloatArray
 from mixseq.errors import MixseqWarning
-from mixseq.sequence import MeshSequence, Polygons
-from mixseq.surface import CornerValues, FaceSet, MeshObject, Surface
+from mixseq.mesh.polygons import Polygons
+from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Surface
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import FloatArray
 from mixseq_io import FORMATS, write
 from mixseq_io.format import Format
 from tests.formats.gltf_maker import load

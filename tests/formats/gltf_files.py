@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mixseq.sequence import MeshSequence, collect
+from mixseq.sequence.sequence import MeshSequence, collect
 from mixseq_io.gltf.reader import open_gltf
 from mixseq_io.gltf.writer import write_gltf
 

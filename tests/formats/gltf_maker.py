@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.sequence import MeshSequence, collect
+from mixseq.sequence.sequence import MeshSequence, collect
 from mixseq_io.gltf.reader import open_gltf
 
 TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.arrays import IntArray
-from mixseq.polygons import Polygons
-from mixseq.sequence import MeshSequence
-from mixseq.surface import WHITE, CornerValues
+from mixseq.mesh.polygons import Polygons
+from mixseq.mesh.surface import WHITE, CornerValues
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import IntArray
 from mixseq_io.format import OPAQUE
 
 

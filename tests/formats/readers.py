@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mixseq.arrays import FloatArray
 from mixseq.errors import InvalidSequenceError, MixseqWarning
-from mixseq.polygons import Polygons
-from mixseq.sequence import SequenceHeader
+from mixseq.mesh.polygons import Polygons
+from mixseq.sequence.header import SequenceHeader
+from mixseq.types import FloatArray
 from mixseq_io.reader import SequenceReader
 
 HEADER = SequenceHeader(

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from mixseq.rigging.rigs import Morph, Skin
-from mixseq.rigging.skeletons import Skeleton
-from mixseq.sequence import MeshSequence
+from mixseq.rigging.rigs import Morph, Skeleton, Skin
+from mixseq.sequence.sequence import MeshSequence
 from tests.meshes import rotation, tube
 
 QUARTER = np.pi / 2

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from mixseq.errors import OutputError
-from mixseq_io.atomic import replacing, replacing_folder, replacing_many
+from mixseq_io.files import replacing, replacing_folder, replacing_many
 
 
 def test_the_file_appears_at_the_end(tmp_path: Path) -> None:

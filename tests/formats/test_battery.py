@@ -16,9 +16,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError, InvalidSequenceError, OutputError, SettingsError
-from mixseq.sequence import MeshSequence, Polygons
+from mixseq.mesh.polygons import Polygons
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import FloatArray
 from mixseq_io import open_sequence, read, write, write_blocks
 from tests.formats.conftest import CASES, TARGETS, lossy
 from tests.formats.kept import assert_close, assert_kept

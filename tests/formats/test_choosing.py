@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from mixseq.errors import AmbiguousError, FormatError, MixseqWarning
-from mixseq_io.choosing import SceneObject, chosen, common_name, listed, moving
+from mixseq_io.scene_meshes import SceneObject, chosen, common_name, listed, moving
 
 FILE = Path("walk.abc")
 

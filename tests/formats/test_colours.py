@@ -16,16 +16,24 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
 import mixseq
-from mixseq.arrays import FloatArray, IntArray
 from mixseq.choices import OrderName
-from mixseq.coding.encoder.numbering import cheapest_numbering
+from mixseq.compression.numbering import cheapest_numbering
 from mixseq.errors import MixseqWarning
-from mixseq.sequence import MeshSequence, SequenceHeader
-from mixseq.surface import CornerValues, Surface
+from mixseq.mesh.surface import CornerValues, Surface
+from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import FloatArray, IntArray
 from mixseq_io import read, write
-from mixseq_io.colours import as_bytes, from_text, nearest_bytes, of_bytes, with_alpha, within_one
-from mixseq_io.numbered.text_lines import colours_of_words
-from mixseq_io.surface_arrays import surface_arrays
+from mixseq_io.numbered.files import colours_of_words
+from mixseq_io.surfaces import (
+    as_bytes,
+    from_text,
+    nearest_bytes,
+    of_bytes,
+    surface_arrays,
+    with_alpha,
+    within_one,
+)
 from tests.formats.conftest import painted
 from tests.meshes import bar
 
@@ -213,7 +221,7 @@ def test_colours_are_parsed_no_more_often_than_needed(
         parsed.append(file.name)
         return colours_of_words(file, *rest)
 
-    for parser in ("obj_parser", "off"):
+    for parser in ("obj", "stl_off"):
         monkeypatch.setattr(f"mixseq_io.numbered.{parser}.colours_of_words", logged)
     with pytest.warns(MixseqWarning, match=rf"a_2.{suffix} \(frame 2\) has others"):
         read(tmp_path / f"a_#.{suffix}")
@@ -309,7 +317,7 @@ def test_a_painted_character_through_all_formats(data: Path, tmp_path: Path) -> 
     for name in ("a.glb", "a.usdc", "a.abc", "a.npz", "a.h5", "a_####.ply", "a_####.obj", "a_####.off"):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", MixseqWarning)
-            write(tmp_path / name, mixseq.sequence.collect(man.header, man.blocks()))
+            write(tmp_path / name, mixseq.sequence.sequence.collect(man.header, man.blocks()))
         got = read(tmp_path / name)
         assert got.surface.colours is not None
         at_vertices = got.surface.colours.at_vertices(got.polygons.indices, got.vertex_count, np.zeros(4))  # type: ignore[arg-type]

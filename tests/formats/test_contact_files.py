@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from mixseq.errors import FormatError
-from mixseq_io.correspondence.contacts import read_contacts
+from mixseq_io.text.markers import read_contacts
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from mixseq.errors import FormatError, InvalidSequenceError
-from mixseq.sequence import MeshSequence
-from mixseq_io import read, worker_pool
+from mixseq.sequence.sequence import MeshSequence
+from mixseq_io import isolation, read
 
 pytestmark = [pytest.mark.realdata, pytest.mark.slow]
 
@@ -34,12 +34,12 @@ SECONDS = 10.0
 @pytest.fixture(scope="module", autouse=True)
 def strict_limits() -> Iterator[None]:
     """Let workers of the C++ libraries have little time and memory."""
-    worker_pool.dismiss_all()
+    isolation.dismiss_all()
     with pytest.MonkeyPatch.context() as environment:
         environment.setenv("MIXSEQ_READER_SECONDS", "5")
         environment.setenv("MIXSEQ_READER_MEMORY", "1")
         yield
-    worker_pool.dismiss_all()
+    isolation.dismiss_all()
 
 
 @pytest.fixture(params=FILES)

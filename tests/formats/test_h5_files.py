@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.sequence import MeshSequence
-from mixseq.signals import Model
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.model import Model
 from mixseq_io import write_blocks
 from tests.formats.test_obj import rich
 

@@ -14,9 +14,8 @@ import pytest
 import mixseq
 from mixseq.creature import walk_cycle
 from mixseq.errors import FormatError, InvalidSequenceError, MixseqWarning
-from mixseq_io import isolation, worker_pool
-from mixseq_io.hdf5.contents import read_contents
-from mixseq_io.hdf5.h5_files import MODEL_FORMAT
+from mixseq_io import isolation
+from mixseq_io.hdf5.contents import MODEL_FORMAT, read_contents
 from mixseq_io.isolation import open_isolated
 from mixseq_io.reader import SequenceReader
 from tests.forking import in_a_fork
@@ -31,9 +30,9 @@ def opened(how: str = "well", when: str = "opening") -> SequenceReader:
 @pytest.fixture
 def new_workers(monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]:
     """Let no worker of another test answer, and end those of this one."""
-    monkeypatch.setattr(worker_pool, "idle", [])
+    monkeypatch.setattr(isolation, "idle", [])
     yield monkeypatch
-    worker_pool.dismiss_all()
+    isolation.dismiss_all()
 
 
 def test_the_same_sequence_comes_through() -> None:
@@ -72,12 +71,12 @@ def test_a_forked_process_has_workers_of_its_own(new_workers: pytest.MonkeyPatch
         idle.close()
         rest = busy.blocks(1)
         next(rest)
-        assert len(worker_pool.idle) == 1
-        assert in_a_fork(lambda: len(worker_pool.idle)) == "0"
+        assert len(isolation.idle) == 1
+        assert in_a_fork(lambda: len(isolation.idle)) == "0"
         assert in_a_fork(lambda: [float(block[0, 0, 0]) for block in rest]) == "[1.0, 2.0, 3.0]"
         assert in_a_fork(busy.close) == "None"
         here = str(read())
-        with worker_pool._lock:  # as another thread may
+        with isolation._lock:  # as another thread may
             assert in_a_fork(read) == here
         assert [float(block[0, 0, 0]) for block in rest] == [1, 2, 3]
 
@@ -94,7 +93,7 @@ def test_a_worker_ends_though_a_forked_process_lives(new_workers: pytest.MonkeyP
             os.close(done)
             os.read(going_on, 1)
             os._exit(0)
-    worker_pool.dismiss_all()
+    isolation.dismiss_all()
     assert worker._process.returncode == 0
     os.close(done)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0

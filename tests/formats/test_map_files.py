@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mixseq.correspondence.dense import Correspondence
-from mixseq.correspondence.map_completion import Mesh, from_barycentric, from_vertices
 from mixseq.errors import FormatError, OutputError
-from mixseq_io.correspondence.maps import checksum, read_map, to_correspondence, write_map
+from mixseq.retargeting.markers import Correspondence
+from mixseq.retargeting.matching import Mesh, from_barycentric, from_vertices
+from mixseq_io.text.maps import checksum, read_map, to_correspondence, write_map
 from tests.meshes import grid, tetrahedron, torus
 
 SOURCE, TARGET = torus(9, 6), tetrahedron()

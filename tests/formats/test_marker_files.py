@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixseq.correspondence.markers import Markers
 from mixseq.errors import FormatError, MissingExtraError, OutputError
-from mixseq_io.correspondence.markers import read_markers, write_markers
+from mixseq.retargeting.markers import Markers
+from mixseq_io.text.markers import read_markers, write_markers
 
 FILES = {
     "spaces.txt": "1 2\n\n 3   4 \n",

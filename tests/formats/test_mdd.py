@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mixseq.errors import InvalidSequenceError, MixseqWarning
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
 from mixseq_io import read, write
 
 

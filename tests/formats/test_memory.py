@@ -12,9 +12,9 @@ import pytest
 
 import mixseq
 from mixseq.errors import FormatError, SettingsError
-from mixseq.sequence import MeshSequence
-from mixseq_io import memory, worker_pool
-from mixseq_io.memory import VARIABLE, check_memory, max_memory, memory_limit
+from mixseq.sequence.sequence import MeshSequence
+from mixseq_io import files, isolation
+from mixseq_io.files import VARIABLE, check_memory, max_memory, memory_limit
 from tests.formats.conftest import Target
 
 FACES = np.array([[0, 1, 2]])
@@ -23,7 +23,7 @@ FACES = np.array([[0, 1, 2]])
 @pytest.mark.parametrize(("machine", "limit"), [(4e9, 2e9), (64e9, 8e9)])
 def test_default(monkeypatch: pytest.MonkeyPatch, machine: float, limit: float) -> None:
     monkeypatch.delenv(VARIABLE, raising=False)
-    monkeypatch.setattr(memory, "_memory_of_machine", lambda: int(machine))
+    monkeypatch.setattr(files, "_memory_of_machine", lambda: int(machine))
     assert max_memory() == limit
 
 
@@ -64,9 +64,9 @@ def test_the_error_tells_what_would_help() -> None:
 @pytest.fixture
 def new_workers(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """End the workers of this test, which have been short of memory."""
-    monkeypatch.setattr(worker_pool, "idle", [])
+    monkeypatch.setattr(isolation, "idle", [])
     yield
-    worker_pool.dismiss_all()
+    isolation.dismiss_all()
 
 
 @pytest.mark.slow

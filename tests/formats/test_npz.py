@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mixseq.errors import FormatError, InvalidSequenceError
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
 from mixseq_io import open_sequence, read, write
 from tests.formats.conftest import CASES
 

@@ -16,9 +16,9 @@ from mixseq.errors import (
     OutputError,
     SettingsError,
 )
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
 from mixseq_io import read, write
-from mixseq_io.numbered.names import find_frames, is_pattern, numbered_name
+from mixseq_io.numbered.files import find_frames, is_pattern, numbered_name
 
 KINDS = ("obj", "ply", "stl", "off")
 

@@ -17,8 +17,9 @@ from mixseq.errors import (
     OutputError,
     SettingsError,
 )
-from mixseq.sequence import MeshSequence, Polygons
-from mixseq.surface import CornerValues, FaceSet, MeshObject, Surface
+from mixseq.mesh.polygons import Polygons
+from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Surface
+from mixseq.sequence.sequence import MeshSequence
 from mixseq_io import read, write
 
 TRIANGLE = "v 0 0 {z}\nv 1 0 {z}\nv 0 1 {z}\nf 1 2 3\n"

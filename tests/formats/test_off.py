@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from mixseq.errors import FormatError, InvalidSequenceError, MixseqWarning
-from mixseq.polygons import Polygons
-from mixseq.sequence import MeshSequence
+from mixseq.mesh.polygons import Polygons
+from mixseq.sequence.sequence import MeshSequence
 from mixseq_io import read, write
 
 SQUARE = "OFF\n4 2 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2\n3 0 2 3\n"

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mixseq.errors import FormatError, InvalidSequenceError, MixseqWarning, SettingsError
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
 from mixseq_io import read, write
 
 POINTS = np.eye(3, dtype=np.float32)[None] + np.arange(4, dtype=np.float32)[:, None, None]

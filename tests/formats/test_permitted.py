@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import FloatArray
 from mixseq_io.hdf5.permitted import MOST_OBJECTS
 from tests.formats.models.model_cases import GOLDEN
 

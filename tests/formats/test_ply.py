@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from mixseq.errors import FormatError, InvalidSequenceError, MixseqWarning
-from mixseq.polygons import Polygons
-from mixseq.sequence import MeshSequence
-from mixseq.surface import CornerValues, FaceSet, MeshObject, Surface
+from mixseq.mesh.polygons import Polygons
+from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Surface
+from mixseq.sequence.sequence import MeshSequence
 from mixseq_io import read, write
 
 HEADER = """ply

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError, InvalidSequenceError, MixseqWarning, OutputError
-from mixseq.polygons import Polygons
-from mixseq.sequence import MeshSequence
-from mixseq.surface import CornerValues, FaceSet, MeshObject, Surface
+from mixseq.mesh.polygons import Polygons
+from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Surface
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import FloatArray
 from mixseq_io import open_sequence, read, write, write_blocks
 
 Files = Callable[[], dict[str, bytes]]

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from mixseq.errors import FormatError, InvalidSequenceError, OutputError
-from mixseq.sequence import MeshSequence
-from mixseq.surface import Origin, Surface
+from mixseq.mesh.surface import Origin, Surface
+from mixseq.sequence.sequence import MeshSequence
 from mixseq_io import FORMATS, read, write
 
 

@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.coding.renumbering import by_walk, object_sizes
+from mixseq.compression.numbering import by_walk, object_sizes
 from mixseq.errors import OutputError
-from mixseq.polygon_matching import matched
-from mixseq.polygons import Polygons
-from mixseq.sequence import MeshSequence
-from mixseq.surface import CornerValues, FaceSet, MeshObject, Surface
+from mixseq.mesh.polygons import Polygons, matched
+from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Surface
+from mixseq.sequence.sequence import MeshSequence
 from mixseq_io.scene_meshes import split
-from tests.coding.encoder.test_numbering import shuffled
+from tests.compression.encoder.test_numbering import shuffled
 from tests.meshes import bar
 
 pytestmark = pytest.mark.slow

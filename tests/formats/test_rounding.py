@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from mixseq.errors import MixseqWarning
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
 from mixseq_io import read, write, write_blocks
-from mixseq_io.rounding import VISIBLE, Rounding
+from mixseq_io.surfaces import VISIBLE, Rounding
 from tests.formats.conftest import fan, wave
 
 CLOUD = MeshSequence.from_arrays(wave(dtype=np.float64), fan(), name="cloud")

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mixseq.polygons import Polygons
-from mixseq.sequence import SequenceHeader
-from mixseq.surface import CornerValues, FaceSet, Origin
+from mixseq.mesh.polygons import Polygons
+from mixseq.mesh.surface import CornerValues, FaceSet, Origin
+from mixseq.sequence.header import SequenceHeader
 from mixseq_io.scene_meshes import SceneMesh, join, split
-from mixseq_io.surface_arrays import surface_arrays, surface_of_arrays
+from mixseq_io.surfaces import surface_arrays, surface_of_arrays
 
 QUAD = SceneMesh(
     name="quad",

@@ -7,7 +7,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 import h5py
@@ -16,7 +16,7 @@ import pytest
 
 import mixseq
 from mixseq.errors import FormatError, InvalidSequenceError
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
 from mixseq_io import read, write
 from tests.formats.models.model_cases import GOLDEN
 
@@ -154,12 +154,10 @@ def test_faces_out_of_range(path: Path, plain: MeshSequence) -> None:
 def test_a_model_is_sampled(path: Path, plain: MeshSequence, monkeypatch: pytest.MonkeyPatch) -> None:
     with h5py.File(path, "w") as file:
         file.attrs["format"] = np.bytes_("mixseq-model")
-    stub = ModuleType("mixseq_io.loading")
     model = SimpleNamespace(
         header=plain.header, times=plain.times, blocks=lambda times, size: plain.blocks(size)
     )
-    stub.load = lambda path: model  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "mixseq_io.loading", stub)
+    monkeypatch.setattr("mixseq_io.loading.load", lambda path: model)
     np.testing.assert_array_equal(read(path).points, plain.points)
 
 
@@ -168,7 +166,7 @@ import resource, sys
 from pathlib import Path
 import numpy as np
 from mixseq.errors import OutputError
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
 from mixseq_io import read, write
 
 def noise(frames):

@@ -14,8 +14,7 @@ from pxr import Gf, Usd, UsdGeom, UsdSkel
 
 import mixseq
 from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, NoMeshError
-from mixseq.rigging.rigs import rotation_matrices
-from mixseq.rigging.skeletons import Skeleton
+from mixseq.rigging.rigs import Skeleton, rotation_matrices
 from tests.formats.conftest import lossy
 from tests.formats.gltf_maker import JOINTS, Maker, skinned
 from tests.formats.rig_maker import AXES, hinge

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError, InvalidSequenceError, MixseqWarning
-from mixseq.polygons import Polygons
-from mixseq.sequence import MeshSequence
-from mixseq.surface import FaceSet, Surface
+from mixseq.mesh.polygons import Polygons
+from mixseq.mesh.surface import FaceSet, Surface
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import FloatArray
 from mixseq_io import open_sequence, read, write
 
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=np.float32)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from mixseq.errors import InvalidSequenceError
-from mixseq.surface import CornerValues, FaceSet, MeshObject, Origin, Surface
-from mixseq_io.surface_arrays import SURFACE_ARRAYS, Arrays, surface_arrays, surface_of_arrays
+from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Origin, Surface
+from mixseq_io.surfaces import SURFACE_ARRAYS, Arrays, surface_arrays, surface_of_arrays
 
 
 def full() -> Surface:

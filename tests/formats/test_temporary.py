@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from mixseq_io import temporary
-from mixseq_io.atomic import replacing, replacing_many
-from mixseq_io.temporary import put_away, temporary_name
+from mixseq_io import files
+from mixseq_io.files import put_away, replacing, replacing_many, temporary_name
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="there are no locks")
 
@@ -64,14 +63,14 @@ def test_those_of_other_hosts_are_cleared_when_they_are_old(tmp_path: Path, name
     left = tmp_path / f".mixseq.{name}"
     left.mkdir()
     (left / "1.obj").touch()
-    temporary.clear(tmp_path)
+    files.clear(tmp_path)
     assert left.exists()
     long_ago = time.time() - 25 * 3600
     os.utime(left, (long_ago, long_ago))
-    temporary.clear(tmp_path)
+    files.clear(tmp_path)
     assert left.exists()  # what is in it is new
     os.utime(left / "1.obj", (long_ago, long_ago))
-    temporary.clear(tmp_path)
+    files.clear(tmp_path)
     assert not left.exists()
 
 
@@ -88,12 +87,12 @@ def test_file_systems_without_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     for path in tmp_path.rglob(".mixseq*"):
         for each in (path, *path.rglob("*")):
             os.utime(each, (0, 0))
-    temporary.clear(tmp_path)
+    files.clear(tmp_path)
     assert names(tmp_path) == ["b.npz", "clips"]
 
 
 def test_a_name_that_another_takes_away_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    lock, tries = temporary._locked, []
+    lock, tries = files._locked, []
 
     def too_late(descriptor: int) -> bool | None:
         tries.append(descriptor)
@@ -101,8 +100,8 @@ def test_a_name_that_another_takes_away_is_not_used(tmp_path: Path, monkeypatch:
             next(tmp_path.glob("*.lock")).unlink()
         return lock(descriptor) if len(tries) > 1 else False
 
-    monkeypatch.setattr(temporary, "_locked", too_late)
-    monkeypatch.setattr(temporary, "clear", lambda _: None)
+    monkeypatch.setattr(files, "_locked", too_late)
+    monkeypatch.setattr(files, "clear", lambda _: None)
     with temporary_name(tmp_path) as name:
         assert Path(f"{name}.lock").exists()
     assert len(tries) == 3

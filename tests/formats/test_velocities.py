@@ -14,10 +14,10 @@ import pytest
 from pxr import Gf, Usd, UsdGeom
 
 import mixseq
-from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError, InvalidSequenceError, MixseqWarning
 from mixseq.operations.resampling import plan, resample
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import FloatArray
 from mixseq_io import in_step, open_sequence, read, write, write_blocks
 
 UsdValidation: Any = import_module("pxr.UsdValidation")

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
+from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
 from mixseq.errors import FormatError, InvalidSequenceError
-from mixseq.sequence import MeshSequence
-from mixseq_io.compressed_files import compressed_sizes, read_compressed
+from mixseq.sequence.sequence import MeshSequence
+from mixseq_io.verification import compressed_sizes, read_compressed
 
 pytestmark = pytest.mark.slow
 

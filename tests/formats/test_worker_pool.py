@@ -10,12 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError, MixseqWarning
-from mixseq_io import worker_pool
-from mixseq_io.isolation import open_isolated
+from mixseq.types import FloatArray
+from mixseq_io import isolation
+from mixseq_io.isolation import OpenFile, open_isolated
 from mixseq_io.reader import SequenceReader
-from mixseq_io.worker_pool import OpenFile
 
 pytestmark = pytest.mark.slow
 
@@ -23,10 +22,10 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(autouse=True)
 def two_workers(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Let two files have workers, none of which are other tests'."""
-    monkeypatch.setattr(worker_pool, "MOST", 2)
-    monkeypatch.setattr(worker_pool, "idle", [])
+    monkeypatch.setattr(isolation, "MOST", 2)
+    monkeypatch.setattr(isolation, "idle", [])
     yield
-    worker_pool.dismiss_all()
+    isolation.dismiss_all()
 
 
 @pytest.fixture
@@ -62,7 +61,7 @@ def test_many_files_have_few_processes(path: Path) -> None:
     for reader in readers:
         reader.close()
     assert processes(readers) == []
-    assert len(worker_pool.idle) == 2
+    assert len(isolation.idle) == 2
 
 
 def test_reading_goes_on_where_it_was(path: Path) -> None:

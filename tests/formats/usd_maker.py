@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 
-from mixseq.arrays import FloatArray
-from mixseq.sequence import MeshSequence, Polygons, collect, header_fields
-from mixseq.surface import Surface
+from mixseq.mesh.polygons import Polygons
+from mixseq.mesh.surface import Surface
+from mixseq.sequence.header import header_fields
+from mixseq.sequence.sequence import MeshSequence, collect
+from mixseq.types import FloatArray
 from mixseq_io.usd.reader import open_usd
 from mixseq_io.usd.writer import write_usd
 

@@ -6,9 +6,10 @@ from functools import cache
 
 import numpy as np
 
-from mixseq.arrays import Float, Index
-from mixseq.sequence import MeshSequence
-from mixseq.signals import Model, fit
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.fitting import fit
+from mixseq.signals.model import Model
+from mixseq.types import Float, Index
 from tests.meshes import bent, rotation, tube
 
 JOINTS = (2.0, 3.4)

@@ -6,11 +6,13 @@ from functools import cache
 
 import numpy as np
 
-from mixseq.arrays import Float
 from mixseq.choices import SpaceName
 from mixseq.creature import walk_cycle
-from mixseq.sequence import MeshSequence
-from mixseq.signals import Curve, Model, fit
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.curve import Curve
+from mixseq.signals.fitting import fit
+from mixseq.signals.model import Model
+from mixseq.types import Float
 from tests.meshes import bar, joined, rotation, tube
 
 AXIS = np.array([2.0, 1.0, -2.0]) / 3.0

@@ -13,8 +13,9 @@ import mixseq
 from mixseq import operations
 from mixseq.choices import SPACES, SpaceName
 from mixseq.errors import SettingsError
-from mixseq.sequence import MeshSequence
-from mixseq.signals import Model, fit
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.fitting import fit
+from mixseq.signals.model import Model
 from tests.meshes import bar
 
 pytestmark = pytest.mark.slow

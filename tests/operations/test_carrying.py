@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from mixseq.arrays import Float
 from mixseq.operations import (
     blend,
     concatenate,
@@ -22,7 +21,8 @@ from mixseq.operations import (
     speed,
     transition,
 )
-from mixseq.signals import Model
+from mixseq.signals.model import Model
+from mixseq.types import Float
 from tests.operations.motions import fox
 
 RANK = 6

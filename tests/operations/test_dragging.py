@@ -13,13 +13,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import mixseq
-from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.operations import drag, exaggerate, sculpt, transition
-from mixseq.operations.joining import snapped
-from mixseq.sequence import MeshSequence
-from mixseq.signals import Curve, Model, fit
-from mixseq.signals.mds_embedding import Plane
+from mixseq.operations.sections import snapped
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.curve import Curve
+from mixseq.signals.fitting import fit
+from mixseq.signals.model import Model
+from mixseq.signals.pose import Plane
+from mixseq.types import Float
 from tests.meshes import rotation, seeds, tube
 from tests.operations.motions import bar_motion, fox, jumps
 

@@ -7,7 +7,7 @@ import pytest
 
 from mixseq.errors import SettingsError
 from mixseq.operations import exaggerate
-from mixseq.operations.exaggeration import check_gain
+from mixseq.operations.filters import check_gain
 from tests.operations.motions import bar_motion
 
 

@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.operations import repeat, smooth
 from mixseq.operations.filters import smoothed
-from mixseq.sequence import MeshSequence
-from mixseq.signals import Curve, fit
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.curve import Curve
+from mixseq.signals.fitting import fit
+from mixseq.types import Float
 from tests.meshes import tube
 from tests.operations.motions import CIRCLE, bar_motion, jumps, spin, spinning
 

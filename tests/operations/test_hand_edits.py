@@ -10,16 +10,16 @@ import pytest
 from numpy.typing import NDArray
 
 import mixseq
-from mixseq.coding.bitstream.compressed_sequence import to_model
+from mixseq.compression.bitstream.compressed_sequence import to_model
 from mixseq.creature import walk_cycle
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.operations import concatenate, cut, reverse, shift, swap_key
-from mixseq.operations.common_space import together
-from mixseq.operations.hand_edits import edited_difference
-from mixseq.operations.sculpt import sculpt
-from mixseq.sequence import MeshSequence
-from mixseq.signals import Model, fit
-from mixseq.spaces.basis import BasisSpace
+from mixseq.operations.sculpt import edited_difference, sculpt
+from mixseq.operations.transitions import together
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.fitting import fit
+from mixseq.signals.model import Model
+from mixseq.spaces.vertex import BasisSpace
 from tests.meshes import bar
 
 pytestmark = pytest.mark.slow
@@ -28,7 +28,7 @@ pytestmark = pytest.mark.slow
 def compressed(sequence: MeshSequence) -> Model:
     """A compressed model in the basis space, whichever kind of basis takes fewer bytes."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mixseq.coding.encoder.candidates.KINDS", ("trajectories",))
+        patch.setattr("mixseq.compression.encoder.search.KINDS", ("trajectories",))
         found = to_model(mixseq.compress(sequence, max_error=1e-2))
     assert isinstance(found.space, BasisSpace)
     return found

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.arrays import Float
 from mixseq.choices import PLACEMENTS, SPACES, PlacementName, SpaceName
 from mixseq.errors import SettingsError
-from mixseq.mapping import on_threads, serially
 from mixseq.operations.interpolation import PoseInterpolator
-from mixseq.sequence import MeshSequence
-from mixseq.spaces.mixed import MixedSpace
+from mixseq.runtime.parallel import on_threads, serially
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.spaces.mixed.mixed_space import MixedSpace
+from mixseq.types import Float
 from tests.meshes import SEQUENCES, bar, bent, rotation, tube
 
 POSES = bar(sides=5, rings=13, frames=4)

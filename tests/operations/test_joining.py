@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixseq.operations.joining import CurveSection, Seam, join
-from mixseq.operations.splines import moved, refined, sites_of
-from mixseq.signals import Curve
+from mixseq.operations.sections import CurveSection, Seam, join, moved, refined, sites_of
+from mixseq.signals.curve import Curve
 from tests.meshes import seeds
 from tests.operations.motions import jets, jumps
 

@@ -8,12 +8,13 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.operations.limb_edits import exaggerate_part, hold
-from mixseq.operations.limb_joints import limb_of
+from mixseq.operations.limbs import exaggerate_part, hold, limb_of
 from mixseq.operations.sculpt import smoothstep
-from mixseq.signals import Curve, Model, fit
+from mixseq.signals.curve import Curve
+from mixseq.signals.fitting import fit
+from mixseq.signals.model import Model
+from mixseq.types import Float
 from tests.meshes import bar
 from tests.operations.chains import TIMES, angles, bone, chain, frames
 

@@ -8,10 +8,11 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from mixseq.operations.limb_joints import limb_of, part_poses
-from mixseq.sequence import MeshSequence
-from mixseq.signals import Curve, fit
-from mixseq.spaces.mixed import MixedSpace
+from mixseq.operations.limbs import limb_of, part_poses
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.curve import Curve
+from mixseq.signals.fitting import fit
+from mixseq.spaces.mixed.mixed_space import MixedSpace
 from tests.meshes import bending, joined, tetrahedron, tube
 from tests.operations.chains import TIMES, angles, chain
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixseq.arrays import Float
 from mixseq.choices import SpaceName
-from mixseq.geometry.rotations import matrices, rotations_of, vectors
-from mixseq.operations.placements import mean, mean_placements
+from mixseq.mesh.rotations import matrices, rotations_of, vectors
+from mixseq.operations.sections import mean, mean_placements
+from mixseq.types import Float
 from tests.operations.chains import TIMES, chain
 from tests.operations.motions import bar_motion, spin
 

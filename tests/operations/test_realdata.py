@@ -9,7 +9,7 @@ import pytest
 
 import mixseq
 from mixseq.operations import into, loop, repeat, transition
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
 from tests.operations.motions import jumps
 
 pytestmark = pytest.mark.realdata

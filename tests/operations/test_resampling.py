@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.operations.resampling import plan, resample
 from mixseq.operations.retiming import Retiming
-from mixseq.sequence import MeshSequence, SequenceHeader
-from mixseq.sequence_header import MOST_FRAMES
-from mixseq.signals import Model, fit
+from mixseq.sequence.header import MOST_FRAMES, SequenceHeader
+from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.curve import Curve
+from mixseq.signals.fitting import fit
+from mixseq.signals.model import Model
+from mixseq.types import Float
 from tests.meshes import bar
 
 TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from mixseq import operations
-from mixseq.arrays import Float
 from mixseq.operations.script import OPERATIONS
-from mixseq.signals import Model, fit
+from mixseq.signals.fitting import fit
+from mixseq.signals.model import Model
+from mixseq.types import Float
 from tests.operations.motions import bar_motion
 
 DOCS = Path(__file__).parents[2] / "docs/editing.md"

@@ -11,13 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import mixseq
-from mixseq.arrays import Float
 from mixseq.choices import SpaceName
 from mixseq.errors import SettingsError
 from mixseq.operations import Retiming, cut, repeat, resample, retime, reverse, shift, speed
-from mixseq.operations.splines import shape_measure
-from mixseq.sequence import bounding_diagonal
-from mixseq.signals import Model, fit
+from mixseq.operations.sections import shape_measure
+from mixseq.sequence.sequence import bounding_diagonal
+from mixseq.signals.fitting import fit
+from mixseq.signals.model import Model
+from mixseq.types import Float
 from tests.meshes import seeds
 from tests.operations.motions import bar_motion, spin
 

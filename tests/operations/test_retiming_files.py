@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from mixseq.errors import FormatError, SettingsError
-from mixseq.operations.retiming import Retiming
-from mixseq.operations.retiming_files import read_retiming
+from mixseq.operations.retiming import Retiming, read_retiming
 
 GRID = np.linspace(0, 1, 201)
 

@@ -16,10 +16,10 @@ from numpy.typing import ArrayLike
 from mixseq import operations
 from mixseq.errors import FormatError, SettingsError
 from mixseq.operations import blend, drag, exaggerate, repeat, retime, reverse, script, shift, transition
-from mixseq.operations.arguments import Readers, keys_of
-from mixseq.operations.script import OPERATIONS, Edit, function_of, read_script
-from mixseq.sequence import MeshSequence
-from mixseq.signals import Curve, Model
+from mixseq.operations.script import OPERATIONS, Edit, Readers, function_of, keys_of, read_script
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.curve import Curve
+from mixseq.signals.model import Model
 from tests.meshes import bar
 from tests.operations.motions import bar_motion
 

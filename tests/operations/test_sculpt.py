@@ -10,17 +10,18 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.arrays import Float, Index
 from mixseq.errors import InvalidSequenceError, MixseqWarning, SettingsError
-from mixseq.geometry.lengths_angles import dihedral_angles, wrap
-from mixseq.geometry.rigid import kabsch
+from mixseq.mesh.measures import dihedral_angles, wrap
+from mixseq.mesh.rigid import kabsch
 from mixseq.operations.sculpt import Where, sculpt, smoothstep
-from mixseq.sequence import MeshSequence
-from mixseq.signals import Model, fit
+from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.detail import Detail, build, encode
+from mixseq.signals.fitting import fit
+from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
 from mixseq.spaces.base import ShapeSpace
-from mixseq.spaces.registered import registered
+from mixseq.spaces.pieces import registered
+from mixseq.types import Float, Index
 from tests.meshes import bar, bending, tube
 
 FRAMES = 9

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.arrays import Float
 from mixseq.creature import walk_cycle
 from mixseq.errors import SettingsError
 from mixseq.operations import drag, key_poses, sculpt, with_shapes
+from mixseq.types import Float
 
 STRETCH = np.array([1.0, 1.5, 1.0])
 
@@ -96,7 +96,7 @@ def test_six_keys_of_the_elephant_gallop_as_the_horse(data: Path) -> None:
 
 def _aligned_error(made: Float, wanted: Float) -> float:
     """Root mean square distance after every frame is moved rigidly onto the wanted one."""
-    from mixseq.geometry.rigid import kabsch, transform
+    from mixseq.mesh.rigid import kabsch, transform
 
     moved = [transform(x, *kabsch(x, y)) for x, y in zip(made, wanted, strict=True)]
     return float(np.sqrt(np.square(np.array(moved) - wanted).sum(axis=2).mean()))

@@ -12,11 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import mixseq
-from mixseq.arrays import Float
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.operations.sketch import cardinal_weights, sketch
-from mixseq.sequence import MeshSequence
-from mixseq.signals import Model, fit
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.fitting import fit
+from mixseq.signals.model import Model
+from mixseq.types import Float
 from tests.meshes import bent, rotation, seeds, tube
 
 KINDS = ["anchored", "free", "vertex"]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixseq.arrays import Float
-from mixseq.operations.splines import ROUNDS, correction_measure, placement_measure, sampled, shape_measure
-from mixseq.signals import fit
+from mixseq.operations.sections import ROUNDS, correction_measure, placement_measure, sampled, shape_measure
+from mixseq.signals.fitting import fit
+from mixseq.types import Float
 from tests.meshes import bar
 
 

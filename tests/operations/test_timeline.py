@@ -8,7 +8,7 @@ import pytest
 from mixseq.choices import SpaceName
 from mixseq.errors import SettingsError
 from mixseq.operations import concatenate, cut, loop, repeat, reverse, shift, speed, travel_of
-from mixseq.signals import Model
+from mixseq.signals.model import Model
 from tests.operations.motions import CIRCLE, bar_motion, jets, jumps, spin, spinning, wheel, wheeling
 
 MODELS = [("mixed", None), ("mixed", 2), ("vertex", None)]

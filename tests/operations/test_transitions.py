@@ -9,16 +9,18 @@ from functools import cache
 import numpy as np
 import pytest
 
-from mixseq.arrays import Float
 from mixseq.choices import SpaceName
 from mixseq.errors import InvalidSequenceError, SettingsError
-from mixseq.geometry.rotations import rotations_of
+from mixseq.mesh.rotations import rotations_of
 from mixseq.operations import blend, concatenate, cut, into, repeat, reverse, shift, transition
-from mixseq.operations.common_space import together
-from mixseq.operations.placements import mean_placements
-from mixseq.prediction.poses import Poses
-from mixseq.sequence import MeshSequence
-from mixseq.signals import Curve, Model, fit
+from mixseq.operations.sections import mean_placements
+from mixseq.operations.transitions import together
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.curve import Curve
+from mixseq.signals.fitting import fit
+from mixseq.signals.model import Model
+from mixseq.spaces.temporal import Poses
+from mixseq.types import Float
 from tests.meshes import bar, bending, rotation, tube
 from tests.operations.chains import chain, labels
 from tests.operations.motions import CIRCLE, bar_motion, jets, jumps, spin, spinning

@@ -9,11 +9,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.operations import concatenate, in_place, loop, repeat, shift, transition, travel_of
-from mixseq.sequence import MeshSequence
-from mixseq.signals import Model, fit
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.fitting import fit
+from mixseq.signals.model import Model
+from mixseq.types import Float
 from tests.meshes import joined, tetrahedron, tube
 from tests.operations.motions import CIRCLE, bar_motion, jumps, spin, spinning
 

@@ -11,13 +11,15 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.arrays import Float, FloatArray, Index
 from mixseq.creature import walk_cycle
-from mixseq.geometry.rigid import kabsch
+from mixseq.mesh.rigid import kabsch
 from mixseq.operations import drag, exaggerate, exaggerate_part, hold, sculpt, swap_key
-from mixseq.operations.limb_joints import limb_of
-from mixseq.operations.splines import moved
-from mixseq.signals import Curve, Model, fit
+from mixseq.operations.limbs import limb_of
+from mixseq.operations.sections import moved
+from mixseq.signals.curve import Curve
+from mixseq.signals.fitting import fit
+from mixseq.signals.model import Model
+from mixseq.types import Float, FloatArray, Index
 from tests.operations.motions import fox
 
 Made = Callable[[int | None], Model]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mixseq.errors import SettingsError
-from mixseq.topology import Topology, face_patches
+from mixseq.mesh.topology import Topology, face_patches
 from scripts.paper_study.msgi.hierarchy import Region, divide
 from tests import meshes
 

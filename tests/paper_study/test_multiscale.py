@@ -10,14 +10,14 @@ import pytest
 from numpy.typing import NDArray
 
 import mixseq
-from mixseq.arrays import Float
 from mixseq.errors import ReconstructionError, SettingsError
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles, wrap
-from mixseq.geometry.rigid import kabsch
-from mixseq.shells.fitting import ShellReport, ShellSettings
-from mixseq.spaces.edge.projection import EdgeProjection, Wanted
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, unwrap_angles, wrap
+from mixseq.mesh.rigid import kabsch
+from mixseq.mesh.topology import Topology
+from mixseq.shells.gauss_newton import ShellReport, ShellSettings
+from mixseq.spaces.edge import EdgeProjection, Wanted
 from mixseq.spaces.pieces import Pieces
-from mixseq.topology import Topology
+from mixseq.types import Float
 from scripts.paper_study.msgi.multiscale import MultiScale
 from tests import meshes
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixseq.arrays import Float, Index
-from mixseq.geometry.rigid import transform
+from mixseq.mesh.rigid import transform
+from mixseq.types import Float, Index
 from scripts.paper_study.common.registration import Overlaps, register
 from tests.meshes import rotation, seeds
 

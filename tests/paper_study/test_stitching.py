@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from mixseq.arrays import Float, Index
-from mixseq.geometry.lengths_angles import edge_lengths
-from mixseq.topology import Topology
+from mixseq.mesh.measures import edge_lengths
+from mixseq.mesh.topology import Topology
+from mixseq.types import Float, Index
 from scripts.paper_study.common.stitching import Seams, stitch
 from tests.meshes import bent, joined, seeds, tetrahedron, topology_of, tube
 

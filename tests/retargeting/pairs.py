@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixseq.arrays import FloatArray
-from mixseq.correspondence.dense import Correspondence
 from mixseq.retargeting.gradient_transfer import GradientTransfer, gradient_transfer
+from mixseq.retargeting.markers import Correspondence
+from mixseq.types import FloatArray
 from tests.meshes import Mesh, topology_of
 
 

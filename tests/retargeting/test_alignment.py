@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixseq.arrays import Float
 from mixseq.errors import InvalidSequenceError
-from mixseq.geometry.rigid import kabsch
-from mixseq.retargeting.alignment import Alignment, _quarter_turns, align
+from mixseq.mesh.rigid import kabsch
+from mixseq.retargeting.sources import Alignment, _quarter_turns, align
+from mixseq.types import Float
 from tests.meshes import grid, rigid_motions, rotation, seeds, tube
 
 QUARTER = rotation((np.pi / 2, 0, 0))

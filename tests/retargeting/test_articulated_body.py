@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mixseq.errors import SettingsError
-from mixseq.retargeting.articulated_body import ArticulatedBody, Contact, leg_length, leg_ratio
+from mixseq.retargeting.limbs import ArticulatedBody, Contact, leg_length, leg_ratio
 from tests.retargeting.walkers import BONES, body
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixseq.retargeting.footing import body_shift, faded, misses
-from mixseq.retargeting.stance import Stance
+from mixseq.retargeting.contacts import Stance, body_shift, faded, misses
 
 FPS = 24.0
 STEPS = (Stance("foot", 10, 22), Stance("foot", 40, 52))

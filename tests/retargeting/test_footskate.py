@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from mixseq.errors import MixseqWarning, SettingsError
-from mixseq.geometry.rotations import matrices
-from mixseq.retargeting.articulated_body import ArticulatedBody, Contact, leg_ratio
-from mixseq.retargeting.footskate import remove_footskate
+from mixseq.mesh.rotations import matrices
+from mixseq.retargeting.contacts import remove_footskate
+from mixseq.retargeting.limbs import ArticulatedBody, Contact, leg_ratio
 from tests.retargeting.walkers import CYCLE, Walk, hung, walk
 
 ACCELERATION = 1.05
@@ -273,9 +273,8 @@ def test_refusals_name_the_contact() -> None:
 
 def fox(legs: float) -> Walk:
     """The walking fox with longer legs, its way as long as before."""
-    from mixseq.creature.gait import DUTY as ON_GROUND
-    from mixseq.creature.gait import LEGS, STEP, pose
-    from mixseq.creature.skeleton import HEADS, NAMES, PARENTS, TAILS
+    from mixseq.creature import DUTY as ON_GROUND
+    from mixseq.creature import HEADS, LEGS, NAMES, PARENTS, STEP, TAILS, pose
 
     phase = np.arange(96) / 48
     rotations, _ = pose(phase)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from mixseq.arrays import Float
-from mixseq.correspondence.dense import Correspondence
+from mixseq.mesh.topology import Topology
 from mixseq.retargeting.gradient_transfer import normalised
-from mixseq.sequence import MeshSequence
-from mixseq.topology import Topology
+from mixseq.retargeting.markers import Correspondence
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import Float
 from tests.meshes import (
     SEQUENCES,
     Mesh,

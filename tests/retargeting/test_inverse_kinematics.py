@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixseq.geometry.rotations import matrices, vectors
-from mixseq.retargeting.inverse_kinematics import turn_limbs
+from mixseq.mesh.rotations import matrices, vectors
+from mixseq.retargeting.limbs import turn_limbs
 
 FADE = np.sin(np.linspace(0.0, np.pi, 81)) ** 2
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixseq.arrays import Float
-from mixseq.correspondence.dense import Correspondence
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
-from mixseq.geometry.nearest import Nearest
-from mixseq.geometry.rigid import kabsch
-from mixseq.retargeting.joint_changes import OtherEdges, SameEdges
+from mixseq.mesh.measures import dihedral_angles, edge_lengths
+from mixseq.mesh.nearest import Nearest
+from mixseq.mesh.rigid import kabsch
+from mixseq.retargeting.joints import OtherEdges, SameEdges
+from mixseq.retargeting.markers import Correspondence
 from mixseq.retargeting.mixed_transfer import MixedTransfer, mixed_transfer
-from mixseq.shells.fitting import ShellSettings
+from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.types import Float
 from tests.meshes import Mesh, bent, grid, rotation, topology_of, tube
 from tests.retargeting.pairs import furthest, gradients, same
 

@@ -8,16 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mixseq.arrays import Index
-from mixseq.correspondence.dense import Correspondence
-from mixseq.retargeting.part_correspondence import (
-    carry_labels,
-    carry_parts,
-    vertex_parts,
-    without_small_regions,
-)
+from mixseq.mesh.topology import Topology
+from mixseq.retargeting.markers import Correspondence
+from mixseq.retargeting.parts import carry_labels, carry_parts, vertex_parts, without_small_regions
 from mixseq.segmentation.joints import Decomposition, decompose
-from mixseq.topology import Topology
+from mixseq.types import Index
 from tests.meshes import Mesh, grid, joined, rotation, tetrahedron, topology_of, tube
 from tests.retargeting.pairs import from_subdivided, same, subdivided, to_subdivided
 

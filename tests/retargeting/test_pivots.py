@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 from hypothesis import given, settings
 
-from mixseq.arrays import Float
-from mixseq.retargeting.articulated_body import ArticulatedBody
-from mixseq.retargeting.pivots import REACH, Pivots, PivotSolver
+from mixseq.retargeting.limbs import ArticulatedBody
+from mixseq.retargeting.parts import REACH, Pivots, PivotSolver
 from mixseq.segmentation.joints import decompose
+from mixseq.types import Float
 from tests.meshes import joined, rigid_motions, rotation, seeds, tetrahedron, topology_of, tube
 from tests.retargeting.pairs import gradients
 

@@ -7,16 +7,15 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from mixseq.arrays import Float, Index
-from mixseq.creature import part_of_vertex, walk_cycle
-from mixseq.creature.gait import DUTY, STEP
+from mixseq.creature import DUTY, STEP, part_of_vertex, walk_cycle
 from mixseq.errors import MixseqWarning, SettingsError
-from mixseq.retargeting.articulated_body import ArticulatedBody, Contact
-from mixseq.retargeting.footskate import ContactReport
+from mixseq.retargeting.contacts import ContactReport
+from mixseq.retargeting.limbs import ArticulatedBody, Contact
 from mixseq.retargeting.mixed_transfer import MixedTransfer
 from mixseq.retargeting.sources import source_motion
 from mixseq.retargeting.transfer import plan
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import Float, Index
 from tests.meshes import rotation
 
 pytestmark = pytest.mark.slow

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.arrays import FloatArray
 from mixseq.choices import TRANSFERS, TransferName
 from mixseq.retargeting.transfer import plan
-from mixseq.sequence import MeshSequence
-from mixseq_io.correspondence.markers import read_markers
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import FloatArray
+from mixseq_io.text.markers import read_markers
 from tests.meshes import rotation
 from tests.retargeting.pairs import furthest
 

@@ -7,17 +7,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mixseq.arrays import FloatArray
-from mixseq.correspondence.dense import Correspondence
 from mixseq.errors import InvalidSequenceError
+from mixseq.mesh.surface import MeshObject, Surface
+from mixseq.mesh.topology import Topology
 from mixseq.metrics import compare
-from mixseq.retargeting.coverage import component_names, coverage
-from mixseq.retargeting.report import Counts, Meter, TransferReport, measure
+from mixseq.retargeting.markers import Correspondence
+from mixseq.retargeting.report import (
+    Acceleration,
+    Counts,
+    Meter,
+    TransferReport,
+    component_names,
+    coverage,
+    measure,
+)
 from mixseq.retargeting.transfer import Transfer, plan
-from mixseq.retargeting.transfer_measures import Acceleration
-from mixseq.sequence import MeshSequence
-from mixseq.surface import MeshObject, Surface
-from mixseq.topology import Topology
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import FloatArray
 from tests.meshes import bar, bent, grid, joined, rotation, tetrahedron, tube
 
 

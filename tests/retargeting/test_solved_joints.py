@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixseq.arrays import Float
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
-from mixseq.geometry.rotations import matrices
-from mixseq.retargeting.solved_joints import HarmonicSkin
+from mixseq.mesh.measures import dihedral_angles, edge_lengths
+from mixseq.mesh.rotations import matrices
+from mixseq.retargeting.joints import HarmonicSkin
 from mixseq.segmentation.joints import make_joint
-from mixseq.shells.fitting import ShellSettings
-from mixseq.shells.patch import Patch
-from mixseq.shells.reconstruction import rebuild
+from mixseq.shells.fitting import Patch, rebuild
+from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.types import Float
 from tests.meshes import topology_of, tube
 
 SIDES, RINGS = 6, 9

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.arrays import FloatArray
 from mixseq.errors import InvalidSequenceError, SegmentationError, SettingsError
 from mixseq.retargeting.sources import source_motion
-from mixseq.sequence import MeshSequence
-from mixseq.spaces import MixedSpace
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.spaces.mixed.mixed_space import MixedSpace
+from mixseq.types import FloatArray
 from tests.meshes import bar
 from tests.retargeting.pairs import furthest
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mixseq.errors import SettingsError
-from mixseq.retargeting.stance import Stance, StanceSettings, axis_of, stances
+from mixseq.retargeting.contacts import Stance, StanceSettings, axis_of, stances
 from tests.retargeting.walkers import CYCLE, DUTY, foot
 
 

@@ -12,19 +12,18 @@ from hypothesis import given, settings
 from scipy.spatial import cKDTree
 
 import mixseq
-from mixseq.arrays import Float, FloatArray, Index
 from mixseq.choices import TRANSFERS, TransferName
-from mixseq.correspondence.dense import Correspondence
-from mixseq.correspondence.markers import Markers
 from mixseq.errors import InvalidSequenceError, MixseqWarning, SegmentationError, SettingsError
-from mixseq.mapping import on_threads, serially
 from mixseq.retargeting.gradient_transfer import GradientTransfer
+from mixseq.retargeting.markers import Correspondence, Markers
 from mixseq.retargeting.mixed_transfer import MixedTransfer
 from mixseq.retargeting.sources import source_motion
 from mixseq.retargeting.transfer import plan
-from mixseq.sequence import MeshSequence
-from mixseq.signals import Model
-from mixseq.spaces import MixedSpace
+from mixseq.runtime.parallel import on_threads, serially
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.model import Model
+from mixseq.spaces.mixed.mixed_space import MixedSpace
+from mixseq.types import Float, FloatArray, Index
 from tests.meshes import SEQUENCES, bar, rigid_motions, rotation
 from tests.retargeting.pairs import from_subdivided, furthest, subdivided, to_subdivided
 
@@ -288,7 +287,7 @@ def test_a_fine_target_comes_in_smaller_blocks(monkeypatch: pytest.MonkeyPatch) 
     fine = MeshSequence.from_arrays(subdivided(mesh)[0][None], subdivided(mesh)[1])
     planned = plan(source, fine, mapping=to_subdivided(mesh), method="gradients")
     whole = np.concatenate(list(planned.blocks()))
-    monkeypatch.setattr("mixseq.frame_store._AT_ONCE", (8, 2 * fine.vertex_count))
+    monkeypatch.setattr("mixseq.sequence.sequence._AT_ONCE", (8, 2 * fine.vertex_count))
     blocks = list(planned.blocks())
     assert [len(block) for block in blocks] == [2, 2]
     np.testing.assert_array_equal(np.concatenate(blocks), whole)

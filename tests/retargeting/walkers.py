@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.arrays import Float
-from mixseq.retargeting.articulated_body import ArticulatedBody, Contact
-from mixseq.retargeting.footskate import PlantedMotion, remove_footskate
+from mixseq.retargeting.contacts import PlantedMotion, remove_footskate
+from mixseq.retargeting.limbs import ArticulatedBody, Contact
+from mixseq.types import Float
 
 CYCLE, DUTY, STRIDE, LIFT = 40, 0.6, 0.5, 0.08
 BONES = {"thigh": 0.5, "shank": 0.45, "foot": 0.06}

@@ -12,11 +12,10 @@ from hypothesis import strategies as st
 
 import mixseq
 from mixseq.errors import MixseqWarning
-from mixseq.progress import silent
-from mixseq.rigging import fit_skin
-from mixseq.rigging.bone_counts import errors, fewest_bones
-from mixseq.rigging.centred import Centred
-from mixseq.rigging.found_bones import FoundBones
+from mixseq.rigging.bones import Centred
+from mixseq.rigging.decomposition import FoundBones
+from mixseq.rigging.fitting import errors, fewest_bones, fit_skin
+from mixseq.runtime.progress import silent
 from tests.rigging.test_rig_fitting import skinned_bar
 
 
@@ -103,7 +102,7 @@ def test_two_bones_are_enough_for_a_bar_of_two(max_error: float | None, kg: floa
 
 @pytest.mark.slow
 def test_what_bones_do_not_reach_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mixseq.rigging.rig_fitting.MOST_BONES", 1)
+    monkeypatch.setattr("mixseq.rigging.fitting.MOST_BONES", 1)
     with pytest.warns(MixseqWarning, match=r"^1 bones reach an error of .* % \(KG\), not 0\.01; correctives"):
         skin = fit_skin(skinned_bar(), kg=0.01)
     assert skin.bone_count == 1

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.arrays import Float, Index
-from mixseq.rigging import fit_skin
 from mixseq.rigging.bone_tree import bone_tree
-from mixseq.rigging.bones import transposed
-from mixseq.rigging.weights import Binding
-from mixseq.sequence import MeshSequence
+from mixseq.rigging.bones import Binding, transposed
+from mixseq.rigging.fitting import fit_skin
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import Float, Index
 from tests.meshes import joined, rotation, tetrahedron, tube
 
 HEIGHTS = (1.0, 2.0, 3.0)

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.arrays import Float
 from mixseq.creature import walk_cycle
 from mixseq.errors import InvalidSequenceError, SettingsError
-from mixseq.rigging import Skeleton, Skin, fit_skin
-from mixseq.rigging.given_skeletons import bone_distances
-from mixseq.rigging.rigs import rotation_matrices
-from mixseq.sequence import MeshSequence
-from mixseq_io.skeletons import parents_first
+from mixseq.rigging.decomposition import bone_distances
+from mixseq.rigging.fitting import fit_skin
+from mixseq.rigging.rigs import Skeleton, Skin, rotation_matrices
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import Float
+from mixseq_io.rig_arrays import parents_first
 from tests.formats.conftest import lossy
 from tests.formats.rig_maker import carried, hinge
 

@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mixseq.arrays import Float
-from mixseq.rigging.bones import transposed
-from mixseq.rigging.jointed_motions import Joints, attached, move
-from mixseq.rigging.weights import Binding
+from mixseq.rigging.bone_tree import Joints, attached, move
+from mixseq.rigging.bones import Binding, transposed
+from mixseq.types import Float
 from tests.meshes import rotation
 
 PARENTS = np.array([-1, 0, 1, 1])

@@ -10,7 +10,7 @@ import pytest
 from mixseq.creature import walk_cycle
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.rigging.low_rank import LowRank, fit_low_rank
-from mixseq.sequence import MeshSequence, bounding_diagonal
+from mixseq.sequence.sequence import MeshSequence, bounding_diagonal
 from tests.meshes import SEQUENCES, bar, rotation
 
 pytestmark = pytest.mark.slow

@@ -9,9 +9,9 @@ import pytest
 
 import mixseq
 from mixseq.errors import MixseqWarning, SegmentationError, SettingsError
-from mixseq.rigging import Skin, fit_morph, fit_skin
-from mixseq.rigging.rigs import rotation_matrices
-from mixseq.sequence import MeshSequence
+from mixseq.rigging.fitting import fit_morph, fit_skin
+from mixseq.rigging.rigs import Skin, rotation_matrices
+from mixseq.sequence.sequence import MeshSequence
 from tests.meshes import SEQUENCES, bar, bent, joined, rotation, tetrahedron, tube
 
 pytestmark = pytest.mark.slow

@@ -10,9 +10,8 @@ import pytest
 
 import mixseq
 from mixseq.errors import InvalidSequenceError, SettingsError
-from mixseq.rigging import Morph, Skeleton, Skin
-from mixseq.rigging.rigs import rotation_matrices, without_sign_jumps
-from mixseq.sequence import MeshSequence
+from mixseq.rigging.rigs import Morph, Skeleton, Skin, rotation_matrices, without_sign_jumps
+from mixseq.sequence.sequence import MeshSequence
 from tests.meshes import rotation, tetrahedron
 
 POINTS, FACES = tetrahedron()

@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixseq.errors import InvalidSequenceError
-from mixseq.rigging import Skeleton
-from mixseq.rigging.rigs import rotation_matrices
+from mixseq.rigging.rigs import Skeleton, rotation_matrices
 
 HALF = np.sqrt(0.5)
 

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from mixseq.arrays import Float
-from mixseq.rigging.bones import merged, motion_of, seeded, transposed, vertex_labels
-from mixseq.rigging.correctives import principal_shapes
-from mixseq.rigging.jointed_motions import Joints, move
-from mixseq.rigging.weights import Binding, bind
+from mixseq.rigging.bone_tree import Joints, move
+from mixseq.rigging.bones import Binding, bind, merged, motion_of, seeded, transposed, vertex_labels
+from mixseq.rigging.fitting import principal_shapes
+from mixseq.types import Float
 from tests.meshes import rotation
 
 

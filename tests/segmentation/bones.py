@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixseq.arrays import Index
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import Index
 from tests.meshes import rotation, tube
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixseq.arrays import Index
-from mixseq.segmentation import segment_by_labels
-from mixseq.segmentation.boundaries import Boundaries, Rim
+from mixseq.segmentation.elements import Boundaries, Rim
+from mixseq.segmentation.methods import segment_by_labels
+from mixseq.types import Index
 from tests.meshes import Mesh, flipped, grid, joined, pages, rotation, topology_of, tube
 
 

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixseq.arrays import Float, Index, Mask
-from mixseq.segmentation import clusters, motion
-from mixseq.segmentation.clusters import Clusters, moments_of, motions_of, tally
+from mixseq.mesh.topology import Topology, face_patches
+from mixseq.segmentation import motion
+from mixseq.segmentation import motion as clusters
 from mixseq.segmentation.elements import Elements
-from mixseq.segmentation.rigid_error import Moments, moments
-from mixseq.topology import Topology, face_patches
+from mixseq.segmentation.motion import Clusters, Moments, moments, moments_of, motions_of, tally
+from mixseq.types import Float, Index, Mask
 from tests.meshes import SEQUENCES, bending, pages, seeds, topology_of, torus, tube
 
 MESH = torus(12, 7)

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixseq.arrays import Float
-from mixseq.segmentation.deformation import (
+from mixseq.mesh.topology import Topology
+from mixseq.segmentation.silhouettes import (
     angle_variation,
     length_variation,
     some_frames,
     vertex_bending,
     vertex_strain,
 )
-from mixseq.topology import Topology
+from mixseq.types import Float
 from tests.meshes import bar, bending, grid, rotation, topology_of, tube
 
 SQUARE = Topology(np.array([[0, 1, 2], [1, 0, 3]]), 4)

@@ -7,9 +7,9 @@ import pytest
 from scipy.linalg import expm
 from scipy.spatial.distance import cdist
 
-from mixseq.segmentation import diffusion
-from mixseq.segmentation.diffusion import Diffusion
-from mixseq.topology import Topology
+from mixseq.mesh.topology import Topology
+from mixseq.segmentation import silhouettes
+from mixseq.segmentation.silhouettes import Diffusion
 from tests.meshes import Mesh, grid, joined, rotation, tetrahedron, topology_of, torus, tube
 
 
@@ -60,7 +60,7 @@ def test_distances_are_those_of_the_heat_kernel() -> None:
 def test_the_sparse_solver_finds_the_same_distances(monkeypatch: pytest.MonkeyPatch) -> None:
     surface = on(torus(24, 10))  # a symmetric mesh: most eigenvalues are double
     dense = surface.embedding(0.3, 40)
-    monkeypatch.setattr(diffusion, "_DENSE", 0)
+    monkeypatch.setattr(silhouettes, "_DENSE", 0)
     sparse = surface.embedding(0.3, 40)
     assert not np.allclose(dense, sparse)  # other bases ...
     np.testing.assert_allclose(cdist(sparse, sparse), cdist(dense, dense), atol=1e-6)  # ... same distances

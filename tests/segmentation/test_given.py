@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mixseq.errors import SegmentationError
-from mixseq.segmentation import segment_by_labels
+from mixseq.segmentation.methods import segment_by_labels
 from tests.meshes import grid, joined, tetrahedron, topology_of
 
 

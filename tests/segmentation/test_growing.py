@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import minimum_spanning_tree
 
-from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.segmentation.growing import Passes, check_parts, flood
-from mixseq.topology import Topology, face_patches
+from mixseq.mesh.topology import Topology, face_patches
+from mixseq.segmentation.elements import Passes, check_parts, flood
+from mixseq.types import Float
 from tests.meshes import grid, joined, seeds, tetrahedron, topology_of
 
 

@@ -7,10 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixseq.arrays import Index
 from mixseq.errors import SegmentationError, SettingsError
-from mixseq.segmentation import Decomposition, decompose, segment_by_labels, segment_by_motion
-from mixseq.topology import Topology, face_patches
+from mixseq.mesh.topology import Topology, face_patches
+from mixseq.segmentation.joints import Decomposition, decompose
+from mixseq.segmentation.methods import segment_by_labels
+from mixseq.segmentation.motion import segment_by_motion
+from mixseq.types import Index
 from tests.meshes import (
     SEQUENCES,
     Mesh,

@@ -11,18 +11,11 @@ import pytest
 import mixseq
 from mixseq.choices import SegmentationName
 from mixseq.errors import SettingsError
-from mixseq.segmentation import (
-    METHODS,
-    MethodSettings,
-    MotionSettings,
-    SilhouetteSettings,
-    SpanningTreeSettings,
-    adjusted_rand_index,
-    segment,
-    segment_by_motion,
-)
+from mixseq.mesh.topology import Topology, face_patches
 from mixseq.segmentation.elements import face_areas
-from mixseq.topology import Topology, face_patches
+from mixseq.segmentation.methods import METHODS, MethodSettings, adjusted_rand_index, segment
+from mixseq.segmentation.motion import MotionSettings, segment_by_motion
+from mixseq.segmentation.silhouettes import SilhouetteSettings, SpanningTreeSettings
 from tests.meshes import SEQUENCES, bar, rotation
 from tests.segmentation.bones import three_bones
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixseq.arrays import Float, Index
 from mixseq.errors import SettingsError
-from mixseq.segmentation import MotionSettings, motion, segment_by_motion
-from mixseq.sequence import MeshSequence
-from mixseq.topology import Topology, face_patches
+from mixseq.mesh.topology import Topology, face_patches
+from mixseq.segmentation import motion
+from mixseq.segmentation.motion import MotionSettings, segment_by_motion
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import Float, Index
 from tests.meshes import SEQUENCES, bar, bending, grid, joined, rotation, tube
 
 

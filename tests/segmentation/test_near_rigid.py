@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixseq.segmentation.scores import near_rigid_errors
+from mixseq.segmentation.methods import near_rigid_errors
 
 
 def test_near_rigid_errors() -> None:

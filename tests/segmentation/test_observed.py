@@ -7,10 +7,10 @@ import pickle
 import numpy as np
 import pytest
 
-from mixseq.geometry.lengths_angles import flat_faces
-from mixseq.segmentation import Watched, decompose, frames_to_look_at, gather, observe, segment_by_motion
-from mixseq.segmentation.observed import FLAT
-from mixseq.topology import Topology
+from mixseq.mesh.measures import flat_faces
+from mixseq.mesh.topology import Topology
+from mixseq.segmentation.joints import FLAT, Watched, decompose, frames_to_look_at, gather, observe
+from mixseq.segmentation.motion import segment_by_motion
 from tests.meshes import SEQUENCES, bar, rotation, topology_of, tube
 
 

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from scipy.spatial.transform import Rotation
 
-from mixseq.arrays import Float
-from mixseq.segmentation.rigid_error import Moments, moments, union_errors
+from mixseq.segmentation.motion import Moments, moments, union_errors
+from mixseq.types import Float
 from tests.meshes import rotation, seeds
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 
 from mixseq.errors import SegmentationError
-from mixseq.segmentation import adjusted_rand_index
+from mixseq.segmentation.methods import adjusted_rand_index
 from tests.meshes import seeds
 
 

@@ -8,9 +8,15 @@ import numpy as np
 import pytest
 
 from mixseq.errors import SettingsError
-from mixseq.segmentation import SilhouetteSettings, adjusted_rand_index, segment_by_silhouettes
-from mixseq.segmentation.silhouettes import significant_vertices, silhouette, viewpoints
-from mixseq.topology import Topology
+from mixseq.mesh.topology import Topology
+from mixseq.segmentation.methods import adjusted_rand_index
+from mixseq.segmentation.silhouettes import (
+    SilhouetteSettings,
+    segment_by_silhouettes,
+    significant_vertices,
+    silhouette,
+    viewpoints,
+)
 from tests.meshes import bar, grid, tetrahedron, topology_of, torus, tube
 from tests.segmentation.bones import three_bones
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixseq.arrays import Float, Index
-from mixseq.segmentation import SpanningTreeSettings, adjusted_rand_index, segment_by_spanning_tree
-from mixseq.topology import Topology
+from mixseq.mesh.topology import Topology
+from mixseq.segmentation.methods import adjusted_rand_index
+from mixseq.segmentation.silhouettes import SpanningTreeSettings, segment_by_spanning_tree
+from mixseq.types import Float, Index
 from tests.meshes import grid, rotation
 from tests.segmentation.bones import three_bones
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixseq.arrays import Float
-from mixseq.geometry.rotations import inverse, normalised, product
+from mixseq.mesh.rotations import inverse, normalised, product
 from mixseq.shells.face_frames import FrameGraph, bridging, connected
+from mixseq.types import Float
 from tests.meshes import topology_of, torus
 
 TOPOLOGY = topology_of(torus(10, 6))

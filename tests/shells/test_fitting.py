@@ -9,14 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixseq.arrays import Float
 from mixseq.errors import ReconstructionError
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
-from mixseq.geometry.rigid import kabsch, transform
+from mixseq.mesh.measures import dihedral_angles, edge_lengths
+from mixseq.mesh.rigid import kabsch, transform
 from mixseq.segmentation.joints import make_joint
-from mixseq.shells.fitting import ShellProblem, ShellSettings, fit_shell
-from mixseq.shells.patch import Patch
-from mixseq.shells.reconstruction import rebuild
+from mixseq.shells.fitting import Patch, ShellProblem, fit_shell, rebuild
+from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.types import Float
 from tests.meshes import Mesh, bent, flipped, grid, pages, seeds, topology_of, torus, tube
 
 BAR = tube(6, 9, closed=False)

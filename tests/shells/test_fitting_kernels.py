@@ -7,12 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixseq.arrays import Float
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
-from mixseq.shells.block_pattern import BlockSparsePattern
-from mixseq.shells.fitting import ShellProblem, SoftConstraint
-from mixseq.shells.fitting_kernels import conjugate_gradients
-from mixseq.shells.patch import NormalEquations, Patch
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap
+from mixseq.shells.fitting import NormalEquations, Patch, ShellProblem, SoftConstraint
+from mixseq.shells.gauss_newton import BlockSparsePattern
+from mixseq.shells.kernels import conjugate_gradients
+from mixseq.types import Float
 from tests.meshes import seeds
 from tests.shells.test_fitting import MESHES, problem_of
 

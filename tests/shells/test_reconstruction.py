@@ -7,12 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixseq.arrays import Float
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
-from mixseq.geometry.rigid import kabsch, transform
+from mixseq.mesh.measures import dihedral_angles, edge_lengths
+from mixseq.mesh.rigid import kabsch, transform
 from mixseq.segmentation.joints import make_joint
-from mixseq.shells.patch import Patch
-from mixseq.shells.reconstruction import linear_initialisation
+from mixseq.shells.fitting import Patch, linear_initialisation
+from mixseq.types import Float
 from tests.meshes import (
     Mesh,
     bent,

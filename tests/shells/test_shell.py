@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixseq.arrays import Float
 from mixseq.errors import ReconstructionError, SettingsError
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
-from mixseq.geometry.rigid import kabsch
-from mixseq.shells import shell_kernels as kernels
-from mixseq.shells.fitting import ShellProblem, ShellSettings, fit_shell
-from mixseq.shells.patch import Patch
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap
+from mixseq.mesh.rigid import kabsch
+from mixseq.shells import kernels
+from mixseq.shells.fitting import Patch, ShellProblem, fit_shell
+from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.shells.shell import Relaxation, Shell
+from mixseq.types import Float
 from tests.meshes import Mesh, grid, rotation, topology_of, torus, tube
 
 MESHES = [tube(6, 9), torus(9, 6), grid(5, 5)]

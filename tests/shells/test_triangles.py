@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
-from mixseq.geometry.rotations import product, quaternions, rotations_of
+from mixseq.mesh.measures import dihedral_angles, edge_lengths
+from mixseq.mesh.rotations import product, quaternions, rotations_of
 from mixseq.shells.face_frames import Hinges, flat_triangles, frames_of
 from tests.meshes import Mesh, flipped, grid, pages, rotation, topology_of, torus, tube
 

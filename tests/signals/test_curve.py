@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 
-from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.signals.curve import Curve
+from mixseq.types import Float
 
 TIMES = np.array([0.0, 0.1, 0.5, 0.6, 1.1, 1.5, 2.0])
 

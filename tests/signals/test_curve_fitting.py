@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixseq.arrays import Float
-from mixseq.signals.curve_fitting import fit_curve, least_squares_curve
+from mixseq.signals.detail import fit_curve, least_squares_curve
+from mixseq.types import Float
 
 
 def wave(times: Float) -> Float:

@@ -10,17 +10,18 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.arrays import Float, FloatArray
 from mixseq.choices import SPACES, SpaceName
 from mixseq.creature import walk_cycle
-from mixseq.geometry.rigid import kabsch
-from mixseq.geometry.rotations import rotations_of
-from mixseq.prediction.operator import with_middles
-from mixseq.sequence import MeshSequence
-from mixseq.signals import Curve, Model, fit
-from mixseq.signals.detail import Detail, Encoded, build, encode
-from mixseq.signals.tolerance import EXACT_STEP, STEPS
-from mixseq.spaces import make_space
+from mixseq.mesh.rigid import kabsch
+from mixseq.mesh.rotations import rotations_of
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.curve import Curve
+from mixseq.signals.detail import EXACT_STEP, STEPS, Detail, Encoded, build, encode
+from mixseq.signals.fitting import fit
+from mixseq.signals.model import Model
+from mixseq.spaces.making import make_space
+from mixseq.spaces.temporal import with_middles
+from mixseq.types import Float, FloatArray
 from tests.meshes import bar
 
 LONG = bar(sides=5, rings=13, frames=12)

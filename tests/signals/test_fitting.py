@@ -7,14 +7,15 @@ import pytest
 
 from mixseq.choices import SPACES, SegmentationName, SpaceName
 from mixseq.errors import SegmentationError, SettingsError
-from mixseq.operations.segmenting import segment
-from mixseq.segmentation import METHODS, MotionSettings, segment_by_labels
-from mixseq.sequence import MeshSequence
-from mixseq.shells.fitting import ShellSettings
-from mixseq.signals import fit
-from mixseq.spaces import EdgeSettings, EdgeSpace
-from mixseq.spaces.mixed import MixedSpace
-from mixseq.topology import Topology
+from mixseq.mesh.topology import Topology
+from mixseq.operations.interpolation import segment
+from mixseq.segmentation.methods import METHODS, segment_by_labels
+from mixseq.segmentation.motion import MotionSettings
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.signals.fitting import fit
+from mixseq.spaces.edge import EdgeSettings, EdgeSpace
+from mixseq.spaces.mixed.mixed_space import MixedSpace
 from tests.meshes import bar
 
 SMALL: MeshSequence = bar(sides=5, rings=15, frames=3)

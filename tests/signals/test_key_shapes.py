@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixseq.signals.key_shapes import choose_keys, key_map
+from mixseq.signals.detail import choose_keys, key_map
 from mixseq.signals.modes import principal_modes
 from tests.signals.test_pose import METRIC, vectors
 

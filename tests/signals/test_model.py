@@ -13,9 +13,10 @@ from scipy.interpolate import CubicSpline
 
 from mixseq.choices import PLACEMENTS, PlacementName
 from mixseq.errors import SettingsError
-from mixseq.prediction.operator import chosen, with_middles
-from mixseq.sequence import MeshSequence
-from mixseq.signals import Model, fit
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.fitting import fit
+from mixseq.signals.model import Model
+from mixseq.spaces.temporal import chosen, with_middles
 from tests.meshes import bar, rotation, tube
 
 UNEVEN = [-0.5, 0.0, 0.1, 0.75, 2.0]

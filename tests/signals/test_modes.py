@@ -7,8 +7,8 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from mixseq.arrays import Float
 from mixseq.signals.modes import _of_coordinates, _of_frames, principal_modes
+from mixseq.types import Float
 
 
 def vectors(count: int = 6, rank: int = 3, dim: int = 40, seed: int = 0) -> Float:

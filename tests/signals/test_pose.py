@@ -7,11 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.signals.mds_embedding import plane_of
 from mixseq.signals.modes import principal_modes
-from mixseq.signals.pose import PoseMap
+from mixseq.signals.pose import PoseMap, plane_of
+from mixseq.types import Float
 
 
 def vectors(count: int = 6, rank: int = 3, dim: int = 40, seed: int = 0) -> Float:

@@ -15,12 +15,15 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq import disk_array, frame_store
-from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError, MixseqError
-from mixseq.mapping import on_threads, serially
-from mixseq.sequence import MeshSequence, SequenceHeader
-from mixseq.signals import Model, fit
+from mixseq.runtime import low_memory
+from mixseq.runtime.parallel import on_threads, serially
+from mixseq.sequence import sequence as frame_store
+from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.fitting import fit
+from mixseq.signals.model import Model
+from mixseq.types import FloatArray
 from tests.meshes import SEQUENCES, bar
 
 pytestmark = pytest.mark.slow
@@ -64,7 +67,7 @@ class Made:
 @pytest.fixture
 def on_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is small enough for memory."""
-    monkeypatch.setattr(disk_array, "IN_MEMORY", 0)
+    monkeypatch.setattr(low_memory, "IN_MEMORY", 0)
 
 
 def assert_same(first: Model, second: Model) -> None:
@@ -97,7 +100,7 @@ def test_a_streamed_model_is_that_of_the_sequence(
     mixseq.write(tmp_path / "long.h5", LONG)
     with mixseq.open_sequence(tmp_path / "long.h5") as reader:
         streamed = fit(reader, workers=on_threads(3), **settings)
-    monkeypatch.setattr(disk_array, "IN_MEMORY", 1 << 30)
+    monkeypatch.setattr(low_memory, "IN_MEMORY", 1 << 30)
     assert_same(streamed, fit(LONG, workers=serially, **settings))
 
 
@@ -125,7 +128,7 @@ def test_files_of_every_kind_stream(name: str, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("on_disk")
 def test_memory_does_not_grow_with_the_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        disk_array, "_COLUMNS", 64
+        low_memory, "_COLUMNS", 64
     )  # blocks of columns are bounded, but for longer sequences than these
     still = bar(sides=20, rings=60, frames=1)
     most = []

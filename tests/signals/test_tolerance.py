@@ -11,10 +11,14 @@ import pytest
 import mixseq
 from mixseq.choices import SPACES, SpaceName
 from mixseq.errors import ReconstructionError, SettingsError
-from mixseq.prediction.operator import with_middles
-from mixseq.sequence import MeshSequence
-from mixseq.signals import Curve, Model, PoseMap, fit, tolerance
-from mixseq.signals.tolerance import EXACT, LOSSLESS_TO_THE_EYE, made_sure
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals import detail
+from mixseq.signals.curve import Curve
+from mixseq.signals.detail import EXACT, LOSSLESS_TO_THE_EYE, made_sure
+from mixseq.signals.fitting import fit
+from mixseq.signals.model import Model
+from mixseq.signals.pose import PoseMap
+from mixseq.spaces.temporal import with_middles
 from tests.meshes import SEQUENCES, bar, rotation, tetrahedron
 
 pytestmark = pytest.mark.slow
@@ -58,8 +62,8 @@ def test_no_model_is_decoded_twice(monkeypatch: pytest.MonkeyPatch) -> None:
         tried.append(model)
         return found(model, *others)
 
-    found = tolerance.largest_error
-    monkeypatch.setattr(tolerance, "largest_error", largest_error)
+    found = detail.largest_error
+    monkeypatch.setattr(detail, "largest_error", largest_error)
     short = bar(sides=5, rings=13, frames=3)
     model = fit(short)
     assert mixseq.compare(short, model.sample()).max_error <= 5e-4

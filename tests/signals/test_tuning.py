@@ -8,11 +8,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.detail import Encoded, encode
-from mixseq.signals.tuning import MIN_TRIAL_FRAMES, SHARES, Trial, tuned
-from mixseq.spaces import MixedSettings, MixedSpace, make_space
-from mixseq.spaces.mixed import Projection
+from mixseq.signals.fitting import MIN_TRIAL_FRAMES, SHARES, Trial, tuned
+from mixseq.spaces.making import MixedSettings, make_space
+from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
 from tests.meshes import bar, rotation, tube
 
 
@@ -126,7 +126,7 @@ def test_few_frames_of_large_meshes_are_left_out(monkeypatch: pytest.MonkeyPatch
     assert len(many.frames) == len(many.points) == len(many.rows.frames) == 16
     assert 0 not in many.frames and 24 not in many.frames
     np.testing.assert_array_equal(many.points, sequence.points[many.frames] / encoded.space.scale)
-    monkeypatch.setattr("mixseq.signals.tuning.MAX_TRIAL_VERTICES", 100)
+    monkeypatch.setattr("mixseq.signals.fitting.MAX_TRIAL_VERTICES", 100)
     assert len(Trial.of(encoded, encoded.space, sequence.points).frames) == MIN_TRIAL_FRAMES
 
 

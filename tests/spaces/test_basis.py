@@ -7,8 +7,8 @@ import pickle
 import numpy as np
 import pytest
 
-from mixseq.arrays import Float
-from mixseq.spaces.basis import BasisSpace
+from mixseq.spaces.vertex import BasisSpace
+from mixseq.types import Float
 from tests.meshes import tube
 
 VECTORS = np.random.default_rng(1).normal(size=(4, 30)) * np.array([[1.0], [1e-3], [10], [1e4]])

@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import mixseq
-from mixseq.arrays import Float, FloatArray, IntArray
 from mixseq.errors import ReconstructionError, SettingsError
+from mixseq.mesh.topology import Topology
+from mixseq.mesh.triangle_mesh import FLAT
 from mixseq.spaces.gradient import FULL, GradientSpace
-from mixseq.spaces.robust_triangles import FLAT
-from mixseq.topology import Topology
+from mixseq.types import Float, FloatArray, IntArray
 from tests.meshes import SEQUENCES, Mesh, bar, grid, rotation, tetrahedron, torus, tube
 
 

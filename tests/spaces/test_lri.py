@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import mixseq
-from mixseq.arrays import Float, FloatArray, IntArray
 from mixseq.errors import SettingsError
-from mixseq.sequence import MeshSequence
+from mixseq.mesh.topology import Topology
+from mixseq.sequence.sequence import MeshSequence
 from mixseq.spaces.lri import LRISpace
-from mixseq.topology import Topology
+from mixseq.types import Float, FloatArray, IntArray
 from tests.meshes import SEQUENCES, Mesh, grid, rigid_motions, rotation, tetrahedron, torus, tube
 
 pytestmark = pytest.mark.slow

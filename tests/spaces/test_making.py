@@ -8,10 +8,12 @@ import pytest
 
 from mixseq.choices import SPACES, SpaceName
 from mixseq.errors import SettingsError
-from mixseq.mapping import on_threads, serially
-from mixseq.prediction.operator import Operator, with_middles
-from mixseq.sequence import MeshSequence
-from mixseq.spaces import EdgeSettings, EdgeSpace, MixedSettings, MixedSpace, make_space
+from mixseq.runtime.parallel import on_threads, serially
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.spaces.edge import EdgeSettings, EdgeSpace
+from mixseq.spaces.making import MixedSettings, make_space
+from mixseq.spaces.mixed.mixed_space import MixedSpace
+from mixseq.spaces.temporal import Operator, with_middles
 from tests.meshes import bar, bending, tube
 
 LONG = bar(sides=4, rings=9, frames=19)

@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mixseq.arrays import Float
 from mixseq.choices import PLACEMENTS, PlacementName
-from mixseq.geometry.rigid import kabsch, transform
-from mixseq.segmentation import decompose
-from mixseq.spaces import VertexSpace, mixed_space
-from mixseq.spaces.mixed import Projection
+from mixseq.mesh.rigid import kabsch, transform
+from mixseq.segmentation.joints import decompose
+from mixseq.spaces.mixed.construction import mixed_space
+from mixseq.spaces.mixed.mixed_space import Projection
+from mixseq.spaces.vertex import VertexSpace
+from mixseq.types import Float
 from tests.meshes import rotation, topology_of, tube
 
 

@@ -6,9 +6,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixseq.arrays import Float
+from mixseq.mesh.topology import Topology
 from mixseq.spaces.pieces import Pieces
-from mixseq.topology import Topology
+from mixseq.types import Float
 from tests.meshes import SEQUENCES, grid, joined, rigid_motions, tetrahedron, topology_of, tube
 
 

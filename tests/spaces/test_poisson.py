@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 
 from mixseq.errors import ReconstructionError, SettingsError
-from mixseq.spaces.poisson import Integration
+from mixseq.spaces.gradient import Integration
 from tests.meshes import grid, joined, seeds, tetrahedron, topology_of
 
 TRIANGLE = np.array([[0, 1], [1, 2], [2, 0]])

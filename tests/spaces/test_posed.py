@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.prediction.operator import Operator
-from mixseq.spaces.posed import PosedSpace
-from mixseq.topology import Topology
+from mixseq.mesh.topology import Topology
+from mixseq.spaces.pieces import PosedSpace
+from mixseq.spaces.temporal import Operator
+from mixseq.types import Float
 from tests.meshes import rigid_motions, rotation, tetrahedron
 
 

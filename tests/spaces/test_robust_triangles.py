@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings
 
-from mixseq.arrays import Float
-from mixseq.spaces.robust_triangles import across, face_normals, unit, vertex_normals
+from mixseq.mesh.triangle_mesh import across, face_normals, unit, vertex_normals
+from mixseq.types import Float
 from tests.meshes import grid, rigid_motions, tetrahedron, topology_of
 
 

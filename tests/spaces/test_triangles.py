@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixseq.spaces.robust_triangles import completed, with_area
+from mixseq.mesh.triangle_mesh import completed, with_area
 from tests.meshes import topology_of
 
 CORNERS = np.array([[0.0, 0, 0], [2, 0, 0], [0, 3, 0], [6, 0, 0], [1, 1, 1]])

@@ -11,8 +11,8 @@ import h5py
 import numpy as np
 
 import mixseq
-from mixseq.arrays import Float, FloatArray, IntArray
-from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
+from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
+from mixseq.types import Float, FloatArray, IntArray
 from tests.web.conftest import Node
 
 PLAY = """

@@ -13,7 +13,7 @@ from zipfile import ZipFile
 
 import pytest
 
-from mixseq.web.folder import contents
+from mixseq.web import contents
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page, Route

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from mixseq.web import bundle
-from mixseq.web.bundle import SEQUENCE, bundled
+from mixseq import web as bundle
+from mixseq.web import SEQUENCE, bundled
 from tests.web.conftest import WEB, Node
 from tests.web.played import write_container
 

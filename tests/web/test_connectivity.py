@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mixseq.coding.bitstream.connectivity import decode_polygons, encode_polygons
-from mixseq.polygons import Polygons
+from mixseq.compression.bitstream.connectivity import decode_polygons, encode_polygons
+from mixseq.mesh.polygons import Polygons
 from tests.meshes import flipped, grid, joined, pages, tetrahedron, torus, tube
 from tests.web.conftest import Node
 
-GOLDEN = Path(__file__).parents[1] / "coding" / "golden"
+GOLDEN = Path(__file__).parents[1] / "compression" / "golden"
 
 Case = tuple[Polygons, int]
 

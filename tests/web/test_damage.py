@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mixseq.coding.encoder.compress import compress
-from mixseq.sequence import MeshSequence
-from tests.coding.test_golden import stored
+from mixseq.compression.encoder.compress import compress
+from mixseq.sequence.sequence import MeshSequence
+from tests.compression.test_golden import stored
 from tests.meshes import rotation, torus
 from tests.web.conftest import Node
 from tests.web.played import write_container

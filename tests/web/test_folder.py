@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 import mixseq
 from mixseq.cli import main
-from mixseq.web.folder import contents
+from mixseq.web import contents
 from tests.formats.gltf.test_mesh_sequences import document, dressed_bar
 from tests.web.conftest import Node
 

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from mixseq.arrays import Float, FloatArray, IntArray
-from mixseq.coding.bitstream.compressed_sequence import BetweenFrames, CompressedSequence, to_model
-from mixseq.coding.encoder.compress import compress
-from mixseq.web.bundle import bundled
-from tests.coding.test_golden import stored
+from mixseq.compression.bitstream.compressed_sequence import BetweenFrames, CompressedSequence, to_model
+from mixseq.compression.encoder.compress import compress
+from mixseq.types import Float, FloatArray, IntArray
+from mixseq.web import bundled
+from tests.compression.test_golden import stored
 from tests.meshes import bar
-from tests.viewing.conftest import browser, new_page, page
+from tests.viewer.conftest import browser, new_page, page
 from tests.web.played import write_container
 
 if TYPE_CHECKING:

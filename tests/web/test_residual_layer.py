@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from mixseq.arrays import Index
-from mixseq.coding.bitstream.decoded_check import SIZE
-from mixseq.coding.bitstream.residual_layer import RUN, write_residuals
-from mixseq.coding.bitstream.signal_graph import mesh_graph
+from mixseq.compression.bitstream.arithmetic import SIZE
+from mixseq.compression.bitstream.residual_layer import RUN, write_residuals
+from mixseq.compression.bitstream.signal_graph import mesh_graph
+from mixseq.types import Index
 from tests.meshes import torus
 from tests.web.conftest import Node
 

@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.arrays import Float
-from mixseq.coding.bitstream.compressed_sequence import (
+from mixseq.compression.bitstream.compressed_sequence import (
     BetweenFrames,
     CompressedSequence,
     decode_basis,
     to_model,
 )
-from mixseq.coding.bitstream.signal_graph import mesh_graph
-from mixseq.coding.encoder.compress import compress
-from mixseq.polygons import Polygons
-from mixseq.sequence import MeshSequence
-from mixseq.surface import CornerValues, Surface, by_first_use
-from tests.coding.test_golden import stored
+from mixseq.compression.bitstream.signal_graph import mesh_graph
+from mixseq.compression.encoder.compress import compress
+from mixseq.mesh.polygons import Polygons
+from mixseq.mesh.surface import CornerValues, Surface, by_first_use
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import Float
+from tests.compression.test_golden import stored
 from tests.meshes import Mesh, bar, grid, joined, rotation, torus, tube
 from tests.web.conftest import Node
 from tests.web.played import Played, played
@@ -138,7 +138,7 @@ def random_sequence(seed: int) -> MeshSequence:
 def test_random_sequences(node: Node, tmp_path: Path, seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     sequence = random_sequence(seed)
     if seed % 5 == 0:
-        monkeypatch.setattr("mixseq.coding.encoder.candidates.KINDS", ("shapes",))
+        monkeypatch.setattr("mixseq.compression.encoder.search.KINDS", ("shapes",))
     max_error, kg = (2e-3, None) if seed % 4 else (None, 1.0)
     coded = compress(sequence, max_error, kg, chunk=16)
     found = plays_as_in_python(node, tmp_path, coded)

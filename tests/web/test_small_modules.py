@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mixseq.coding.bitstream.decoded_check import check_of
-from mixseq.prediction.operator import Operator, with_middles
-from mixseq.prediction.spline_weights import spline_weights
+from mixseq.compression.bitstream.arithmetic import check_of
 from mixseq.signals.curve import Curve
+from mixseq.spaces.temporal import Operator, spline_weights, with_middles
 from tests.web.conftest import Node
 
 

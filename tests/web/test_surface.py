@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.coding.encoder.compress import compress
-from mixseq.sequence import MeshSequence
-from mixseq.surface import CornerValues, FaceSet, Surface, by_first_use
+from mixseq.compression.encoder.compress import compress
+from mixseq.mesh.surface import CornerValues, FaceSet, Surface, by_first_use
+from mixseq.sequence.sequence import MeshSequence
 from tests.meshes import bar
 from tests.web.conftest import Node
 from tests.web.played import played, write_container

@@ -10,14 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from mixseq.arrays import Index
-from mixseq.coding.bitstream.hard_edges import decode_hard_edges, encode_hard_edges
-from mixseq.coding.bitstream.texture_coordinates import decode_uvs, grid_numbers
-from mixseq.coding.bitstream.uv_values import LARGEST
-from mixseq.coding.encoder.uv_regions import encode_uvs
+from mixseq.compression.bitstream.corner_values import (
+    decode_hard_edges,
+    decode_uvs,
+    encode_hard_edges,
+    grid_numbers,
+)
+from mixseq.compression.bitstream.uv_values import LARGEST
+from mixseq.compression.encoder.uvs import encode_uvs
 from mixseq.errors import FormatError
-from mixseq.polygons import Polygons
-from tests.coding.bitstream.test_texture_coordinates import bumpy, golden_uvs, plane
+from mixseq.mesh.polygons import Polygons
+from mixseq.types import Index
+from tests.compression.bitstream.test_texture_coordinates import bumpy, golden_uvs, plane
 from tests.web.conftest import Node
 from tests.web.test_connectivity import GOLDEN, SHAPES, shuffled, soups, vertices_of, with_flipped_bits
 

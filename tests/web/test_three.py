@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 import mixseq
 from mixseq.choices import StillName
-from mixseq.geometry.normals import shared_normals
-from mixseq.polygons import Polygons
-from mixseq.sequence import MeshSequence
-from mixseq.surface import CornerValues, Surface
+from mixseq.mesh.measures import shared_normals
+from mixseq.mesh.polygons import Polygons
+from mixseq.mesh.surface import CornerValues, Surface
+from mixseq.sequence.sequence import MeshSequence
 from tests.formats.gltf.test_mesh_sequences import dressed_bar, needs_draco
 from tests.meshes import bar
-from tests.viewing.conftest import Keep, browser, keep, new_page, page
+from tests.viewer.conftest import Keep, browser, keep, new_page, page
 from tests.web.site import ADDRESS, serve, three
 
 if TYPE_CHECKING:
@@ -324,7 +324,7 @@ def test_pages_play(page: Page, tmp_path: Path, keep: Keep, name: str, sequence:
     mixseq.save(file, mixseq.compress(sequence, max_error=1e-3), still="plain")
     added: dict[str, str | bytes] = {"shot.glb": file.read_bytes()}
     if name == "example.html":
-        from mixseq.web.folder import contents
+        from mixseq.web import contents
 
         _, files = three("npm")
         added |= files

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.arrays import Float
 from mixseq.rigging.rigs import Morph, Skin
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import Float
 from mixseq_io.rig_measuring import measure
 from tests.formats.conftest import lossy
 from tests.formats.gltf_files import validate
 from tests.formats.rig_maker import carried, hinge, swelling
-from tests.viewing.conftest import browser, keep, new_page, page
+from tests.viewer.conftest import browser, keep, new_page, page
 from tests.web.site import ADDRESS, serve, three
 from tests.web.test_three import floats
 

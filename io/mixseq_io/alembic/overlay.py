@@ -2,29 +2,433 @@
 
 Points are in mesh space, below the archive's transforms, marked so that frames are at their times only. Existing
 normals are recomputed; all other contents stay.
+
+Mesh of a written Alembic file: the object, its face sets, and a sample per frame.
+
+Copy an archive object by object and property by property, except for the points of some meshes.
+
+Properties, copied with metadata and sample times, determine an object's kind. Instances stay instances.
+
+Specification: https://docs.alembic.io/reference/index.html (``Abc``)
+
+Alembic, writing: the original archive that is copied with new points, and its meshes matched with a sequence's.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+import re
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
-from mixseq.arrays import FloatArray, IntArray
-from mixseq.geometry.normals import shared_normals
-from mixseq.sequence import SequenceHeader
-from mixseq_io.alembic.archive_copy import copy_archive
-from mixseq_io.alembic.library import Abc, AbcGeom, array_of, imath
-from mixseq_io.alembic.original import Fit, Original
-from mixseq_io.alembic.targets import PER_SAMPLE
-from mixseq_io.blocks import warn
-from mixseq_io.choosing import listed
-from mixseq_io.originals import warn_of_other_times
+from mixseq.errors import FormatError
+from mixseq.mesh.measures import shared_normals
+from mixseq.mesh.polygons import Polygons, difference, reversed_corners
+from mixseq.mesh.surface import CornerValues
+from mixseq.sequence.header import SequenceHeader
+from mixseq.types import Float, FloatArray, Index, IntArray
+from mixseq_io.alembic.library import (
+    ERRORS,
+    Abc,
+    AbcCoreAbstract,
+    AbcGeom,
+    AbcMaterial,
+    array_of,
+    imath,
+    length,
+    open_archive,
+    selector,
+    stored_array,
+)
+from mixseq_io.alembic.reader import COLOURS, LAID_OVER, Mesh, Source, find_meshes, stored_polygons
+from mixseq_io.alembic.samples import (
+    Place,
+    Placing,
+    determinant,
+    object_places,
+    sample_times,
+    samples_within,
+    time_sampling,
+    unique_names,
+)
+from mixseq_io.originals import fit_meshes, warn_of_other_times
+from mixseq_io.reader import naming, reading, warn
+from mixseq_io.scene_meshes import SceneMesh, listed, split
 
+_SCHEMES = {"catmullClark": "catmull-clark", "loop": "loop", "bilinear": "bilinear"}
 _CORNERS = AbcGeom.GeometryScope.kFacevaryingScope
+_OPAQUE = (AbcGeom.OC3fGeomParam, AbcGeom.OC3fGeomParamSample, imath.C3fArray)
+_WITH_ALPHA = (AbcGeom.OC4fGeomParam, AbcGeom.OC4fGeomParamSample, imath.C4fArray)
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """Mesh to be written."""
+
+    scene_mesh: SceneMesh
+    place: Place
+
+    @property
+    def subdivided(self) -> bool:
+        """Whether the mesh becomes a SubD, which has no normals."""
+        return self.scene_mesh.subdivision != "none"
+
+    def make(self, parent: Any, sampling: int) -> MadeMesh:
+        """Create the object and its face sets, without samples."""
+        mesh = (AbcGeom.OSubD if self.subdivided else AbcGeom.OPolyMesh)(parent, self.place[-1], sampling)
+        sets = self.scene_mesh.face_sets
+        together = np.concatenate([each.polygons for each in sets]) if sets else np.zeros(0)
+        exclusive = len(np.unique(together)) == len(together)
+        for each, name in zip(sets, unique_names(each.name for each in sets), strict=True):
+            node = mesh.getSchema().createFaceSet(name)
+            polygons = array_of(imath.IntArray, each.polygons)  # held until it is set
+            node.getSchema().set(AbcGeom.OFaceSetSchemaSample(polygons))
+            if exclusive:
+                node.getSchema().setFaceExclusivity(AbcGeom.FaceSetExclusivity.kFaceSetExclusive)
+            if each.material:
+                AbcMaterial.addMaterialAssignment(node, each.material)
+        if self.scene_mesh.colours is not None:
+            self._add_colours(mesh.getSchema(), self.scene_mesh.colours)
+        return MadeMesh(self, mesh)
+
+    def _add_colours(self, schema: Any, colours: CornerValues) -> None:
+        """Add constant colours in a sample of their own, without alpha if all are opaque."""
+        opaque = bool((colours.values[:, 3] == 1).all())
+        parameter, sample, kind = _OPAQUE if opaque else _WITH_ALPHA
+        values = array_of(kind, colours.values)  # held until they are set
+        indices = array_of(imath.UnsignedIntArray, colours.indices[self._order])
+        made = parameter(schema.getArbGeomParams(), COLOURS, True, _CORNERS, 1)
+        made.set(sample(values, indices, _CORNERS))
+
+    def sample(self, positions: Any, complete: bool) -> Any:
+        """Return a sample of points; a `complete` one includes constant properties."""
+        sample = AbcGeom.OSubDSchemaSample() if self.subdivided else AbcGeom.OPolyMeshSchemaSample()
+        sample.setPositions(positions)
+        if complete:
+            sample.setFaceIndices(self._corners)
+            sample.setFaceCounts(self._counts)
+            if self.subdivided:
+                sample.setSubdivisionScheme(_SCHEMES[self.scene_mesh.subdivision])
+            if self.scene_mesh.uvs is not None:
+                sample.setUVs(AbcGeom.OV2fGeomParamSample(self._uv_values, self._uv_indices, _CORNERS))
+        return sample
+
+    def add_normals(self, sample: Any, rows: FloatArray) -> Any:
+        """Add normals of points ``(V, 3)`` for hard edges; return objects to keep alive until the sample is set."""
+        if self.scene_mesh.hard_edges is None or self.subdivided:
+            return None
+        shared = shared_normals(rows[None], self.scene_mesh.polygons, self.scene_mesh.hard_edges)[0]
+        normals = array_of(imath.V3fArray, shared)
+        sample.setNormals(AbcGeom.ON3fGeomParamSample(normals, self._groups, _CORNERS))
+        return normals
+
+    @cached_property
+    def _order(self) -> IntArray:
+        return reversed_corners(self.scene_mesh.polygons.counts, keep_first=False)
+
+    @cached_property
+    def _corners(self) -> Any:
+        return array_of(imath.IntArray, self.scene_mesh.polygons.indices[self._order])
+
+    @cached_property
+    def _counts(self) -> Any:
+        return array_of(imath.IntArray, self.scene_mesh.polygons.counts)
+
+    @cached_property
+    def _uv_values(self) -> Any:
+        return None if self.scene_mesh.uvs is None else array_of(imath.V2fArray, self.scene_mesh.uvs.values)
+
+    @cached_property
+    def _uv_indices(self) -> Any:
+        uvs = self.scene_mesh.uvs
+        return None if uvs is None else array_of(imath.UnsignedIntArray, uvs.indices[self._order])
+
+    @cached_property
+    def _groups(self) -> Any:
+        hard_edges = self.scene_mesh.hard_edges
+        return None if hard_edges is None else array_of(imath.UnsignedIntArray, hard_edges[self._order])
+
+    def largest_size(self, frames: int, moving: bool) -> int:
+        """Return the largest possible size in the file in bytes."""
+        scene_mesh = self.scene_mesh
+        normals = 0 if scene_mesh.hard_edges is None else int(scene_mesh.hard_edges.max(initial=-1)) + 1
+        uvs = 0 if scene_mesh.uvs is None else len(scene_mesh.uvs.values)
+        colours = scene_mesh.colours
+        painted = 0 if colours is None else 16 * len(colours.values) + 4 * colours.indices.size + PER_OBJECT
+        per_frame = 12 * (scene_mesh.vertex_count * (2 if moving else 1) + normals) + PER_SAMPLE
+        sets = sum(4 * each.polygons.size + PER_OBJECT for each in scene_mesh.face_sets)
+        once = (
+            12 * scene_mesh.polygons.indices.size
+            + 4 * scene_mesh.polygons.counts.size
+            + 8 * uvs
+            + painted
+            + sets
+            + PER_OBJECT
+        )
+        return frames * per_frame + once
+
+
+@dataclass(frozen=True, eq=False)
+class MadeMesh:
+    """Mesh in the file that samples are added to."""
+
+    target: Target
+    mesh: Any
+
+    def write(self, first: int, points: FloatArray, velocities: FloatArray | None) -> None:
+        """Add samples of a block of frames, from frame `first` on: points, velocities ``(B, V, 3)`` of the sequence."""
+        schema, vertices = self.mesh.getSchema(), self.target.scene_mesh.vertices
+        for frame, rows in enumerate(points[:, vertices]):
+            # A sample only points to its arrays: they must stay until it is set.
+            positions, speeds = array_of(imath.V3fArray, rows), None
+            sample = self.target.sample(positions, complete=not schema.getNumSamples())
+            if velocities is not None:
+                speeds = array_of(imath.V3fArray, velocities[frame, vertices])
+                sample.setVelocities(speeds)
+            normals = self.target.add_normals(sample, rows)
+            schema.set(sample)
+            del speeds, normals
+
+
+def make_targets(header: SequenceHeader) -> list[Target]:
+    """Return the meshes to write of a stand-alone sequence."""
+    scene_meshes = split(header)
+    return list(map(Target, scene_meshes, object_places(header, scene_meshes)))
+
+
+def make_meshes(top: Any, targets: Sequence[Target], sampling: int) -> list[MadeMesh]:
+    """Create all meshes below identity transforms."""
+    made: dict[Place, Any] = {(): top}
+    for target in targets:
+        for end in range(1, len(target.place)):
+            place = target.place[:end]
+            if place not in made:
+                made[place] = AbcGeom.OXform(made[place[:-1]], place[-1])
+    return [target.make(made[target.place[:-1]], sampling) for target in targets]
+
+
+PER_SAMPLE = 300
+"""Size in bytes of a frame's keys, sizes, places and bounds."""
+PER_OBJECT = 8000
+"""Size in bytes of an object's names and headers."""
+
+
+_SCHEMA = ".geom"
+"""Compound property of all kinds of meshes."""
+
+_OF_POINTS = frozenset(["P", ".velocities", "N", ".selfBnds", ".childBnds"])
+"""Properties replaced on meshes with new points: the points, and what depends on them."""
+
+_OF_CHILDREN = frozenset([".childBnds"])
+_OF_THE_ARCHIVE = re.compile(r"\.childBnds|statistics|\d+\.samples")
+"""Properties of the top object that summarise the archive, such as bounds; wrong with other points."""
+
+
+Kept = tuple[range, int]
+"""Samples of a property that are copied, and the index of their time sampling in the new archive."""
+
+
+@dataclass(frozen=True, eq=False)
+class Copied:
+    """Result of copying an archive's objects."""
+
+    schemas: dict[str, Any] = field(default_factory=dict)
+    moving: dict[str, tuple[float, float]] = field(default_factory=dict)
+    lost: list[str] = field(default_factory=list)
+
+
+def copy_archive(source: Any, target: Any, moved: Collection[str], frames: Float, room: int) -> Copied:
+    """Copy all objects of an archive, with the samples needed for frames at times ``(T,)`` in s."""
+    window = float(frames[0]), float(frames[-1])
+    return _Copier(target, moved, window, room).copy(source.getTop())
+
+
+class _Copier:
+    def __init__(self, target: Any, moved: Collection[str], window: tuple[float, float], room: int) -> None:
+        self._target, self._moved, self._window, self._room = target, moved, window, room
+        self._above = _at_or_above(moved)
+        self._copied = Copied()
+
+    def copy(self, top: Any) -> Copied:
+        new = self._target.getTop()
+        for header in top.getProperties().propertyheaders:
+            if not _OF_THE_ARCHIVE.fullmatch(header.getName()):
+                self._property("/", header, top.getProperties(), new.getProperties(), frozenset())
+        made, instances, stack = {}, [], [(top, new)]
+        while stack:
+            node, parent = stack.pop()
+            for child in [node.getChild(index) for index in range(node.getNumChildren())]:
+                path = str(child.getFullName())
+                if child.isInstanceRoot() and path not in self._above:
+                    instances.append((child, parent))
+                    continue
+                made[path] = self._object(path, child, parent)
+                stack.append((child, made[path]))
+        for child, parent in instances:
+            original = made.get(str(child.instanceSourcePath()))
+            if original is None or not parent.addChildInstance(original, child.getName()):
+                self._copied.lost.append(str(child.getFullName()))
+        return self._copied
+
+    def _object(self, path: str, node: Any, parent: Any) -> Any:
+        metadata = AbcCoreAbstract.MetaData(node.getMetaData())
+        if path in self._moved:
+            metadata.set(LAID_OVER, "1")
+        new = Abc.OObject(parent, node.getName(), metadata)
+        stale = _OF_POINTS if path in self._moved else _OF_CHILDREN if path in self._above else frozenset()
+        for header in node.getProperties().propertyheaders:
+            made = self._property(path, header, node.getProperties(), new.getProperties(), stale)
+            if path in self._moved and header.getName() == _SCHEMA:
+                self._copied.schemas[path] = made
+        return new
+
+    def _property(self, path: str, header: Any, source: Any, target: Any, stale: Collection[str]) -> Any:
+        """Copy a property of an object without its `stale` children; return the new one."""
+        stored = source.getProperty(header.getName())
+        if not header.isCompound():
+            self._samples(path, header, stored, target, {})
+            return None
+        new = Abc.OCompoundProperty(target, header.getName(), header.getMetaData())
+        fresh = [each for each in stored.propertyheaders if each.getName() not in stale]
+        simple = [stored.getProperty(each.getName()) for each in fresh if not each.isCompound()]
+        changing = {each.getNumSamples(): self._kept(each) for each in simple if not each.isConstant()}
+        for each in fresh:
+            if each.isCompound():
+                self._property(path, each, stored, new, ())
+            else:
+                self._samples(path, each, stored.getProperty(each.getName()), new, changing)
+        return new
+
+    def _kept(self, stored: Any) -> Kept:
+        """Return the samples of a property that frames need."""
+        times, sampling = sample_times(stored), stored.getTimeSampling()
+        kept = range(len(times))[samples_within(times, self._window)]
+        if len(kept) < len(times):
+            sampling = time_sampling(times[kept.start : kept.stop], float(times[1] - times[0]))
+        return kept, self._target.addTimeSampling(sampling)
+
+    def _samples(
+        self, path: str, header: Any, stored: Any, target: Any, changing: Mapping[int, Kept]
+    ) -> None:
+        """Copy a property's samples; of a constant one, those kept of the `changing` properties beside it."""
+        kind = Abc.OArrayProperty if header.isArray() else Abc.OScalarProperty
+        constant, count = stored.isConstant(), stored.getNumSamples()
+        kept, sampling = (changing.get(count) if constant else None) or self._kept(stored)
+        if len(kept) == count:
+            sampling = self._target.addTimeSampling(stored.getTimeSampling())
+        try:
+            # Read before anything is made that would stay empty.
+            value = self._value(stored, kept[0]) if kept else None
+            new = kind(target, header.getName(), header.getDataType(), header.getMetaData(), sampling)
+            for sample in kept:
+                if sample > kept[0] and constant:
+                    new.setFromPrevious()
+                else:
+                    new.setValue(self._value(stored, sample) if sample > kept[0] else value)
+        except (RuntimeError, TypeError):  # types that the library has no words for in Python
+            self._copied.lost.append(f"{path}.{header.getName()}")
+            return
+        if not constant:
+            times = sample_times(stored)
+            first, last = self._copied.moving.get(path, (times[0], times[-1]))
+            self._copied.moving[path] = min(first, times[0]), max(last, times[-1])
+
+    def _value(self, stored: Any, sample: int) -> Any:
+        if stored.isArray():
+            return stored_array(stored, sample, self._room)
+        return stored.getValue(selector(stored, sample))
+
+
+def _at_or_above(paths: Collection[str]) -> set[str]:
+    """Return paths and all their ancestors."""
+    return {
+        "/".join(names[:end])
+        for names in (path.split("/") for path in paths)
+        for end in range(2, len(names) + 1)
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Mesh of the sequence matched with a mesh of the archive, whose points it replaces."""
+
+    scene_mesh: SceneMesh
+    mesh: Mesh
+    corners: Index
+    placing: Placing
+    mirrored: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Original:
+    """Archive that fits a sequence."""
+
+    path: Path
+    archive: Any
+    fits: tuple[Fit, ...]
+
+    @property
+    def room(self) -> int:
+        """Size of the file in bytes."""
+        return self.path.stat().st_size
+
+
+def open_original(path: Path, header: SequenceHeader) -> Original:
+    """Open an archive whose meshes may get new points."""
+    with reading(path, "Alembic", *ERRORS), naming(path):
+        archive = open_archive(path)
+        meshes, _ = find_meshes(path, archive)
+        fits = fit_meshes(
+            path,
+            header,
+            {mesh.path: mesh for mesh in meshes},
+            partial(_fitted, path, header),
+            partial(_difference, path),
+        )
+        for fit in fits:
+            try:
+                fit.placing.check()
+            except FormatError as error:
+                raise FormatError(f"{path}: nothing can be laid over {fit.mesh.path!r}: {error}") from None
+        return Original(path, archive, tuple(fits))
+
+
+def _fitted(path: Path, header: SequenceHeader, scene_mesh: SceneMesh, mesh: Mesh) -> Fit | None:
+    """Match a mesh of the sequence with one of the archive; None if vertices or faces differ."""
+    if length(mesh.schema.getPositionsProperty(), 0) != scene_mesh.vertex_count:
+        return None
+    placing = Placing.at(mesh.above, header.times, header.fps)
+    mirrored = determinant(placing.matrices[0]) < 0
+    theirs, order = _polygons(path, scene_mesh, mesh, mirrored)
+    read = Polygons(theirs.counts, theirs.indices[order])
+    found = scene_mesh.matched_to(read)
+    if found is None:
+        return None
+    ours, match = found
+    # Turning corners around twice changes nothing.
+    return Fit(ours, mesh, match.corners[order], placing, mirrored)
+
+
+def _polygons(path: Path, scene_mesh: SceneMesh, mesh: Mesh, mirrored: bool) -> tuple[Polygons, Index]:
+    room = path.stat().st_size
+    vertices = slice(0, scene_mesh.vertex_count)
+    return stored_polygons(Source(path, room, mesh, vertices, mirrored, np.zeros(1)))
+
+
+def _difference(path: Path, scene_mesh: SceneMesh, mesh: Mesh) -> str:
+    """Return the first difference from the only candidate mesh, in words."""
+    count = length(mesh.schema.getPositionsProperty(), 0)
+    if count != scene_mesh.vertex_count:
+        return f"{mesh.path} has {count} vertices, the sequence {scene_mesh.vertex_count}"
+    theirs, order = _polygons(path, scene_mesh, mesh, mirrored=False)
+    ours = scene_mesh.polygons
+    return difference(ours, Polygons(theirs.counts, theirs.indices[order]), ("the sequence", mesh.path))
+
 
 _GROWTH = 2
 """Largest ratio of a copy's size to the archive's; moving instances become separate objects."""

@@ -5,24 +5,93 @@ Between two samples of a transform, translation, stretch and rotation angle are 
 Matrices act on row vectors: p' = p M.
 
 Specification: https://docs.alembic.io/reference/index.html (``TimeSampling``, ``IXformSchema``)
+
+Paths of a sequence's meshes in a stand-alone archive.
+
+Original paths are kept, so that references such as cache modifiers of other programs find the meshes. Other meshes are
+below a transform of their name, because tools name imports by transforms.
+
+Placement of a mesh by its transforms in every frame: local to world and back, with velocities.
+
+New points over an archive stay in mesh space, so that other children of its transforms keep their place, and caches of
+other programs can refer to the result. With p the own points and M the matrix of a frame, world points and velocities
+are
+
+    w = p M,    w' = p' M + p M'.
+
+M' is the central difference over one frame, as renderers see a transform while the shutter is open.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.arrays import Float, FloatArray
 from mixseq.errors import FormatError
-from mixseq.frame_rates import NTSC_RATES
-from mixseq.geometry.rigid import nearest_rotations
-from mixseq.geometry.rotations import matrices, vectors
-from mixseq.sequence import DEFAULT_FPS
+from mixseq.mesh.rigid import nearest_rotations
+from mixseq.mesh.rotations import matrices, vectors
+from mixseq.sequence.frame_rates import NTSC_RATES
+from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
+from mixseq.types import Float, FloatArray
 from mixseq_io.alembic.library import AbcCoreAbstract, selector
+from mixseq_io.scene_meshes import SceneMesh
+
+Place = tuple[str, ...]
+"""Names from the root to a mesh; all but the last are transforms."""
+
+
+def object_places(header: SequenceHeader, scene_meshes: Sequence[SceneMesh]) -> list[Place]:
+    """Return the places of all meshes: ``/<name>/<object>/<object>``, or their own paths.
+
+    Those are kept if all meshes have one with a transform, and their common ancestor is named as the sequence.
+    """
+    kept = [tuple(each.path.split("/")[1:]) for each in scene_meshes if each.path.startswith("/")]
+    if len(kept) == len(scene_meshes) and _can_be(kept) and _common_name(kept) in ("", header.name):
+        return kept
+    root = valid_name(header.name)
+    if len(scene_meshes) == 1:
+        return [(root, root)]
+    return [(root, name, name) for name in unique_names(each.name for each in scene_meshes)]
+
+
+def _can_be(places: Sequence[Place]) -> bool:
+    """Whether meshes can be at places: each with a transform above it, and nothing below another mesh."""
+    meshes = set(places)
+    above = {place[:end] for place in meshes for end in range(1, len(place))}
+    named = all(len(place) > 1 and all(place) for place in meshes)
+    return named and len(meshes) == len(places) and not meshes & above
+
+
+def _common_name(places: Sequence[Place]) -> str:
+    """Return the sequence's name for a reader: that of its only mesh, or of the common ancestor."""
+    shared = list(takewhile(lambda names: len(set(names)) == 1, zip(*places, strict=False)))
+    return shared[-1][0] if shared else ""
+
+
+def valid_name(name: str) -> str:
+    """Return a valid object name: without slashes and not empty."""
+    return name.replace("/", "_") or "mesh"
+
+
+def unique_names(names: Iterable[str]) -> list[str]:
+    """Return valid names, repeated ones with a number: "a", "a_2"."""
+    taken: dict[str, None] = {}
+    numbers: dict[str, int] = {}
+    for name in map(valid_name, names):
+        number, free = numbers.get(name, 1), name
+        while free in taken:
+            number += 1
+            free = f"{name}_{number}"
+        numbers[name] = number
+        taken[free] = None
+    return list(taken)
+
 
 SAME_TIME = 0.999e-6
 """Distance in seconds below which times are equal."""
@@ -206,3 +275,59 @@ def moved(points: FloatArray, matrix: Float) -> NDArray[np.float32]:
         if len(matrix) == 4:
             world += matrix[3, :3]
         return world.astype(np.float32)
+
+
+_FLAT = 1e-12
+"""Smallest determinant of an inverted matrix, relative to the cube of the largest scale."""
+
+
+@dataclass(frozen=True, eq=False)
+class Placing:
+    """Transforms above a mesh in every frame, and their rates."""
+
+    matrices: Float
+    rates: Float
+
+    @classmethod
+    def at(cls, above: tuple[Any, ...], frames: Float, fps: float) -> Placing:
+        """Evaluate transforms, the nearest to the mesh first, at times of frames ``(T,)`` in seconds.
+
+        Only samples that frames need are used, so that a copy without the others gives the same result.
+        """
+        window = float(frames[0]), float(frames[-1])
+        now, before, after = (_matrices(above, frames + shift / fps, window) for shift in (0.0, -0.5, 0.5))
+        return cls(now, (after - before) * fps)
+
+    def check(self) -> None:
+        """Raise an error if a frame's matrix is singular."""
+        with np.errstate(all="ignore"):
+            sizes = np.abs(np.linalg.det(self.matrices[:, :3, :3]))
+            largest = np.abs(self.matrices[:, :3, :3]).max(axis=(1, 2))
+        flat = ~(sizes > _FLAT * largest**3)
+        if flat.any():
+            raise FormatError(f"the transforms above it make it flat in frame {int(flat.argmax())}")
+
+    def own_points(self, world: FloatArray, frame: int) -> NDArray[np.float32]:
+        """Return a frame's points ``(V, 3)`` in mesh space."""
+        return moved(world, np.linalg.inv(self.matrices[frame]))
+
+    def own_velocities(self, world: FloatArray, own_points: FloatArray, frame: int) -> NDArray[np.float32]:
+        """Return a frame's velocities ``(V, 3)`` in mesh space, given its points `own_points` there."""
+        inverse = np.linalg.inv(self.matrices[frame])[:3, :3]
+        return moved(world - self._carried(own_points, frame), inverse)
+
+    def world_velocities(self, own: FloatArray, own_points: FloatArray, frame: int) -> NDArray[np.float32]:
+        """Return the world velocities ``(V, 3)``, the inverse of `own_velocities`."""
+        turned = own.astype(np.float64) @ self.matrices[frame, :3, :3]
+        return (turned + self._carried(own_points, frame)).astype(np.float32)
+
+    def _carried(self, own_points: FloatArray, frame: int) -> Float:
+        """Return the world velocities ``(V, 3)`` of points at rest in mesh space."""
+        return own_points.astype(np.float64) @ self.rates[frame, :3, :3] + self.rates[frame, 3, :3]
+
+
+def _matrices(above: tuple[Any, ...], frames: Float, window: tuple[float, float]) -> Float:
+    transforms = Transforms.at(above, frames, window)
+    if all(schema.isConstant() for schema in above):
+        return np.broadcast_to(transforms.to_world(0), (len(frames), 4, 4))
+    return np.stack([transforms.to_world(frame) for frame in range(len(frames))])

@@ -19,21 +19,27 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError, OutputError, SettingsError
-from mixseq.sequence import SequenceHeader
+from mixseq.sequence.header import SequenceHeader
+from mixseq.types import FloatArray
 from mixseq.version import __version__
 from mixseq_io.alembic.library import ERRORS, Abc, open_archive
-from mixseq_io.alembic.object_paths import valid_name
-from mixseq_io.alembic.original import Original, open_original
-from mixseq_io.alembic.overlay import MovedMesh, largest_size, lay_over
-from mixseq_io.alembic.samples import time_sampling
-from mixseq_io.alembic.targets import MadeMesh, Target, make_meshes, make_targets
-from mixseq_io.atomic import replacing
-from mixseq_io.blocks import Numbered, as_float32, checked
-from mixseq_io.losses import lost_scale, warn_of_losses
+from mixseq_io.alembic.overlay import (
+    MadeMesh,
+    MovedMesh,
+    Original,
+    Target,
+    largest_size,
+    lay_over,
+    make_meshes,
+    make_targets,
+    open_original,
+)
+from mixseq_io.alembic.samples import time_sampling, valid_name
+from mixseq_io.files import replacing
 from mixseq_io.originals import opened_original
-from mixseq_io.reader import brief
+from mixseq_io.reader import Numbered, as_float32, brief, checked
+from mixseq_io.surfaces import lost_scale, warn_of_losses
 
 _ERRORS: tuple[type[Exception], ...] = (*ERRORS, FormatError)
 

@@ -1,4 +1,4 @@
-"""Layout of a compressed sequence as a text and streams; see `mixseq_io.coded.reading`."""
+"""Layout of a compressed sequence as a text and streams; see `mixseq_io.coded.streams`."""
 
 from __future__ import annotations
 
@@ -10,16 +10,14 @@ from zlib import crc32
 import numpy as np
 
 from mixseq.choices import OrderName
-from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
-from mixseq.coding.bitstream.connectivity import encode_polygons
-from mixseq.coding.bitstream.texture_coordinates import grid_numbers
-from mixseq.coding.encoder.numbering import cheapest_numbering
-from mixseq.coding.encoder.uv_quantisation import UV_ERROR, with_quantised_uvs
-from mixseq.coding.encoder.uv_regions import encode_uvs
+from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
+from mixseq.compression.bitstream.connectivity import encode_polygons
+from mixseq.compression.bitstream.corner_values import grid_numbers
+from mixseq.compression.encoder.uvs import UV_ERROR, encode_uvs, with_quantised_uvs
+from mixseq.compression.numbering import cheapest_numbering
 from mixseq.errors import InvalidSequenceError, SettingsError
-from mixseq.sequence import SequenceHeader
-from mixseq_io.coded.lossless import pack_surface, pack_times
-from mixseq_io.coded.stream_index import HEAD, MAGIC, Container, pack_leb128
+from mixseq.sequence.header import SequenceHeader
+from mixseq_io.coded.streams import HEAD, MAGIC, Container, pack_leb128, pack_surface, pack_times
 
 _HDF5, _INDEX = 1200, 64
 """Largest size in bytes of HDF5 and the attributes, and of the index for 64 frames."""

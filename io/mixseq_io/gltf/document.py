@@ -3,25 +3,275 @@
 Every count and offset is compared with the available bytes before an array is allocated.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
+
+Checked access to the JSON of a glTF file, and the extensions that it may require.
+
+Bytes of a glTF file in a .glb chunk, its JSON, or files beside it; files are read on demand.
+
+Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#glb-file-format-specification
 """
 
 from __future__ import annotations
 
+import base64
+import binascii
+import io
 import json
+import os
+import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from math import isfinite
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import FormatError
-from mixseq_io.gltf.containers import Data, chunks, data_in_memory, data_of_file, data_of_uri
-from mixseq_io.gltf.json_fields import Fields, check_extensions
-from mixseq_io.memory import check_memory
+from mixseq_io.files import check_memory
 from mixseq_io.reader import reading
+
+SEQUENCE_EXTENSION = "MIXSEQ_mesh_sequence"
+"""Extension of meshes whose frames are streams, see `mixseq_io.gltf.mesh_sequence`."""
+
+_UNDERSTOOD = (
+    "EXT_meshopt_compression",
+    "KHR_meshopt_compression",
+    "KHR_draco_mesh_compression",
+    "KHR_mesh_quantization",
+    SEQUENCE_EXTENSION,
+)
+
+# They change how a mesh looks, not where it is.
+_APPEARANCE = (
+    "KHR_materials_",
+    "KHR_texture_",
+    "EXT_texture_",
+    "MSFT_texture_",
+    "KHR_lights_",
+    "EXT_lights_",
+)
+_HARMLESS = (
+    "KHR_node_visibility",
+    "KHR_node_selectability",
+    "KHR_node_hoverability",
+    "KHR_xmp",
+    "KHR_xmp_json_ld",
+)
+
+
+def check_extensions(top: Fields) -> None:
+    """Raise an error for files whose meshes need an unsupported extension."""
+    for name in top.texts("extensionsRequired"):
+        if name not in (*_UNDERSTOOD, *_HARMLESS) and not name.startswith(_APPEARANCE):
+            raise FormatError(
+                f"{top.file} requires the extension {name[:80]}, which is not read; export without it"
+            )
+
+
+_LARGEST = 2**53  # of the integers that JSON readers agree on
+
+
+@dataclass(frozen=True)
+class Fields:
+    """JSON object and its path in the file."""
+
+    file: Path
+    place: str
+    values: Mapping[str, Any]
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.values
+
+    def integer(self, key: str, default: int | None = None) -> int:
+        """Return a non-negative integer, required unless there is a default."""
+        return self._integer(key, self.values.get(key, default))
+
+    def index(self, key: str) -> int | None:
+        """Return an index into another list, None if absent."""
+        return self.integer(key) if key in self.values else None
+
+    def text(self, key: str, default: str = "") -> str:
+        """Return a string."""
+        value = self.values.get(key, default)
+        return value if isinstance(value, str) else self._unexpected(key, "a string")
+
+    def flag(self, key: str) -> bool:
+        """Return a truth value, False if absent."""
+        value = self.values.get(key, False)
+        return value if isinstance(value, bool) else self._unexpected(key, "true or false")
+
+    def integers(self, key: str) -> list[int]:
+        """Return a list of non-negative integers, empty if absent."""
+        return [self._integer(f"{key}[{i}]", value) for i, value in enumerate(self._list(key))]
+
+    def number(self, key: str, default: float) -> float:
+        """Return a finite number, the default if absent."""
+        value = self.values.get(key, default)
+        return float(value) if _is_number(value) else self._unexpected(key, "a finite number")
+
+    def numbers(self, key: str, count: int | None = None) -> NDArray[np.float64] | None:
+        """Return a list of `count` finite numbers, None if absent."""
+        if key not in self.values:
+            return None
+        numbers = self._list(key)
+        if not all(map(_is_number, numbers)) or count not in (None, len(numbers)):
+            self._unexpected(
+                key, f"a list of {'finite numbers' if count is None else f'{count} finite numbers'}"
+            )
+        return np.array(numbers, dtype=np.float64)
+
+    def texts(self, key: str) -> list[str]:
+        """Return a list of strings, empty if absent."""
+        texts = self._list(key)
+        if not all(isinstance(text, str) for text in texts):
+            self._unexpected(key, "a list of strings")
+        return texts
+
+    def object(self, key: str) -> Fields:
+        """Return an object, an empty one if absent."""
+        return self._object(key, self.values.get(key, {}))
+
+    def objects(self, key: str) -> list[Fields]:
+        """Return a list of objects, empty if absent."""
+        return [self._object(f"{key}[{i}]", value) for i, value in enumerate(self._list(key))]
+
+    def error(self, what: str) -> FormatError:
+        """Return an error that names this object."""
+        return FormatError(f"{self.file}: {self.place} {what}")
+
+    def _list(self, key: str) -> list[Any]:
+        value = self.values.get(key, [])
+        return value if isinstance(value, list) else self._unexpected(key, "a list")
+
+    def _object(self, place: str, value: Any) -> Fields:
+        if not isinstance(value, dict):
+            self._unexpected(place, "an object")
+        return Fields(self.file, f"{self.place}.{place}".lstrip("."), value)
+
+    def _integer(self, place: str, value: Any) -> int:
+        # 3.0 is an integer in JSON.
+        if isinstance(value, float) and value.is_integer():
+            value = int(value)
+        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < _LARGEST:
+            self._unexpected(place, "a non-negative integer")
+        return int(value)
+
+    def _unexpected(self, place: str, expected: str) -> Any:
+        where = f"{self.place}.{place}".lstrip(".")
+        raise FormatError(f"{self.file}: {where} is missing or damaged; {expected} is expected there")
+
+
+def _is_number(value: Any) -> bool:
+    return (
+        isinstance(value, int | float)
+        and not isinstance(value, bool)
+        and abs(value) < 1e300
+        and isfinite(value)
+    )
+
+
+class _File(io.FileIO):
+    """File closed with its last reader; it stays the opened one if another file takes its name."""
+
+    def __del__(self) -> None:
+        self.close()
+
+
+@dataclass(frozen=True, eq=False)
+class Data:
+    """Range of bytes in a file or in memory."""
+
+    source: _File | bytes
+    start: int
+    size: int
+
+    def part(self, start: int, size: int) -> Data:
+        """Return a range within this one."""
+        return Data(self.source, self.start + start, size)
+
+    def read(self, start: int, size: int) -> bytes:
+        """Return `size` bytes, fewer only at the end; raise `FormatError` if the file was cut since it was opened."""
+        size = max(0, min(size, self.size - start))
+        at = self.start + start
+        if isinstance(self.source, bytes):
+            return self.source[at : at + size]
+        self.source.seek(at)
+        parts = []
+        while size:
+            part = self.source.read(size)
+            if not part:
+                raise FormatError(
+                    f"{self.source.name} ends in the middle; was it written anew while it was read?"
+                )
+            parts.append(part)
+            size -= len(part)
+        return b"".join(parts)
+
+
+def data_of_file(path: Path) -> Data:
+    """Return the bytes of a file."""
+    file = _File(path)
+    return Data(file, 0, os.fstat(file.fileno()).st_size)
+
+
+def data_in_memory(content: bytes) -> Data:
+    """Return bytes held in memory."""
+    return Data(content, 0, len(content))
+
+
+def chunks(path: Path, data: Data) -> tuple[bytes, Data | None]:
+    """Return the JSON and the binary chunk of a .glb."""
+    if data.size < 20:
+        raise FormatError(f"{path} has {data.size} bytes, too few for a .glb; it is truncated")
+    version, length = struct.unpack("<II", data.read(4, 8))
+    if version != 2:
+        raise FormatError(f"{path} is a .glb of version {version}; version 2 is read, convert it first")
+    if length > data.size:
+        raise FormatError(f"{path} has {data.size} bytes of {length}; it is truncated")
+    found: list[tuple[bytes, Data]] = []
+    offset = 12
+    while offset + 8 <= length and len(found) < 2:
+        size, kind = struct.unpack("<I4s", data.read(offset, 8))
+        if offset + 8 + size > length:
+            raise FormatError(f"{path}: a chunk of {size} bytes goes beyond the end; the file is damaged")
+        found.append((kind, data.part(offset + 8, size)))
+        offset += 8 + size
+    if not found or found[0][0] != b"JSON":
+        raise FormatError(f"{path} has no JSON where a .glb begins; it is damaged")
+    text = found[0][1]
+    return text.read(0, text.size), found[1][1] if len(found) > 1 and found[1][0] == b"BIN\0" else None
+
+
+def data_of_uri(buffer: Fields, uri: str) -> Data:
+    """Return the bytes of a data URI or of a file beside the document."""
+    if uri.startswith("data:"):
+        header, _, data = uri.partition(",")
+        if not header.endswith(";base64"):
+            raise buffer.error("is a data URI without base64; it is damaged")
+        try:
+            return data_in_memory(base64.b64decode(data, validate=True))
+        except (binascii.Error, ValueError):
+            raise buffer.error("is a data URI that is not base64; it is damaged") from None
+    name, folder = unquote(uri), buffer.file.parent.resolve()
+    # No scheme, drive or root, and not even a link out of the folder.
+    if ":" in name or "\\" in name or "\0" in name or name.startswith("/") or ".." in name.split("/"):
+        raise buffer.error(f"is in {name[:80]!r}; only files in the folder of the glTF file are read")
+    with reading(folder / name, "the buffer of a glTF file"):
+        file = (folder / name).resolve()
+        if not file.is_relative_to(folder):
+            raise buffer.error(
+                f"is in {name[:80]!r}, a link; only files in the folder of the glTF file are read"
+            )
+        if not file.is_file():
+            raise buffer.error(
+                f"is in {name[:80]!r}, which is not a file beside {buffer.file.name}; put it there"
+            )
+        return data_of_file(file)
+
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 """NumPy dtypes by ``componentType``."""

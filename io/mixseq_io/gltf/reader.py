@@ -1,44 +1,316 @@
 """glTF, reading: skinned, morphed and moving meshes in world space (.gltf, .glb).
 
 Frames are at all keys of the chosen meshes, or at a given rate. Where more than translations and linear morph weights
-moves, points follow arcs, and gaps between keys are filled with frames (`mixseq_io.gltf.frame_times.played_times`).
+moves, points follow arcs, and gaps between keys are filled with frames (`mixseq_io.gltf.animation.played_times`).
 Keys are float32; frames within that rounding of the frame grid are moved onto it in float64. Split vertices are
-welded (`mixseq_io.gltf.welding`). Points are computed in float64 and rounded to float32. A .glb with a mesh sequence
-(`mixseq_io.gltf.sequence_extension`) is decoded as a compressed model.
+welded (`mixseq_io.gltf.primitives`). Points are computed in float64 and rounded to float32. A .glb with a mesh sequence
+(`mixseq_io.gltf.mesh_sequence`) is decoded as a compressed model.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
+
+Choice of the nodes to read from a glTF file, and their meshes: faces, materials, colours, joints.
+
+Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#meshes-overview
+
+Bind pose of a glTF skin: its joints, and the meshes on them.
+
+The inverse bind matrix :math:`I_j` takes the mesh to the joint's axes, so that the joint lies at :math:`I_j^{-1}` in
+mesh space. Mesh space is placed in the world by the first joint without a parent, :math:`W_r I_r`, where its node
+stands:
+
+.. math:: M_j = W_r I_r I_j^{-1}.
+
+Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#skins
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence, Set
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
-from mixseq.arrays import Float, FloatArray
-from mixseq.errors import FormatError, InvalidSequenceError
-from mixseq.sequence import SequenceHeader
-from mixseq.sequence_header import DEFAULT_FPS
-from mixseq.surface import Origin
-from mixseq_io.blocks import warn
-from mixseq_io.choosing import common_name
-from mixseq_io.gltf.animation import Channel, choose_animation, pose_at, read_channels, told_by
-from mixseq_io.gltf.compression import plain
-from mixseq_io.gltf.document import Document, load_document
-from mixseq_io.gltf.frame_times import key_times, played_rate, played_times, rate_of, sampled_times
-from mixseq_io.gltf.joints import bound, nodes_on
-from mixseq_io.gltf.node_meshes import chosen_nodes, moving_nodes, scene_mesh_of, skinning_of
-from mixseq_io.gltf.node_tree import Pose, Scene, read_scene
-from mixseq_io.gltf.primitives import primitives_of
-from mixseq_io.gltf.welding import Weld, weld
-from mixseq_io.gltf.world_points import Shape, bearers, read_shape
-from mixseq_io.key_times import on_grid
-from mixseq_io.labels.markings import Markings
-from mixseq_io.reader import SequenceReader, naming
-from mixseq_io.scene_meshes import join
+from mixseq.errors import FormatError, InvalidSequenceError, NoMeshError
+from mixseq.mesh.measures import hard_edges_of_normals
+from mixseq.mesh.polygons import Polygons
+from mixseq.mesh.surface import NO_UV, WHITE, CornerValues, FaceSet, Origin
+from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
+from mixseq.types import Float, FloatArray, IntArray
+from mixseq_io.gltf.animation import (
+    Channel,
+    NodeSkin,
+    Shape,
+    bearers,
+    choose_animation,
+    inverse_binds_of,
+    joints_of,
+    key_times,
+    played_rate,
+    played_times,
+    pose_at,
+    rate_of,
+    read_channels,
+    read_shape,
+    sampled_times,
+    told_by,
+)
+from mixseq_io.gltf.codecs import plain
+from mixseq_io.gltf.document import Document, Fields, load_document
+from mixseq_io.gltf.primitives import Primitive, Weld, primitives_of, texture_transform, weld
+from mixseq_io.gltf.scene import Pose, Scene, read_scene
+from mixseq_io.reader import SequenceReader, naming, warn
+from mixseq_io.rig_arrays import choose_skeleton, skeleton_of
+from mixseq_io.scene_meshes import SceneMesh, chosen, common_name, join, moving, on_grid
+from mixseq_io.surfaces import with_alpha
+from mixseq_io.text.labels import Markings, Skinning, joined_skinning
+
+if TYPE_CHECKING:
+    from mixseq.rigging.rigs import Skeleton
+
+
+def chosen_nodes(document: Document, scene: Scene, prim: str | None) -> list[int]:
+    """Return the nodes with meshes selected by `prim`, or all; hidden ones only if there are no others."""
+    nodes = [node for node in scene.objects if "mesh" in scene.nodes[node]]
+    if prim is not None:
+        nodes = [nodes[i] for i in chosen(document.path, [scene.objects[node] for node in nodes], prim)]
+    return [node for node in nodes if node not in scene.hidden] or nodes
+
+
+def moving_nodes(
+    document: Document, scene: Scene, nodes: Sequence[int], channels: Collection[Channel]
+) -> list[int]:
+    """Return the nodes whose meshes move; all if none moves."""
+    moved = {channel.node for channel in channels if channel.moves and channel.name != "weights"}
+    morphed = {channel.node for channel in channels if channel.moves and channel.name == "weights"}
+    moves = [
+        node in morphed or not moved.isdisjoint(scene.with_above(bearers(document, scene.nodes[node], node)))
+        for node in nodes
+    ]
+    return [nodes[i] for i in moving(document.path, [scene.objects[node] for node in nodes], moves)]
+
+
+def scene_mesh_of(document: Document, shape: Shape, first: int, mirrored: bool) -> SceneMesh:
+    """Return the surface of a node's mesh."""
+    weld, scene = shape.weld, shape.scene
+    order = [0, 2, 1] if mirrored else [0, 1, 2]
+    corners = np.concatenate(
+        [
+            each.triangles[:, order] + run.start
+            for each, run in zip(weld.primitives, weld.vertices, strict=True)
+        ]
+    ).reshape(-1)
+    polygons = Polygons.from_triangles(weld.faces[:, order])
+    found = scene.objects[shape.node]
+    return SceneMesh(
+        name=found.name or found.path.rpartition("/")[2],
+        path=found.path,
+        vertices=slice(first, first + weld.count),
+        polygons=polygons,
+        uvs=_uvs(weld.primitives, corners),
+        colours=_colours(weld.primitives, corners),
+        hard_edges=_hard_edges(weld.primitives, corners, polygons),
+        face_sets=_face_sets(document, weld.primitives),
+    )
+
+
+def _uvs(primitives: Sequence[Primitive], corners: IntArray) -> CornerValues | None:
+    """Return TEXCOORD_0, whose v points down in glTF, after material transforms; (0, 0) for primitives without."""
+    flip, up = np.array([1, -1], np.float32), np.array([0, 1], np.float32)
+    found = [each.attribute("TEXCOORD_0", 2) for each in primitives]
+    turned = [
+        None if uvs is None else _transformed(each, uvs) * flip + up
+        for each, uvs in zip(primitives, found, strict=True)
+    ]
+    return _joined_values(primitives, turned, NO_UV, corners)
+
+
+def _colours(primitives: Sequence[Primitive], corners: IntArray) -> CornerValues | None:
+    """Return COLOR_0; white, as in renderers, for primitives without."""
+    return _joined_values(primitives, [_colours_of_vertices(each) for each in primitives], WHITE, corners)
+
+
+def _colours_of_vertices(primitive: Primitive) -> FloatArray | None:
+    index = primitive.attributes.index("COLOR_0")
+    if index is None:
+        return None
+    width = 3 if primitive.document.item("accessors", index).text("type") == "VEC3" else 4
+    values = primitive.attribute("COLOR_0", width)
+    assert values is not None
+    if values.dtype.kind == "u":  # exporters that forget to say "normalized"
+        values = values / float(np.iinfo(values.dtype).max)
+    return with_alpha(values)
+
+
+def _joined_values(
+    primitives: Sequence[Primitive],
+    found: Sequence[FloatArray | None],
+    default: Sequence[float],
+    corners: IntArray,
+) -> CornerValues | None:
+    """Join values of vertices at corners, with the default for primitives without; None if none has any."""
+    if all(each is None for each in found):
+        return None
+    values = [
+        np.tile(default, (len(each.positions), 1)) if own is None else own
+        for each, own in zip(primitives, found, strict=True)
+    ]
+    return CornerValues.of_corners(np.concatenate(values)).taken(corners)
+
+
+def _transformed(primitive: Primitive, uvs: NDArray[Any]) -> NDArray[Any]:
+    transform = texture_transform(primitive.document, primitive.fields)
+    if np.array_equal(transform, np.eye(2, 3)):
+        return uvs
+    return (uvs @ transform[:, :2].T + transform[:, 2]).astype(np.float32)
+
+
+def _hard_edges(
+    primitives: Sequence[Primitive], corners: IntArray, polygons: Polygons
+) -> NDArray[np.int32] | None:
+    """Return the normal's index of every corner; primitives without normals are flat-shaded, as glTF specifies."""
+    normals, flat = [], []
+    for each in primitives:
+        own = each.attribute("NORMAL", 3)
+        normals.append(np.zeros((len(each.positions), 3)) if own is None else own)
+        flat.append(np.full(each.triangles.size, own is None))
+    at_corners = np.concatenate(normals).astype(np.float64)[corners]
+    hard_edges = hard_edges_of_normals(polygons, np.clip(np.nan_to_num(at_corners), -1e6, 1e6))
+    if not np.concatenate(flat).any():
+        return hard_edges
+    groups = polygons.indices if hard_edges is None else hard_edges
+    alone = np.arange(corners.size) + int(groups.max(initial=-1)) + 1
+    return np.unique(np.where(np.concatenate(flat), alone, groups), return_inverse=True)[1].astype(np.int32)
+
+
+def _face_sets(document: Document, primitives: Sequence[Primitive]) -> tuple[FaceSet, ...]:
+    """Return a face set for every primitive with a material."""
+    face_sets, count = [], 0
+    for each in primitives:
+        polygons = np.arange(count, count + len(each.triangles))
+        count += len(each.triangles)
+        index = each.fields.index("material")
+        if index is not None:
+            name = document.item("materials", index).text("name") or f"material {index}"
+            face_sets.append(FaceSet(name, polygons, name))
+    return tuple(face_sets)
+
+
+def skinning_of(shapes: Sequence[Shape]) -> Skinning | None:
+    """Return the joints and weights of all meshes, None without skins; unskinned meshes follow their nodes."""
+    if all(shape.skin is None for shape in shapes):
+        return None
+    return joined_skinning([_skinning(shape) for shape in shapes])
+
+
+def _skinning(shape: Shape) -> Skinning:
+    if shape.skin is None:
+        return Skinning.rigid(shape.scene.paths[shape.node], shape.weld.count)
+    joints = shape.skin.joints
+    return Skinning(
+        shape.skin.weights,
+        tuple(_path(shape.scene, joint) for joint in joints),
+        tuple(_path_above(shape.scene, joint, joints) for joint in joints),
+    )
+
+
+def _path(scene: Scene, node: int) -> str:
+    return scene.paths.get(node, f"node {node}")
+
+
+def _path_above(scene: Scene, joint: int, joints: Sequence[int]) -> str:
+    """Return the path of the nearest ancestor joint of a joint."""
+    return next((_path(scene, each) for each in scene.above(joint)[1:] if each in joints), "")
+
+
+def read_joints(path: Path, name: str | None) -> Skeleton:
+    """Read the joints of a skin; see `mixseq_io.read_skeleton`."""
+    document = plain(load_document(path))
+    scene = read_scene(document)
+    skin = _chosen(document, name)
+    joints = joints_of(document, skin)
+    parents = _parents(scene, joints)
+    labels = [scene.nodes[joint].text("name") for joint in joints]
+    return skeleton_of(labels, parents, _bind_pose(document, scene, skin, parents))
+
+
+def nodes_on(document: Document, scene: Scene, name: str | None) -> list[int]:
+    """Return the nodes whose meshes follow a skeleton: those of its skins, and those below its joints."""
+    wanted = set(joints_of(document, _chosen(document, name)))
+    nodes = [node for node in chosen_nodes(document, scene, None) if _follows(document, scene, node, wanted)]
+    if not nodes:
+        raise NoMeshError(f"{document.path} has no mesh on its skeleton; export the character with its mesh")
+    return nodes
+
+
+def bound(document: Document, shape: Shape, name: str | None) -> Shape:
+    """Return a shape in its bind pose, bound to a single joint, the first without a parent.
+
+    The transform is :math:`I_r` from its skin's space, :math:`I_r I_j^{-1} W_j^{-1} W_n` for a node n below a joint j.
+    """
+    scene, skin, fields = shape.scene, shape.skin, _chosen(document, name)
+    joints = joints_of(document, fields)
+    if "inverseBindMatrices" not in fields:
+        return shape  # bound where the joints stand
+    inverse_binds = inverse_binds_of(document, fields, len(joints))
+    root = _parents(scene, joints).index(-1)
+    if skin is None:
+        above = next(node for node in scene.above(shape.node) if node in joints)
+        world = scene.world([above, shape.node], {})
+        here = np.linalg.pinv(world[above][0]) @ world[shape.node][0]
+        onto = inverse_binds[root] @ np.linalg.pinv(inverse_binds[joints.index(above)]) @ here
+    else:
+        onto = skin.inverse_binds[list(skin.joints).index(joints[root])]
+    alone = csr_array(np.ones((len(shape.rest), 1)))
+    return replace(shape, skin=NodeSkin([joints[root]], onto[None], alone))
+
+
+def _follows(document: Document, scene: Scene, node: int, joints: Set[int]) -> bool:
+    skin = scene.nodes[node].index("skin")
+    if skin is None:
+        return not joints.isdisjoint(scene.above(node))
+    return joints == set(joints_of(document, document.item("skins", skin)))
+
+
+def _chosen(document: Document, name: str | None) -> Fields:
+    """Return the first skin of the chosen skeleton; skins with the same joints are one skeleton."""
+    different: dict[frozenset[int], int] = {}
+    for number, skin in enumerate(document.items("skins")):
+        different.setdefault(frozenset(joints_of(document, skin)), number)
+    skins = list(different.values())
+    told = [document.item("skins", number).text("name") for number in skins]
+    names = [
+        (own if own and told.count(own) == 1 else f"skin {number}", own)
+        for number, own in zip(skins, told, strict=True)
+    ]
+    return document.item("skins", skins[choose_skeleton(document.path, names, name)])
+
+
+def _parents(scene: Scene, joints: Sequence[int]) -> list[int]:
+    """Return the index of each joint's nearest ancestor joint; nodes between them are skipped."""
+    number = {joint: i for i, joint in enumerate(joints)}
+    return [next((number[node] for node in scene.above(joint)[1:] if node in number), -1) for joint in joints]
+
+
+def _bind_pose(document: Document, scene: Scene, skin: Fields, parents: Sequence[int]) -> Float:
+    """Return the world matrices ``(J, 4, 4)`` of the joints."""
+    joints = joints_of(document, skin)
+    world = scene.world(joints, {})
+    if (
+        "inverseBindMatrices" not in skin
+    ):  # the mesh is in the space of every joint: these are bound where they are
+        return np.concatenate([world[joint] for joint in joints])
+    inverse_binds = inverse_binds_of(document, skin, len(joints))
+    flat = np.abs(np.linalg.det(inverse_binds)) < np.finfo(np.float64).tiny
+    if flat.any() or not np.isfinite(inverse_binds).all():
+        raise skin.error(
+            "has an inverse bind matrix that cannot be inverted, or is not finite; the file is damaged"
+        )
+    root = parents.index(-1)
+    return np.asarray(world[joints[root]][0] @ inverse_binds[root] @ np.linalg.inv(inverse_binds))
 
 
 def open_gltf(

@@ -1,32 +1,262 @@
 """glTF, writing: morph targets, laid over the original file, or in a document of its own.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
+
+A glTF document of a sequence laid over its original file, whose other contents are kept.
+
+Meshes of the sequence get new world-space positions, and new normals where they had some; they lose skins, morph
+targets and tangents. Primitives and vertex order stay. Their nodes get the inverse transform of their parents; where a
+parent moves or shears, they become a root of the scene, or several below one root, which comes first. Former children
+keep their place. All animations are replaced by the sequence and by other motion of the file, and unreferenced data
+are removed, so that repeated writing does not grow the file.
 """
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Sequence, Set
+from copy import deepcopy
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from mixseq.arrays import FloatArray
 from mixseq.errors import SettingsError
-from mixseq.sequence import SequenceHeader
-from mixseq_io.atomic import replacing
-from mixseq_io.blocks import as_float32, checked, warn
-from mixseq_io.gltf.buffers import Layout, writing_buffer
-from mixseq_io.gltf.carry import lay_over
-from mixseq_io.gltf.compression import plain
-from mixseq_io.gltf.document import load_document
-from mixseq_io.gltf.morphs import Morphs, MovingMesh, time_shift
-from mixseq_io.gltf.new_document import distinguishes, material_name, new_scene, owners, upright
-from mixseq_io.gltf.other_motion import NOTHING, OtherMotion
-from mixseq_io.losses import lost_colours, lost_subdivision, warn_of_losses
-from mixseq_io.originals import opened_original
-from mixseq_io.reader import reading
-from mixseq_io.scene_meshes import SceneMesh, split
+from mixseq.mesh.polygons import Polygons, difference
+from mixseq.sequence.header import SequenceHeader
+from mixseq.types import FloatArray, Index
+from mixseq_io.files import replacing
+from mixseq_io.gltf.codecs import GENERATOR, INDICES, Json, Layout, append, plain, writing_buffer
+from mixseq_io.gltf.document import Document, Fields, load_document
+from mixseq_io.gltf.edits import (
+    NOTHING,
+    OtherMotion,
+    detach,
+    embed_images,
+    moved_by_animations,
+    other_motion,
+    prune,
+    vacant,
+)
+from mixseq_io.gltf.new_document import (
+    Morphs,
+    MovingMesh,
+    MovingPrimitive,
+    add_vertex_numbers,
+    distinguishes,
+    group,
+    material_name,
+    new_scene,
+    owners,
+    time_shift,
+    upright,
+)
+from mixseq_io.gltf.primitives import Primitive, Weld, weld
+from mixseq_io.gltf.scene import MARK, Scene, read_scene, undoing
+from mixseq_io.originals import fit_meshes, opened_original
+from mixseq_io.reader import as_float32, checked, reading, warn
+from mixseq_io.scene_meshes import SceneMesh, listed, split
+from mixseq_io.surfaces import lost_colours, lost_subdivision, warn_of_losses
+
+_REPLACED = ("POSITION", "NORMAL", "TANGENT", "JOINTS_", "WEIGHTS_", "_VERTEX")
+_TRIANGLES = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Node and primitives of the file that a mesh of the sequence belongs to."""
+
+    scene_mesh: SceneMesh
+    node: int
+    weld: Weld
+    mirrored: bool
+    corners: Index
+
+    def triangles(self, primitive: Primitive) -> NDArray[np.int32]:
+        """Return the triangles ``(F, 3)`` of a primitive in the sequence's order, by the primitive's vertices."""
+        return _turned(primitive.triangles, self.mirrored)
+
+
+def find_places(document: Document, scene: Scene, header: SequenceHeader) -> list[Place]:
+    """Find the meshes of a sequence in a file: by path, else by triangles if a single mesh has the same."""
+    meshes = {path: node for node, path in scene.paths.items() if scene.nodes[node].index("mesh") is not None}
+
+    def welded(node: int) -> Weld:
+        return weld(document, scene.nodes[node].index("mesh") or 0)
+
+    return fit_meshes(
+        document.path,
+        header,
+        meshes,
+        lambda scene_mesh, node: _fitted(scene_mesh, node, welded(node)),
+        lambda scene_mesh, node: _difference(scene_mesh, welded(node)),
+    )
+
+
+def _fitted(scene_mesh: SceneMesh, node: int, welded: Weld) -> Place | None:
+    """Match a mesh of the sequence with one of the file; None if vertices or triangles differ."""
+    same_count = welded.count == scene_mesh.vertex_count
+    if not (same_count and scene_mesh.polygons.only_triangles and all(map(len, welded.of_primitive))):
+        return None
+    theirs = _triangles(welded)
+    for mirrored in (False, True):
+        read = Polygons.from_triangles(_turned(theirs, mirrored))
+        found = scene_mesh.matched_to(read)
+        if found is not None:
+            ours, match = found
+            return Place(ours, node, welded, mirrored, match.corners)
+    return None
+
+
+def _difference(scene_mesh: SceneMesh, welded: Weld) -> str:
+    if welded.count != scene_mesh.vertex_count:
+        return f"it has {welded.count} vertices, the sequence {scene_mesh.vertex_count}"
+    theirs = Polygons.from_triangles(_triangles(welded))
+    return difference(scene_mesh.polygons, theirs, ("the sequence", "the file"))
+
+
+def _triangles(welded: Weld) -> NDArray[np.int64]:
+    """Return the triangles ``(F, 3)`` of all primitives by vertices of the mesh."""
+    both = zip(welded.primitives, welded.of_primitive, strict=True)
+    return np.concatenate([vertices[each.triangles] for each, vertices in both if len(vertices)])
+
+
+def _turned(triangles: NDArray[Any], mirrored: bool) -> NDArray[Any]:
+    return triangles[:, [0, 2, 1]] if mirrored else triangles
+
+
+def lay_over(
+    document: Document, header: SequenceHeader, sources: ArrayLike | None = None
+) -> tuple[Layout, list[MovingMesh], OtherMotion]:
+    """Return the file's document with its data, the meshes that follow the sequence, and other motion.
+
+    `sources` ``(T,)`` are the times of the file that the frames show, in seconds.
+    """
+    scene = read_scene(document)
+    places = find_places(document, scene, header)
+    carried = deepcopy(document.json)
+    others = other_motion(document, scene, [place.node for place in places])
+    others.warn_of_times(document.path, header, sources)
+    _drop_animations(carried, document, scene, places)
+    meshes = [_new_mesh(carried, document, place) for place in places]
+    roots = {scene.above(place.node)[-1] for place in places}
+    shown_in = [each for each in carried.get("scenes", ()) if roots.intersection(each.get("nodes", ()))]
+    above = {scene.parents[place.node] for place in places}
+    inverses = [None if upright(header) else _inverse(scene, place.node, others.nodes) for place in places]
+    stay = None not in inverses
+    others = others.instead({place.node: detach(carried, place.node, stay) for place in places})
+    for place, inverse in zip(places, inverses, strict=True):
+        _stand_in_world(carried["nodes"][place.node], inverse if stay else None)
+    if not stay:
+        root = group(carried, [place.node for place in places], header, vacant(carried, scene, above))
+        for each in shown_in:
+            each["nodes"] = [root, *(node for node in each.get("nodes", ()) if node != root)]
+    carried["asset"]["generator"] = GENERATOR
+    json.dumps(carried, allow_nan=False)  # NaN is read, but must not be written; fail early
+    prune(document.path, carried)
+    layout = _with_data(carried, document)
+    for place, mesh in zip(places, meshes, strict=True):
+        for primitive, moving in zip(place.weld.primitives, mesh.primitives, strict=True):
+            add_vertex_numbers(layout, moving, place.weld.count)
+            if place.mirrored:
+                turned = place.triangles(primitive).astype(np.uint32).reshape(-1)
+                moving.entry.update(indices=layout.add_array(turned, target=INDICES), mode=_TRIANGLES)
+    return layout, meshes, others
+
+
+def _inverse(scene: Scene, node: int, moved: Set[int]) -> Json | None:
+    """Return the transform of a node that inverts its parents'; None if there is none, or the node is hidden."""
+    parent = scene.parents[node]
+    if node in scene.hidden or not moved.isdisjoint(scene.above(parent)):
+        return None
+    if not isinstance(scene.nodes[node].values.get("extras", {}), dict):
+        return None  # there is no room for the mark
+    return undoing(scene.world([parent], {})[parent][0])
+
+
+def _stand_in_world(entry: Json, inverse: Json | None) -> None:
+    """Set a node's transform to an inverse, marked in its extras; leave it without for None or {}."""
+    extras = entry.pop("extras", {})
+    if isinstance(extras, dict):
+        extras = {key: value for key, value in extras.items() if key != MARK} | (
+            {MARK: True} if inverse else {}
+        )
+    entry.update(inverse or {})
+    if extras != {}:
+        entry["extras"] = extras
+
+
+def _drop_animations(carried: Json, document: Document, scene: Scene, places: Sequence[Place]) -> None:
+    animations = carried.pop("animations", [])
+    if len(animations) < 2:
+        return
+    others = moved_by_animations(carried, animations, scene) - {place.node for place in places}
+    names = [each.get("name") or f"animation {number}" for number, each in enumerate(animations)]
+    still = [scene.paths[node] for node in sorted(others)]
+    rest = f"; what else they moved will stand still: {listed(still)}" if still else ""
+    warn(f"{document.path}: the sequence takes the place of all its animations, {listed(names)}{rest}")
+
+
+def _new_mesh(carried: Json, document: Document, place: Place) -> MovingMesh:
+    """Give a node a mesh of its own without data that depend on the old positions."""
+    if place.weld.skipped:
+        warn(f"{document.path}: points or lines in the mesh {place.scene_mesh.path!r} are left out")
+    node = carried["nodes"][place.node]
+    old = carried["meshes"][node["mesh"]]
+    moving, corner = [], 0
+    for primitive, vertices in zip(place.weld.primitives, place.weld.of_primitive, strict=True):
+        entry = deepcopy(old["primitives"][primitive.number])
+        corners = slice(corner, corner + primitive.triangles.size)
+        normals = _groups(place, primitive, corners) if "NORMAL" in entry["attributes"] else None
+        if place.mirrored:
+            entry.pop("indices", None)
+        moving.append(MovingPrimitive(_without_positions(entry), vertices, normals))
+        corner = corners.stop
+    mesh = {key: value for key, value in old.items() if key != "weights"}
+    mesh["primitives"] = [each.entry for each in moving]
+    if isinstance(mesh.get("extras"), dict):
+        mesh["extras"] = {key: value for key, value in mesh["extras"].items() if key != "targetNames"}
+    node["mesh"] = append(carried, "meshes", mesh)
+    return MovingMesh(place.node, place.scene_mesh, moving)
+
+
+def _groups(place: Place, primitive: Primitive, corners: slice) -> NDArray[np.int32]:
+    """Return the index of the shared normal of every vertex ``(n,)`` of a primitive."""
+    polygons, hard_edges = place.scene_mesh.polygons, place.scene_mesh.hard_edges
+    groups = np.zeros(len(primitive.positions), dtype=np.int32)
+    of_corner = polygons.indices if hard_edges is None else hard_edges
+    groups[place.triangles(primitive).reshape(-1)] = of_corner[place.corners[corners]]
+    return groups
+
+
+def _without_positions(entry: Json) -> Json:
+    attributes = {
+        name: accessor for name, accessor in entry["attributes"].items() if not name.startswith(_REPLACED)
+    }
+    kept = {key: value for key, value in entry.items() if key != "targets"}
+    return {**kept, "attributes": attributes}
+
+
+def _with_data(carried: Json, document: Document) -> Layout:
+    """Return the document with its buffer views in one buffer."""
+    views = carried.pop("bufferViews", [])
+    layout = Layout(carried)
+    for number, view in enumerate(views):
+        fields = Fields(document.path, f"bufferViews[{number}]", view)
+        start, length = fields.integer("byteOffset", 0), fields.integer("byteLength")
+        data = document.buffer(fields.integer("buffer")).read(start, length)
+        if len(data) != length:
+            raise fields.error("goes beyond its buffer; the file is damaged")
+        rest = {
+            key: value for key, value in view.items() if key not in ("buffer", "byteOffset", "byteLength")
+        }
+        layout.add([data], length, **rest)
+    embed_images(layout, document)
+    return layout
+
 
 _DAMAGE = (KeyError, IndexError, TypeError, ValueError, AttributeError, RecursionError)
 

@@ -19,9 +19,8 @@ import numpy as np
 
 from mixseq.errors import FormatError
 from mixseq.version import __version__
-from mixseq_io.coded.stream_index import Container
-from mixseq_io.hdf5.contents import Contents, reading_h5
-from mixseq_io.hdf5.h5_files import MODEL_FORMAT
+from mixseq_io.coded.streams import Container
+from mixseq_io.hdf5.contents import MODEL_FORMAT, Contents, reading_h5
 
 if TYPE_CHECKING:
     import h5py

@@ -12,28 +12,275 @@ axis, velocities, hard edges, face sets, objects and subdivision. The parser is 
 binary files with triangles and quads, and triangulates polygons of text files.
 
 Specification: https://paulbourke.net/dataformats/ply/
+
+Header of PLY files: the elements and the properties of their rows.
+
+Elements of PLY files: their rows, as text or binary; counts are checked against the file's size first.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+import struct
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.arrays import FloatArray, IntArray
 from mixseq.errors import FormatError
-from mixseq.polygons import Polygons
-from mixseq.sequence import SequenceHeader
-from mixseq.surface import NO_UV, WHITE, CornerValues, Surface
-from mixseq_io.blocks import warn
-from mixseq_io.colours import LARGEST_BYTE, as_bytes, from_text, with_alpha, within_one
-from mixseq_io.losses import lost_colours, lost_surface
-from mixseq_io.numbered.frame_files import Encoder, FrameFormat, MeshFile
-from mixseq_io.numbered.ply_elements import Column, Columns, read_elements
+from mixseq.mesh.polygons import Polygons
+from mixseq.mesh.surface import NO_UV, WHITE, CornerValues, Surface
+from mixseq.sequence.header import SequenceHeader
+from mixseq.types import FloatArray, IntArray
+from mixseq_io.numbered.files import Encoder, FrameFormat, MeshFile
+from mixseq_io.reader import warn
+from mixseq_io.surfaces import (
+    LARGEST_BYTE,
+    as_bytes,
+    from_text,
+    lost_colours,
+    lost_surface,
+    with_alpha,
+    within_one,
+)
+
+_TYPES = {
+    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
+    **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
+    **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
+}
+_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_LARGEST_HEADER = 1 << 20
+
+
+@dataclass(frozen=True)
+class Property:
+    """Property: its type, and the type of its counts if it is a list."""
+
+    name: str
+    type: np.dtype[Any]
+    count: np.dtype[Any] | None = None
+
+    @property
+    def least(self) -> int:
+        """Minimum size in bytes of a row's entry."""
+        return (self.type if self.count is None else self.count).itemsize
+
+
+@dataclass(frozen=True)
+class Element:
+    """Header entry of an element."""
+
+    name: str
+    count: int
+    properties: tuple[Property, ...] = ()
+
+
+def read_header(data: bytes) -> tuple[str, Sequence[Element], int]:
+    """Read a header."""
+    end = data.find(b"end_header", 0, _LARGEST_HEADER)
+    start = data.find(b"\n", end) + 1
+    if not data.startswith(b"ply") or end < 0 or start == 0:
+        raise ValueError("it has no header from ply to end_header")
+    order: str | None = None
+    elements: list[Element] = []
+    for line in data[:end].decode("ascii", errors="replace").splitlines()[1:]:
+        match line.split():
+            case ["format", kind, "1.0"] if kind in _ORDERS:
+                order = _ORDERS[kind]
+            case ["element", name, count] if count.isdecimal() and len(count) < 20:
+                elements.append(Element(name, int(count)))
+            case ["property", *words] if elements and order is not None:
+                properties = (*elements[-1].properties, _property(line, words, order or "<"))
+                elements[-1] = replace(elements[-1], properties=properties)
+            case [] | ["comment", *_] | ["obj_info", *_]:
+                pass
+            case _:
+                raise ValueError(f"the line {line[:60]!r} of its header has no meaning")
+    if order is None:
+        raise ValueError("its header does not tell the format")
+    for names in (
+        [each.name for each in elements],
+        *([part.name for part in each.properties] for each in elements),
+    ):
+        if len(set(names)) < len(names):
+            raise ValueError(f"its header has a name twice among {', '.join(names)}")
+    return order, elements, start
+
+
+def _property(line: str, words: Sequence[str], order: str) -> Property:
+    match words:
+        case ["list", count, kind, name] if _TYPES.get(count, "f")[0] != "f" and kind in _TYPES:
+            return Property(name, np.dtype(order + _TYPES[kind]), np.dtype(order + _TYPES[count]))
+        case [kind, name] if kind in _TYPES:
+            return Property(name, np.dtype(order + _TYPES[kind]))
+    raise ValueError(f"the line {line[:60]!r} of its header has no meaning")
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """Values of a property in all rows; of lists their concatenation, with `counts`; text integers are float64."""
+
+    values: NDArray[Any]
+    type: np.dtype[Any]
+    counts: NDArray[np.int64] | None = None
+
+
+Columns = Mapping[str, Column]
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Element and its rows as stored in the file."""
+
+    element: Element
+    data: bytes
+
+
+def read_elements(data: bytes, faces: Rows | None = None) -> tuple[dict[str, Columns], Rows | None]:
+    """Read all elements of a file."""
+    order, elements, start = read_header(data)
+    if order == "":
+        # Text is turned into binary numbers of one type, so that there is one way to read rows.
+        words = data[start:].split()
+        data, start = np.fromiter(map(float, words), np.dtype("<f8"), len(words)).tobytes(), 0
+    found: dict[str, Columns] = {}
+    source = None
+    for element in elements:
+        stored = _as_doubles(element) if order == "" else element
+        if faces is not None and stored == faces.element and data.startswith(faces.data, start):
+            source, start = faces, start + len(faces.data)
+            continue
+        columns, end = _read_rows(data, start, stored)
+        found[element.name] = _of_types(columns, element)
+        if element.name == "face":
+            source = Rows(stored, data[start:end])
+        start = end
+    if data[start:].strip():
+        raise ValueError(f"{len(data) - start} bytes too many follow the last element")
+    return found, source
+
+
+def _as_doubles(element: Element) -> Element:
+    double = np.dtype("<f8")
+    return replace(
+        element,
+        properties=tuple(
+            Property(each.name, double, None if each.count is None else double) for each in element.properties
+        ),
+    )
+
+
+def _of_types(columns: Columns, element: Element) -> Columns:
+    """Return columns in the header's types and native byte order; indices in text stay float64."""
+    typed: dict[str, Column] = {}
+    for each in element.properties:
+        column = replace(columns[each.name], type=each.type.newbyteorder("="))
+        if column.type.kind == "f" or column.values.dtype.kind != "f":
+            with np.errstate(over="ignore"):
+                column = replace(column, values=column.values.astype(column.type))
+        typed[each.name] = column
+    return typed
+
+
+def _read_rows(data: bytes, start: int, element: Element) -> tuple[Columns, int]:
+    """Return the columns of an element whose rows begin at the byte `start`, and their end."""
+    least = sum(each.least for each in element.properties)
+    if element.count and not element.properties:
+        raise ValueError(f"element {element.name} has no properties")
+    if element.count * least > len(data) - start:
+        raise ValueError(f"the file is too short for {element.count} times element {element.name}")
+    return _equal_rows(data, start, element) or _any_rows(data, start, element)
+
+
+def _equal_rows(data: bytes, start: int, element: Element) -> tuple[Columns, int] | None:
+    """Read rows of equal length at once; None if lengths differ."""
+    fields: list[Any] = []
+    lengths: dict[str, int] = {}
+    at = start
+    for each in element.properties if element.count else ():
+        if each.count is None:
+            fields.append((each.name, each.type))
+            at += each.type.itemsize
+            continue
+        number = (
+            struct.unpack_from(_code(each.count), data, at)[0]
+            if at + each.count.itemsize <= len(data)
+            else -1
+        )
+        length = int(number) if 0 <= number <= (len(data) - at) // each.type.itemsize else -1
+        if length != number:
+            return None
+        lengths[each.name] = length
+        fields += [(f"number of {each.name}", each.count), (each.name, each.type, (length,))]
+        at += each.count.itemsize + length * each.type.itemsize
+    row = np.dtype(fields)
+    if element.count * row.itemsize > len(data) - start:
+        return None
+    if not element.count:
+        rows = np.zeros(0, dtype=[(each.name, each.type) for each in element.properties])
+    else:
+        rows = np.frombuffer(data, row, element.count, start)
+    if any((rows[f"number of {name}"] != length).any() for name, length in lengths.items()):
+        return None
+    columns = {
+        each.name: Column(
+            rows[each.name].reshape(-1),
+            each.type,
+            None if each.count is None else np.full(element.count, lengths.get(each.name, 0), dtype=np.int64),
+        )
+        for each in element.properties
+    }
+    return columns, start + element.count * row.itemsize
+
+
+def _any_rows(data: bytes, start: int, element: Element) -> tuple[Columns, int]:
+    """Read rows one by one."""
+    parts: dict[str, list[bytes]] = {each.name: [] for each in element.properties}
+    counts: dict[str, list[int]] = {each.name: [] for each in element.properties}
+    plan = [
+        (
+            each.type.itemsize,
+            None if each.count is None else struct.Struct(_code(each.count)),
+            parts[each.name],
+            counts[each.name],
+        )
+        for each in element.properties
+    ]
+    at = start
+    for _ in range(element.count):
+        for size, counter, values, numbers in plan:
+            length = 1
+            if counter is not None:
+                if at + counter.size > len(data):
+                    raise ValueError(f"the file ends within element {element.name}")
+                (number,) = counter.unpack_from(data, at)
+                at += counter.size
+                if not 0 <= number <= (len(data) - at) // size or number != int(number):
+                    raise ValueError(f"element {element.name} has a list of {number:g} numbers")
+                length = int(number)
+                numbers.append(length)
+            values.append(data[at : at + length * size])
+            at += length * size
+    if at > len(data):
+        raise ValueError(f"the file ends within element {element.name}")
+    columns = {
+        each.name: Column(
+            np.frombuffer(b"".join(parts[each.name]), each.type),
+            each.type,
+            None if each.count is None else np.array(counts[each.name], dtype=np.int64),
+        )
+        for each in element.properties
+    }
+    return columns, at
+
+
+def _code(kind: np.dtype[Any]) -> str:
+    """Return a number's code in `struct`."""
+    return ("<" if kind.str[0] == "|" else kind.str[0]) + kind.char
+
 
 _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 _COLOUR = ("red", "green", "blue", "alpha")

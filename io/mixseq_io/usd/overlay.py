@@ -4,29 +4,240 @@ The file is a sublayer; the layer overrides points, extents, velocities, and aut
 scales time codes of sublayers with another ``timeCodesPerSecond``, so that its cameras keep their seconds. Meshes are
 unbound from skeletons and blend shapes, old velocities and accelerations are blocked
 (https://openusd.org/release/api/class_sdf_value_block.html), and instances are made unique.
+
+USD, writing: hold meshes still below moving transforms, since the layer's points are their whole motion.
+
+Operations that move this mesh only are held at their first frame. Others are inverted: the outermost prim with nothing
+but the mesh below it gets their inverses with the same samples (`transforms`). ``!resetXformStack!`` is unsuitable:
+Blender 5 ignores it, Hydra 2 does where it stands alone (https://github.com/PixarAnimationStudios/OpenUSD/issues/3781),
+and it would detach the mesh from any referencing prim.
+
+USD, writing: the original file that new points are laid over, and its meshes matched with a sequence's.
+
+USD, writing: other motion in the file below: cameras, hair, lights, materials.
+
+Attributes authored by the layer itself, such as points and held transforms, are excluded.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
-from mixseq.arrays import FloatArray
-from mixseq.errors import OutputError
-from mixseq_io.blocks import warn
+from mixseq.errors import FormatError, OutputError
+from mixseq.mesh.polygons import PolygonMatch, Polygons, difference, reversed_corners
+from mixseq.sequence.header import SequenceHeader
+from mixseq.types import FloatArray, IntArray
+from mixseq_io.originals import fit_meshes, is_retimed
+from mixseq_io.reader import warn
 from mixseq_io.scene_meshes import SceneMesh
-from mixseq_io.usd.frame_values import WORLD, Bounds, Cast, Normals, Placed, Space, SpaceAt
-from mixseq_io.usd.holding import Holding, holding_of
-from mixseq_io.usd.layers import attribute_in
-from mixseq_io.usd.original import Fit, Original
-from mixseq_io.usd.paths import reference_to
-from mixseq_io.usd.prims import lineage, shortened
-from mixseq_io.usd.seams import VERTICES
-from mixseq_io.usd.shown import Shown
-from mixseq_io.usd.transforms import Placement, product
+from mixseq_io.usd.layers import WORLD, Bounds, Cast, Normals, Placed, Samples, Space, SpaceAt, attribute_in
+from mixseq_io.usd.motion import VERTICES, Mover, Shown, Skin, Weld, skins_of, unwelded, weld
+from mixseq_io.usd.stage import (
+    Notes,
+    Operations,
+    Placement,
+    is_spline,
+    lineage,
+    open_stage,
+    operations_of,
+    prims_of,
+    product,
+    reading_usd,
+    reference_to,
+    shortened,
+    varies,
+)
+
+_INVERSE = "!invert!"
+
+
+@dataclass(frozen=True, eq=False)
+class Holding:
+    """Operations that hold a mesh still."""
+
+    carrier: Usd.Prim
+    own: Operations
+    undone: Operations
+    fixed: Operations
+
+    def to_world(self, code: float) -> Gf.Matrix4d:
+        """Return the mesh-to-world transform of a mesh that is held as at a time code."""
+        return product((*self.own, *self.fixed), code)
+
+    def author(self, layer: Sdf.Layer, shown: Shown) -> None:
+        """Author the operations in a layer, held as in its first frame."""
+        for attribute in dict.fromkeys(each.GetAttr() for each in self.own):
+            if varies(attribute):
+                held = attribute_in(layer, str(attribute.GetPath()), attribute.GetTypeName())
+                held.default = attribute.Get(Usd.TimeCode(shown.below(shown.start)))
+        if not self.undone:
+            return
+        copies = {
+            each: self._copy(layer, each, shown) for each in dict.fromkeys(op.GetAttr() for op in self.undone)
+        }
+        # The outermost operation comes first, and the first to be undone is the innermost.
+        undoing = [("" if each.IsInverseOp() else _INVERSE) + copies[each.GetAttr()] for each in self.undone]
+        order = UsdGeom.Xformable(self.carrier).GetXformOpOrderAttr()
+        authored = attribute_in(layer, str(order.GetPath()), order.GetTypeName(), order.GetVariability())
+        authored.default = Vt.TokenArray([*undoing, *(order.Get() or ())])
+
+    def _copy(self, layer: Sdf.Layer, attribute: Usd.Attribute, shown: Shown) -> str:
+        """Copy an attribute of an ancestor to the carrier, and return its name."""
+        name = f"{attribute.GetName()}:undo{attribute.GetPath().pathElementCount - 1}"
+        while self.carrier.HasAttribute(name):
+            name += "_"
+        path = f"{self.carrier.GetPath()}.{name}"
+        copy = attribute_in(layer, path, attribute.GetTypeName())
+        if not varies(attribute):
+            copy.default = attribute.Get(Usd.TimeCode.EarliestTime())
+        elif is_spline(attribute) and shown.sources is None:
+            raise OutputError(
+                f"{attribute.GetPath()} is a spline; bake it into time samples, or write a stand-alone file with "
+                "flatten=True (--flatten)"
+            )
+        else:
+            for code, value in shown.samples(attribute):
+                layer.SetTimeSample(path, code, value)
+        return name
+
+
+def holding_of(mesh: Usd.Prim) -> Holding | None:
+    """Return how a mesh can be held still; None if nothing moves it, or other prims are below it."""
+    carrier = _carrier(mesh)
+    if carrier is None or not Placement(mesh).moves:
+        return None
+    every = tuple(operations_of(mesh))
+    own = sum(each.GetAttr().GetPath().HasPrefix(carrier.GetPath()) for each in every)
+    moving = max(number for number, each in enumerate(every, 1) if varies(each.GetAttr()))
+    return Holding(carrier, every[:own], every[own:moving], every[max(own, moving) :])
+
+
+def _carrier(mesh: Usd.Prim) -> Usd.Prim | None:
+    """Return the outermost transformed prim with no other transforms below it but this mesh's, if any."""
+    carrier = None
+    for each in lineage(mesh):
+        within = Usd.PrimRange(each, Usd.TraverseInstanceProxies())
+        others = (below for below in within if not mesh.GetPath().HasPrefix(below.GetPath()))
+        if UsdSkel.Root(each) or any(map(UsdGeom.Xformable, others)):  # roots have extents in their space
+            return carrier
+        carrier = each if UsdGeom.Xformable(each) else carrier
+    return carrier
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Mesh of the sequence matched with a mesh of the file.
+
+    `corner_points` ``(C,)`` are the points at the file's corners, `match` maps its polygons and corners to the
+    sequence's, `turned` means reversed corner order, `weld` maps points to vertices.
+    """
+
+    scene_mesh: SceneMesh
+    mesh: UsdGeom.Mesh
+    corner_points: IntArray
+    match: PolygonMatch
+    turned: bool
+    weld: Weld
+
+
+@dataclass(frozen=True, eq=False)
+class Original:
+    """File that fits a sequence."""
+
+    path: Path
+    stage: Usd.Stage
+    fits: tuple[Fit, ...]
+
+    @property
+    def rate(self) -> float:
+        """Time codes per second."""
+        return self.stage.GetTimeCodesPerSecond()
+
+
+def open_original(path: Path, header: SequenceHeader) -> Original:
+    """Open a file that a sequence may be laid over."""
+    try:
+        with reading_usd(path):
+            stage = open_stage(path)
+    except FormatError as error:
+        raise OutputError(str(error)) from error
+    up = str(UsdGeom.GetStageUpAxis(stage))
+    if up != header.up_axis:
+        raise OutputError(
+            f"{path} has {up} up, the sequence {header.up_axis}; convert_units (--convert-axes {up}) turns it"
+        )
+    unit = UsdGeom.GetStageMetersPerUnit(stage)
+    if not np.isclose(unit, header.metres_per_unit, rtol=1e-6):
+        raise OutputError(
+            f"{path} has units of {unit:g} m, the sequence of {header.metres_per_unit:g} m; convert_units "
+            f"(--convert-units {unit:g}) scales it"
+        )
+    rate = stage.GetTimeCodesPerSecond()
+    if not 0 < rate < np.inf:
+        raise OutputError(f"{path} has {rate:g} time codes per second, a positive number is needed")
+    try:
+        meshes = {str(prim.GetPath()): mesh for prim in prims_of(path, stage) if (mesh := UsdGeom.Mesh(prim))}
+        return Original(path, stage, tuple(fit_meshes(path, header, meshes, _fitted, _difference)))
+    except FormatError as error:
+        raise OutputError(str(error)) from error
+
+
+def _difference(scene_mesh: SceneMesh, mesh: UsdGeom.Mesh) -> str:
+    """Return the first difference from the only candidate mesh, in words."""
+    stored, places = _stored(mesh)
+    if stored is None:
+        return ""
+    for seams in (weld(mesh, places), unwelded(len(places))):
+        if seams.vertex_count == scene_mesh.vertex_count:
+            theirs = Polygons(stored.counts, seams.of_point[stored.indices])
+            return difference(scene_mesh.polygons, theirs, ("the sequence", str(mesh.GetPath())))
+    return f"it has {len(places)} points, the sequence {scene_mesh.vertex_count} vertices"
+
+
+def _fitted(scene_mesh: SceneMesh, mesh: UsdGeom.Mesh) -> Fit | None:
+    """Match a mesh of the sequence with one of the file; None if faces differ."""
+    stored, places = _stored(mesh)
+    if stored is None:
+        return None
+    points = stored.indices
+    reverse = reversed_corners(stored.counts, keep_first=True)
+    # The sequence may have come from elsewhere, with a vertex for every point.
+    for seams in (weld(mesh, places), unwelded(len(places))):
+        if seams.vertex_count != scene_mesh.vertex_count:
+            continue
+        theirs = Polygons(stored.counts, seams.of_point[points])
+        # Readers reverse left-handed faces.
+        for turned in (False, True):
+            read = Polygons(theirs.counts, theirs.indices[reverse]) if turned else theirs
+            found = scene_mesh.matched_to(read)
+            if found is not None:
+                ours, match = found
+                # Turning corners around twice changes nothing.
+                corners = match.corners[reverse] if turned else match.corners
+                return Fit(ours, mesh, points, PolygonMatch(match.polygons, corners), turned, seams)
+    return None
+
+
+def _stored(mesh: UsdGeom.Mesh) -> tuple[Polygons | None, FloatArray]:
+    """Return a mesh's faces by points, None if they are invalid, and its points ``(P, 3)``."""
+    earliest = Usd.TimeCode.EarliestTime()
+    counts = np.array(mesh.GetFaceVertexCountsAttr().Get(earliest) or (), dtype=np.int32)
+    points = np.array(mesh.GetFaceVertexIndicesAttr().Get(earliest) or (), dtype=np.int32)
+    places = np.array(mesh.GetPointsAttr().Get(earliest) or (), dtype=np.float32).reshape(-1, 3)
+    sound = counts.min(initial=3) >= 3 and counts.sum() == points.size and _within(points, len(places))
+    return (Polygons(counts, points) if sound else None), places
+
+
+def _within(indices: IntArray, count: int) -> bool:
+    return not indices.size or bool(indices.min() >= 0 and indices.max() < count)
+
 
 _COPIED = (
     "defaultPrim",
@@ -242,3 +453,61 @@ def _others(root: Usd.Prim, shown: Shown, count: int) -> Callable[[float], Float
         return nothing if known is None else np.array(known, dtype=np.float64)
 
     return extent
+
+
+def what_else_moves(original: Original) -> list[str]:
+    """Return the paths of visible prims, other than the sequence's meshes, that move or change."""
+    ours = {fit.mesh.GetPath() for fit in original.fits}
+    prims = [each for each in prims_of(original.path, original.stage) if each.GetPath() not in ours]
+    skins = skins_of([mesh for each in prims if (mesh := UsdGeom.Mesh(each))], Notes(original.path))
+    return [str(each.GetPath()) for each in prims if _is_seen(each) and _changes(each, skins)]
+
+
+def warn_of_rest(
+    target: Path, header: SequenceHeader, original: Original, times: NDArray[np.float64]
+) -> None:
+    """Warn of other motion in a file if a sequence shows `times` ``(T,)`` in s that differ from its own."""
+    if not is_retimed(header, times):
+        return
+    cure = "; whole_stage=True (--whole-stage) retimes everything" if np.isfinite(times).all() else ""
+    if paths := what_else_moves(original):
+        warn(f"{target}: what else moves in {original.path} is not retimed: {shortened(paths)}{cure}")
+
+
+def retime_rest(layer: Sdf.Layer, target: Path, original: Original, shown: Shown) -> None:
+    """Author samples, at the layer's frames, of moving attributes that the layer does not author itself."""
+    every = Usd.PrimRange.Stage(original.stage, Usd.TraverseInstanceProxies())
+    moving = [
+        each for prim in every for each in _animated(prim) if not layer.GetAttributeAtPath(each.GetPath())
+    ]
+    split_instances(layer, target, [each.GetPrim() for each in moving])
+    samples = Samples(layer)
+    for attribute in moving:
+        path = str(attribute.GetPath())
+        attribute_in(layer, path, attribute.GetTypeName(), attribute.GetVariability())
+        for code, value in shown.samples(attribute):
+            samples.put((code, {path: _as_named_from(target, value)}))
+
+
+def _is_seen(prim: Usd.Prim) -> bool:
+    """Whether a prim is visible itself, unlike groups, skeletons and their animations."""
+    groups = (UsdGeom.Scope, UsdSkel.Root, UsdSkel.Skeleton, UsdSkel.Animation)
+    return prim.GetTypeName() not in ("", "Xform") and not any(kind(prim) for kind in groups)
+
+
+def _changes(prim: Usd.Prim, skins: Mapping[Sdf.Path, Skin]) -> bool:
+    if mesh := UsdGeom.Mesh(prim):
+        return bool(Mover(mesh, skins.get(prim.GetPath())).sources)
+    moves = bool(UsdGeom.Xformable(prim)) and Placement(prim).moves
+    return moves or any(True for _ in _animated(prim))
+
+
+def _animated(prim: Usd.Prim) -> Iterator[Usd.Attribute]:
+    return (each for each in prim.GetAuthoredAttributes() if each.ValueMightBeTimeVarying())
+
+
+def _as_named_from(target: Path, value: Any) -> Any:
+    """Return a value with asset paths rewritten for another file."""
+    if isinstance(value, Sdf.AssetPath) and value.resolvedPath:
+        return Sdf.AssetPath(reference_to(Path(value.resolvedPath), target))
+    return value

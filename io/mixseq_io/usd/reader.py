@@ -18,25 +18,26 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
-from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError, NoMeshError
-from mixseq.sequence import SequenceHeader
-from mixseq.surface import Origin
-from mixseq_io.blocks import warn
-from mixseq_io.choosing import common_name, moving
-from mixseq_io.key_times import MOST_PLAYED, SAME_TIME, joined, united
-from mixseq_io.labels.markings import Markings
-from mixseq_io.reader import SequenceReader, naming
-from mixseq_io.scene_meshes import join
-from mixseq_io.usd.diagnostics import quiet, reading_usd
-from mixseq_io.usd.joints import skeleton_prim
-from mixseq_io.usd.mesh_motion import AnimatedMesh, Mover
-from mixseq_io.usd.mesh_surface import scene_mesh_of
-from mixseq_io.usd.part_labels import markings_of
-from mixseq_io.usd.prims import Notes, absolute, open_stage
-from mixseq_io.usd.skeletons import Pose, Skeleton, bound, skins_of
-from mixseq_io.usd.stage_meshes import meshes_of, places_of
-from mixseq_io.usd.transforms import is_spline
+from mixseq.mesh.surface import Origin
+from mixseq.sequence.header import SequenceHeader
+from mixseq.types import FloatArray
+from mixseq_io.reader import SequenceReader, naming, warn
+from mixseq_io.scene_meshes import MOST_PLAYED, SAME_TIME, common_name, join, joined, moving, united
+from mixseq_io.text.labels import Markings
+from mixseq_io.usd.motion import AnimatedMesh, Mover, Pose, Skeleton, bound, skins_of
+from mixseq_io.usd.rigs import skeleton_prim
+from mixseq_io.usd.stage import (
+    Notes,
+    absolute,
+    is_spline,
+    meshes_of,
+    open_stage,
+    places_of,
+    quiet,
+    reading_usd,
+)
+from mixseq_io.usd.surface import markings_of, scene_mesh_of
 
 
 def open_usd(path: Path, prim: str | None = None) -> SequenceReader:

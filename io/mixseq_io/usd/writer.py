@@ -2,37 +2,242 @@
 
 Sequences from a USD file become a layer over it (`overlay`), others a stand-alone file (`component`). Samples
 (`frame_values`) are in the file itself (`layers`) or in value clips (`clips`). Points are rounded to float32.
+
+USD, writing: a stand-alone component file, textures apart.
+
+The default prim ``/<name>`` is an Xform with one Mesh per object and the materials in ``/<name>/Looks``. Meshes are
+right-handed and in world space. Normals are written only for hard edges on meshes without subdivision.
+
+Specification: https://openusd.org/release/glossary.html#usdglossary-component
+
+USD, writing: frame rate and time range of a file.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
+import numpy as np
 from numpy.typing import ArrayLike
-from pxr import Ar, Sdf
+from pxr import Ar, Kind, Sdf, Usd, UsdGeom, UsdShade, Vt
 
-from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError, OutputError, SettingsError
-from mixseq.sequence import SequenceHeader
-from mixseq_io.atomic import replacing
-from mixseq_io.blocks import checked, warn
-from mixseq_io.usd.clips import new_folder, save_in_clips
-from mixseq_io.usd.component import define_component
-from mixseq_io.usd.diagnostics import quiet, reading_usd, save_layer, writing_usd
-from mixseq_io.usd.frame_values import Cast, Frame, frames
-from mixseq_io.usd.layers import declare, pack, save
-from mixseq_io.usd.materials import is_gone
-from mixseq_io.usd.original import Original, open_original
-from mixseq_io.usd.overlay import lay_over, put_over
-from mixseq_io.usd.part_labels import Parts, define_parts
-from mixseq_io.usd.played import author_times
-from mixseq_io.usd.prims import open_stage, shortened
-from mixseq_io.usd.rest import retime_rest, warn_of_rest
-from mixseq_io.usd.shown import shown_by, source_times
+from mixseq.mesh.surface import WHITE, CornerValues, FaceSet
+from mixseq.sequence.header import SequenceHeader
+from mixseq.types import FloatArray
+from mixseq_io.files import replacing
+from mixseq_io.reader import checked, warn
+from mixseq_io.scene_meshes import SceneMesh, split
+from mixseq_io.usd.layers import (
+    Cast,
+    Frame,
+    Normals,
+    Placed,
+    declare,
+    frames,
+    new_folder,
+    pack,
+    save,
+    save_in_clips,
+)
+from mixseq_io.usd.motion import Mover, Shown, shown_by, skins_of, source_times
+from mixseq_io.usd.overlay import Original, lay_over, open_original, put_over, retime_rest, warn_of_rest
+from mixseq_io.usd.stage import (
+    Identifiers,
+    Notes,
+    define,
+    identifier,
+    open_stage,
+    quiet,
+    reading_usd,
+    save_layer,
+    shortened,
+    writing_usd,
+)
+from mixseq_io.usd.surface import Parts, define_materials, define_parts, is_gone
+
+_LOOKS = "Looks"
+
+
+def define_component(layer: Sdf.Layer, target: Path, header: SequenceHeader, velocities: bool) -> Cast:
+    """Author everything but samples, and return the prims that get them."""
+    stage = Usd.Stage.Open(layer)
+    name = identifier(header.name)
+    root = UsdGeom.Xform.Define(stage, f"/{name}")
+    _show_name(root.GetPrim(), header.name)
+    stage.SetDefaultPrim(root.GetPrim())
+    Usd.ModelAPI(root.GetPrim()).SetKind(Kind.Tokens.component)
+    scene_meshes = split(header)
+    wanted = [each.material for scene_mesh in scene_meshes for each in scene_mesh.face_sets if each.material]
+    materials = define_materials(stage, target, f"/{name}/{_LOOKS}", wanted, header.surface.origin)
+    placed, names = [], Identifiers(_LOOKS)
+    for scene_mesh in scene_meshes:
+        path = f"/{name}/{names.take(scene_mesh.name)}"
+        _define_mesh(stage, path, scene_mesh)
+        _bind(stage.GetPrimAtPath(path), target, scene_mesh, materials)
+        placed.append(
+            Placed(path=path, scene_mesh=scene_mesh, normals=_normals(scene_mesh), velocities=velocities)
+        )
+    return Cast(tuple(placed))
+
+
+def _define_mesh(stage: Usd.Stage, path: str, scene_mesh: SceneMesh) -> None:
+    mesh = UsdGeom.Mesh.Define(stage, path)
+    _show_name(mesh.GetPrim(), scene_mesh.name)
+    mesh.CreateSubdivisionSchemeAttr(scene_mesh.subdivision)
+    mesh.CreateOrientationAttr(UsdGeom.Tokens.rightHanded)
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArrayFromBuffer(scene_mesh.polygons.counts))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArrayFromBuffer(scene_mesh.polygons.indices))
+    if scene_mesh.uvs is not None:
+        UsdGeom.PrimvarsAPI(mesh).CreateIndexedPrimvar(
+            "st",
+            Sdf.ValueTypeNames.TexCoord2fArray,
+            Vt.Vec2fArrayFromBuffer(scene_mesh.uvs.values),
+            Vt.IntArrayFromBuffer(scene_mesh.uvs.indices),
+            UsdGeom.Tokens.faceVarying,
+        )
+    if scene_mesh.colours is not None:
+        _define_colours(mesh, scene_mesh, scene_mesh.colours)
+
+
+def _define_colours(mesh: UsdGeom.Mesh, scene_mesh: SceneMesh, colours: CornerValues) -> None:
+    """Author colours in the interpolation with the fewest numbers; opacity if any is below 1."""
+    vertices, values, rows = scene_mesh.polygons.indices, colours.values, None
+    if len(values) == 1:
+        interpolation = UsdGeom.Tokens.constant
+    elif colours.one_per_vertex(vertices):
+        interpolation = UsdGeom.Tokens.vertex
+        values = colours.at_vertices(vertices, scene_mesh.vertex_count, WHITE)
+    else:
+        interpolation, rows = UsdGeom.Tokens.faceVarying, Vt.IntArrayFromBuffer(colours.indices)
+    primvars = [mesh.CreateDisplayColorPrimvar(interpolation)]
+    primvars[0].Set(Vt.Vec3fArrayFromBuffer(np.ascontiguousarray(values[:, :3])))
+    if (values[:, 3] != 1).any():
+        primvars.append(mesh.CreateDisplayOpacityPrimvar(interpolation))
+        primvars[1].Set(Vt.FloatArrayFromBuffer(np.ascontiguousarray(values[:, 3])))
+    if rows is not None:
+        for each in primvars:
+            each.SetIndices(rows)
+
+
+def _show_name(prim: Usd.Prim, name: str) -> None:
+    """Store a name that is invalid for a prim as its display name."""
+    if prim.GetName() != name:
+        prim.SetDisplayName(name)
+
+
+def _normals(scene_mesh: SceneMesh) -> Normals | None:
+    if scene_mesh.hard_edges is None or scene_mesh.subdivision != "none":
+        return None
+    return Normals(
+        attribute="normals",
+        interpolation=UsdGeom.Tokens.faceVarying,
+        groups=scene_mesh.hard_edges,
+        order=scene_mesh.hard_edges,
+    )
+
+
+def _bind(
+    prim: Usd.Prim, target: Path, scene_mesh: SceneMesh, materials: Mapping[str, UsdShade.Material]
+) -> None:
+    """Bind a material to the whole mesh, and others to non-overlapping subsets of its faces."""
+    count = len(scene_mesh.polygons.counts)
+    whole = next(
+        (each for each in scene_mesh.face_sets if each.material and each.polygons.size == count), None
+    )
+    if whole:
+        UsdShade.MaterialBindingAPI.Apply(prim).Bind(materials[whole.material])
+    owners = [""] * count
+    names = Identifiers()
+    subsets = [(names.take(each.name), each) for each in scene_mesh.face_sets if each is not whole]
+    with Sdf.ChangeBlock():
+        for name, _ in subsets:
+            define(prim.GetStage().GetRootLayer(), prim.GetPath().AppendChild(name), "GeomSubset")
+    for name, each in subsets:
+        faces = (
+            _unowned(each, owners, f"{target}: {scene_mesh.name!r}")
+            if each.material
+            else each.polygons.tolist()
+        )
+        subset = UsdGeom.Subset.CreateGeomSubset(
+            UsdGeom.Mesh(prim),
+            name,
+            UsdGeom.Tokens.face,
+            Vt.IntArray(faces),
+            UsdShade.Tokens.materialBind if each.material else "",
+        )
+        _show_name(subset.GetPrim(), each.name)
+        if each.material:
+            UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(materials[each.material])
+            for face in faces:
+                owners[face] = each.name
+    if any(owners):
+        kind = UsdGeom.Tokens.partition if all(owners) else UsdGeom.Tokens.nonOverlapping
+        UsdGeom.Subset.SetFamilyType(UsdGeom.Mesh(prim), UsdShade.Tokens.materialBind, kind)
+
+
+def _unowned(face_set: FaceSet, owners: Sequence[str], place: str) -> list[int]:
+    """Return the faces of a set that no set of another material owns."""
+    faces: list[int] = face_set.polygons.tolist()
+    before = dict.fromkeys(repr(owners[face]) for face in faces if owners[face])
+    if before:
+        warn(f"{place}: the material of {face_set.name!r} gives way to that of {', '.join(before)}")
+    return [face for face in faces if not owners[face]]
+
+
+_SAME_END = 1.0 - 1e-3
+"""Fraction of a frame by which frames at whole time codes may miss the end of a motion."""
+
+
+def author_times(layer: Sdf.Layer, header: SequenceHeader, shown: Shown, original: Original | None) -> None:
+    """Author units, rates and the time range.
+
+    The range is that of the frames. On a side where they cover the meshes' motion in the file, the file's range is kept
+    if it is longer, since the meshes are at rest there.
+    """
+    layer.timeCodesPerSecond = layer.framesPerSecond = header.fps
+    start, end = float(shown.codes[0]), float(shown.codes[-1])
+    if original:
+        below = original.stage
+        scale = shown.rate / shown.rate_below
+        if scale == 1.0:
+            layer.framesPerSecond = below.GetFramesPerSecond()
+        if below.HasAuthoredTimeCodeRange() and shown.sources is None:
+            first, last = _motion(original, start / scale, end / scale)
+            if start < first * scale + _SAME_END:
+                start = min(start, _scaled(below.GetStartTimeCode(), scale, np.ceil))
+            if end > last * scale - _SAME_END:
+                end = max(end, _scaled(below.GetEndTimeCode(), scale, np.floor))
+    layer.startTimeCode, layer.endTimeCode = start, end
+    layer.pseudoRoot.SetInfo("upAxis", header.up_axis)
+    layer.pseudoRoot.SetInfo("metersPerUnit", header.metres_per_unit)
+
+
+def _motion(original: Original, *otherwise: float) -> tuple[float, float]:
+    """Return the first and last time code of the meshes' motion, or the given defaults."""
+    meshes = [fit.mesh for fit in original.fits]
+    skins = skins_of(meshes, Notes(original.path))
+    sources = [each for mesh in meshes for each in Mover(mesh, skins.get(mesh.GetPath())).sources]
+    codes = [code for each in sources for code in each.GetTimeSamples()] or otherwise
+    return min(codes), max(codes)
+
+
+def _scaled(code: float, scale: float, inwards: Callable[[float], float]) -> float:
+    """Return an end of a range at another rate, kept whole and within the range if it was whole.
+
+    Examples
+    --------
+    >>> _scaled(1, 30 / 24, np.ceil), _scaled(0.5, 30 / 24, np.ceil), _scaled(1001, 29.97 / 999, np.floor)
+    (2.0, 0.625, 30.0)
+    """
+    scaled, nearest = scale * code, np.rint(scale * code)
+    if abs(scaled - nearest) <= 1e-9 * max(1.0, abs(scaled)):
+        return float(nearest)
+    return float(inwards(scaled)) if float(code).is_integer() else scaled
 
 
 def write_usd(
@@ -68,7 +273,7 @@ def write_usd(
     whole_stage : bool
         Retime all other motion of the original, too: cameras, hair, lights, other meshes.
     parts : Parts, optional
-        Parts to write as subsets of the faces, see `mixseq_io.labels.writing`.
+        Parts to write as subsets of the faces, see `mixseq_io.text.label_files`.
     """
     packed = path.suffix.lower() == ".usdz"
     _check_options(packed, flatten, onto, clips, pack_from)

@@ -6,22 +6,263 @@ Low rank
     :math:`x_t(v) = \sum_k b_k(v) u_{tk p_v}` (`mixseq.rigging.low_rank`): a texel per vertex and four basis vectors,
     after one with its part; coefficients are a separate texture of two rows per frame. Normals are sums with the same
     coefficients, their basis vectors fitted by least squares.
+
+Numbers as pixels, decoded by shaders as :math:`o + s\,p` of a pixel :math:`p` between 0 and 1.
+
+PNG holds `p` in 16 bits (8 for normals of single frames), EXR the numbers themselves, with o = 0 and s = 1. Decoded
+numbers are returned with the pixels, for measuring errors.
+
+Pictures of numbers: PNG with 8 or 16 bits, and EXR with 32-bit floats.
+
+PNG is written here with zlib, since Pillow has no 16 bits in three channels. Each row is filtered by none, the pixel to
+the left, or the one above, whichever has the smallest sum of magnitudes, as in libpng.
+
+Specifications: https://www.w3.org/TR/png-3/, https://openexr.com/en/latest/OpenEXRFileLayout.html
+
+Texels: places of vertices in a texture, and the mesh that refers to them.
+
+A texel is a vertex with one normal; glTF vertices that differ only by texture coordinates or materials share it. A
+*layer* is one value of all texels, a frame or four basis vectors, in some rows of the texture. Layers are stacked:
+shaders find a vertex in layer `n` by an offset in rows from the first one, the second set of texture coordinates.
 """
 
 from __future__ import annotations
 
+import struct
+import zlib
 from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.arrays import FloatArray
-from mixseq.errors import SettingsError
+from mixseq.errors import MissingExtraError, SettingsError
+from mixseq.mesh.measures import shared_normals
 from mixseq.rigging.low_rank import LowRank
-from mixseq_io.vat.encoding import Encoded, Kind, encoded, in_two
-from mixseq_io.vat.images import LARGEST
-from mixseq_io.vat.texels import Texels, in_fours
+from mixseq.sequence.header import SequenceHeader
+from mixseq.types import FloatArray, Index
+from mixseq_io.gltf.codecs import VERTICES, Layout
+from mixseq_io.gltf.new_document import MovingMesh, new_scene
+
+Pixels = NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32]
+Kind = type[np.uint8] | type[np.uint16] | type[np.float32]
+
+_COARSE, _FINE = 65535.0, 1024.0
+
+
+@dataclass(frozen=True, eq=False)
+class Encoded:
+    """Numbers as pixels."""
+
+    pixels: Pixels
+    offset: NDArray[np.float64]
+    scale: NDArray[np.float64]
+
+    @property
+    def numbers(self) -> NDArray[np.float64]:
+        """Numbers decoded by a shader."""
+        largest = {"f": 1, "u": 2 ** (8 * self.pixels.itemsize) - 1}[self.pixels.dtype.kind]
+        return np.asarray(self.offset + self.scale * (self.pixels.astype(np.float64) / largest))
+
+
+def encoded(
+    numbers: NDArray[np.floating],
+    low: NDArray[np.floating] | float,
+    high: NDArray[np.floating] | float,
+    kind: Kind,
+) -> Encoded:
+    """Encode numbers ``(..., channels)`` between two limits of their channels."""
+    channels = numbers.shape[-1]
+    if kind is np.float32:
+        return Encoded(numbers.astype(np.float32), np.zeros(channels), np.ones(channels))
+    offset = np.broadcast_to(np.asarray(low, np.float64), channels)
+    scale = np.broadcast_to(np.asarray(high, np.float64), channels) - offset
+    shares = (numbers - offset) / np.where(scale > 0, scale, 1)
+    largest = 255 if kind is np.uint8 else 65535
+    whole = np.rint(np.clip(shares, 0, 1) * largest)
+    pixels: Pixels = whole.astype(np.uint8) if kind is np.uint8 else whole.astype(np.uint16)
+    return Encoded(pixels, offset, scale)
+
+
+def in_two(numbers: NDArray[np.floating], largest: float, kind: Kind) -> tuple[Encoded, NDArray[np.float64]]:
+    """Encode numbers ``(T, n, 3)`` up to a largest magnitude in twice as many rows ``(2 T, n, 3)``.
+
+    Shaders decode :math:`o + s (p + p' / 65535)` with the pixel `p'`, T rows below `p`. It has 6 bits, since more are
+    incompressible noise; in EXR it is 0.
+    """
+    if kind is np.float32:
+        made = encoded(np.concatenate([numbers, np.zeros_like(numbers)]), 0, 1, np.float32)
+        return made, made.numbers[: len(numbers)]
+    steps = np.rint(np.clip((numbers / largest + 1) / 2, 0, 1) * _COARSE**2)
+    coarse, fine = np.divmod(steps, _COARSE)
+    fine = np.minimum(np.rint(fine / _FINE) * _FINE, _COARSE)
+    rows = np.concatenate([coarse, fine]).astype(np.uint16)
+    made = Encoded(rows, np.full(3, -largest), np.full(3, 2 * largest))
+    return made, -largest + 2 * largest * (coarse + fine / _COARSE) / _COARSE
+
+
+LARGEST = 16384
+"""Largest side in pixels, above the limit of many graphics cards."""
+
+_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_COLOUR_TYPES = {3: 2, 4: 6}
+_NONE, _SUB, _UP = 0, 1, 2
+
+
+def png_of(pixels: NDArray[Any]) -> bytes:
+    """Return a PNG of pixels ``(height, width, 3 or 4)``, from the top left, uint8 or uint16."""
+    height, width, channels = pixels.shape
+    size = pixels.dtype.itemsize * channels
+    rows = np.ascontiguousarray(pixels.astype(pixels.dtype.newbyteorder(">"))).view(np.uint8)
+    rows = rows.reshape(height, width * size)
+    left = np.pad(rows, ((0, 0), (size, 0)))[:, : width * size]
+    above = np.pad(rows, ((1, 0), (0, 0)))[:height]
+    candidates = np.stack([rows, rows - left, rows - above])
+    magnitudes = np.abs(candidates.view(np.int8).astype(np.int16)).sum(axis=2)
+    chosen = magnitudes.argmin(axis=0)
+    filters = np.array([_NONE, _SUB, _UP], np.uint8)[chosen][:, None]
+    lines = np.concatenate([filters, candidates[chosen, np.arange(height)]], axis=1)
+    header = struct.pack(
+        ">IIBBBBB", width, height, 8 * pixels.dtype.itemsize, _COLOUR_TYPES[channels], 0, 0, 0
+    )
+    parts = (b"IHDR", header), (b"IDAT", zlib.compress(lines.tobytes(), 9)), (b"IEND", b"")
+    return _SIGNATURE + b"".join(_chunk(*part) for part in parts)
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def write_exr(path: Path, pixels: NDArray[np.float32]) -> None:
+    """Write an EXR of pixels ``(height, width, 3 or 4)``, from the top left."""
+    library = exr_library(path)
+    names = "RGBA"[: pixels.shape[2]]
+    channels = {name: np.ascontiguousarray(pixels[..., i]) for i, name in enumerate(names)}
+    header = {"compression": library.ZIP_COMPRESSION, "type": library.scanlineimage}
+    with library.File(header, channels) as file:
+        file.write(str(path))
+
+
+def exr_library(path: Path) -> Any:
+    """Return the package that writes EXR."""
+    try:
+        import OpenEXR
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(
+            f"{path}: EXR textures need OpenEXR; get it with: pip install 'mixseq[exr]', or write png16"
+        ) from error
+    return OpenEXR
+
+
+_USUAL_WIDTH = 4096
+_CHANNELS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Texels:
+    """Texels of a sequence, N vertices ``(N,)`` and normals ``(N,)`` (`normals_of`), in a glTF document without points.
+
+    `of_primitive` are the texels ``(n,)`` of every primitive's glTF vertices.
+    """
+
+    header: SequenceHeader
+    layout: Layout
+    meshes: list[MovingMesh]
+    vertices: Index
+    normals: Index
+    of_primitive: list[Index]
+
+    @staticmethod
+    def of(header: SequenceHeader) -> Texels:
+        """Find the texels of a sequence."""
+        layout, meshes = new_scene(header)
+        keys, first = [], 0
+        for mesh in meshes:
+            hard_edges = mesh.scene_mesh.hard_edges
+            groups = (
+                mesh.scene_mesh.vertex_count if hard_edges is None else int(hard_edges.max(initial=-1)) + 1
+            )
+            for each in mesh.primitives:
+                assert each.normals is not None  # new documents have some
+                vertices = np.arange(header.vertex_count)[mesh.scene_mesh.vertices][each.vertices]
+                keys.append(np.column_stack([vertices, each.normals + first]))
+            first += groups
+        distinct, numbers = np.unique(np.concatenate(keys), axis=0, return_inverse=True)
+        ends = np.cumsum([len(each) for each in keys])[:-1]
+        return Texels(
+            header, layout, meshes, distinct[:, 0], distinct[:, 1], np.split(numbers.reshape(-1), ends)
+        )
+
+    @property
+    def count(self) -> int:
+        """Number N of texels."""
+        return len(self.vertices)
+
+    def normals_of(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Return the normals ``(n, N, 3)`` of texels for points ``(n, V, 3)``."""
+        found = [
+            shared_normals(
+                points[:, mesh.scene_mesh.vertices].astype(np.float32),
+                mesh.scene_mesh.polygons,
+                mesh.scene_mesh.hard_edges,
+            )
+            for mesh in self.meshes
+        ]
+        return np.asarray(np.concatenate(found, axis=1)[:, self.normals])
+
+    @cached_property
+    def width(self) -> int:
+        """Width of textures, no more than a layer's rows need."""
+        return -(-self.count // self.rows)
+
+    @cached_property
+    def rows(self) -> int:
+        """Rows of a layer in the texture."""
+        return -(-self.count // _USUAL_WIDTH)
+
+    def stacked(self, layers: NDArray[np.floating], what: str) -> NDArray[np.floating]:
+        """Return layers ``(n, N, channels)`` as pixels ``(n * rows, width, channels)``, padded with zeros."""
+        count, _, channels = layers.shape
+        if count * self.rows > LARGEST:
+            raise SettingsError(
+                f"{count} {what} of {self.count} texels take {count * self.rows} rows of a texture, and graphics cards "
+                f"take {LARGEST}; write fewer frames, or few basis vectors (--max-error)"
+            )
+        filled = np.zeros((count, self.rows * self.width, channels), layers.dtype)
+        filled[:, : self.count] = layers
+        return filled.reshape(count * self.rows, self.width, channels)
+
+    def add_vertices(self, points: NDArray[np.floating], layers: int) -> None:
+        """Give the document points ``(V, 3)``, their normals, and their places in a texture of `layers` layers."""
+        normals = self.normals_of(points[None])[0]
+        places = np.arange(self.count)
+        lookup = np.column_stack(
+            [(places % self.width + 0.5) / self.width, (places // self.width + 0.5) / (layers * self.rows)]
+        ).astype(np.float32)
+        here = points.astype(np.float32)[self.vertices]
+        numbers = iter(self.of_primitive)
+        for each in (primitive for mesh in self.meshes for primitive in mesh.primitives):
+            texels, attributes = next(numbers), each.entry["attributes"]
+            attributes["POSITION"] = self.layout.add_array(here[texels], target=VERTICES)
+            bounds = here[texels].min(axis=0).tolist(), here[texels].max(axis=0).tolist()
+            self.layout.bounded(attributes["POSITION"], bounds)
+            attributes["NORMAL"] = self.layout.add_array(normals[texels], target=VERTICES)
+            if "TEXCOORD_0" not in attributes:  # glTF counts sets of texture coordinates from 0 on
+                none = np.zeros((len(texels), 2), np.float32)
+                attributes["TEXCOORD_0"] = self.layout.add_array(none, target=VERTICES)
+            attributes["TEXCOORD_1"] = self.layout.add_array(lookup[texels], target=VERTICES)
+
+
+def in_fours(numbers: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return numbers ``(N, K)`` as layers ``(ceil(K / 4), N, 4)``, padded with zeros."""
+    count, rank = numbers.shape
+    layers = -(-rank // _CHANNELS)
+    padded = np.zeros((count, layers * _CHANNELS), numbers.dtype)
+    padded[:, :rank] = numbers
+    return np.ascontiguousarray(padded.reshape(count, layers, _CHANNELS).swapaxes(0, 1))
+
 
 _NEGLIGIBLE = 1e-4
 """Singular values of coefficients below this fraction of a part's largest are ignored for normals."""

@@ -2,6 +2,8 @@
 
 `mixseq_io.vat.textures` describes the encoding. Errors are those of the pictures' numbers, without float32 rounding in
 shaders.
+
+Shaders for vertex animation textures, with the numbers of one filled in.
 """
 
 from __future__ import annotations
@@ -9,24 +11,57 @@ from __future__ import annotations
 import json
 import os
 from dataclasses import dataclass, replace
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
 
 from mixseq.errors import OutputError, SettingsError
-from mixseq.progress import Progress, silent
-from mixseq.public import public
 from mixseq.rigging.low_rank import fit_low_rank
-from mixseq.sequence import MeshSequence, bounding_diagonal
-from mixseq_io.atomic import replacing_folder
-from mixseq_io.blocks import warn
-from mixseq_io.gltf.buffers import writing_buffer
-from mixseq_io.vat.encoding import Encoded, Kind
-from mixseq_io.vat.images import exr_library, png_of, write_exr
-from mixseq_io.vat.shader_text import SHADERS, shader
-from mixseq_io.vat.texels import Texels
-from mixseq_io.vat.textures import Frames, Textures, low_rank, plain
+from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.public import public
+from mixseq.sequence.sequence import MeshSequence, bounding_diagonal
+from mixseq_io.files import replacing_folder
+from mixseq_io.gltf.codecs import writing_buffer
+from mixseq_io.reader import warn
+from mixseq_io.vat.textures import (
+    Encoded,
+    Frames,
+    Kind,
+    Texels,
+    Textures,
+    exr_library,
+    low_rank,
+    plain,
+    png_of,
+    write_exr,
+)
+
+SHADERS = ("webgl2.js", "godot.gdshader", "unity.shader", "unreal.hlsl")
+"""Names of the shaders."""
+
+
+def shader(name: str, told: dict[str, Any]) -> str:
+    """Return the text of a shader, given the contents of ``vat.json``."""
+    text = files("mixseq_io.vat").joinpath("shaders", name).read_text(encoding="utf-8")
+    values = {key.upper(): str(told[key]) for key in ("frames", "width", "height", "rows", "layers", "fps")}
+    values["FPS"] = (
+        f"{float(told['fps']):.9g}" if "." in f"{float(told['fps']):.9g}" else f"{told['fps']:.1f}"
+    )
+    values["LOW_RANK"] = str(int(told["kind"] != "plain"))
+    values["PART_SCALE"] = f"{told['part_scale']:.1f}"
+    values["COLUMNS"] = str(told["textures"].get("coefficients", {"width": 1})["width"])
+    values["NORMALS_HEIGHT"] = str(told["textures"]["normals"]["height"])
+    for key in ("points", "normals", "coefficients"):
+        texture = told["textures"].get(key, {"offset": 0.0, "scale": 1.0})
+        for part in ("offset", "scale"):
+            numbers = texture[part] if isinstance(texture[part], list) else [texture[part]]
+            values[f"{key}_{part}".upper()] = ", ".join(repr(float(each)) for each in numbers)
+    for key, value in values.items():
+        text = text.replace(f"@{key}@", value)
+    return text
+
 
 VAT_EXTENSION = ".vat"
 TextureName = Literal["png16", "exr"]

@@ -12,8 +12,8 @@ import numpy as np
 from bpy.props import IntProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
-from mixseq.arrays import Single
 from mixseq.errors import SettingsError
+from mixseq.types import Single
 
 from . import live
 from .timing import BLUR, linear

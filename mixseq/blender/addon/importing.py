@@ -11,8 +11,7 @@ from bpy.props import BoolProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
 from mixseq.blender.motion import Placing, fitting, part_names, part_of
-from mixseq.polygon_matching import matched
-from mixseq.polygons import Polygons
+from mixseq.mesh.polygons import Polygons, matched
 from mixseq.signals.model import Model
 
 from . import live

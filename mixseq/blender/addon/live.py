@@ -14,11 +14,10 @@ from typing import Any
 import bpy
 from bpy.app.handlers import persistent
 
-from mixseq.arrays import Single
-from mixseq.blender.frames import Frames, Models
-from mixseq.blender.motion import Motion, Placing, part_of, seconds
+from mixseq.blender.motion import Frames, Models, Motion, Placing, part_of, seconds
 from mixseq.errors import MixseqError, SettingsError
 from mixseq.signals.model import Model
+from mixseq.types import Single
 from mixseq_io.loading import load
 
 from .settings import MotionSettings, memory

@@ -5,9 +5,8 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from mixseq.blender.motion import part_of
-from mixseq.blender.surfaces import MeshParts
-from mixseq.sequence_header import SequenceHeader
+from mixseq.blender.motion import MeshParts, part_of
+from mixseq.sequence.header import SequenceHeader
 
 
 def new_mesh(header: SequenceHeader, part: str) -> bpy.types.Mesh:

@@ -8,7 +8,7 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
-from mixseq.blender.frames import MEMORY
+from mixseq.blender.motion import MEMORY
 
 UP_AXES = [(axis, f"{axis} Up", f"{axis} points up in the model") for axis in "XYZ"]
 

@@ -11,7 +11,7 @@ with the rotations :math:`T_i` of parts since the reference frame, their centres
 :math:`t_i^T t_j` and the place of a pivot of j, the middle of their boundary. Both are invariant under rigid motions.
 
 Blends of poses and blends of relations disagree. The agreeing poses are found as for the faces of joints
-(`mixseq.spaces.mixed.joint_projection`): rotations are averaged, then centres follow from the pivots, by constant
+(`mixseq.spaces.mixed.joints`): rotations are averaged, then centres follow from the pivots, by constant
 matrices of the weights :math:`m_i r_i^2` and :math:`m_i`.
 """
 
@@ -25,10 +25,9 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from mixseq.arrays import Float, Index
-from mixseq.geometry.attachments import attach
-from mixseq.geometry.rigid import nearest_rotations
-from mixseq.geometry.rotations import (
+from mixseq.mesh.nearest import attach
+from mixseq.mesh.rigid import nearest_rotations
+from mixseq.mesh.rotations import (
     continuous_vectors,
     inverse,
     normalised,
@@ -37,12 +36,13 @@ from mixseq.geometry.rotations import (
     rotations_of,
     turned,
 )
-from mixseq.prediction.poses import Poses
-from mixseq.segmentation.boundaries import Boundaries
+from mixseq.mesh.topology import Topology
+from mixseq.segmentation.elements import Boundaries
 from mixseq.segmentation.joints import Decomposition
 from mixseq.spaces.mixed import posing_kernels as kernels
-from mixseq.spaces.mixed.complex_step import Numbers
-from mixseq.topology import Topology
+from mixseq.spaces.mixed.joints import Numbers
+from mixseq.spaces.temporal import Poses
+from mixseq.types import Float, Index
 
 CONTACT_DISTANCE = 0.1
 """Largest distance of components of one body in the reference frame, in diagonals."""

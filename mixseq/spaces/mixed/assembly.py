@@ -18,16 +18,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mixseq.arrays import Float, Index, Mask
-from mixseq.geometry.lengths_angles import edge_lengths, sound_lengths
-from mixseq.geometry.rigid import kabsch
-from mixseq.geometry.rotations import inverse, product, quaternions, rotations_of
-from mixseq.pickling import PickledWithoutCaches
-from mixseq.shells.face_frame_kernels import turned_sides
-from mixseq.shells.face_frames import FrameGraph, Hinges, bridging, connected, flat_triangles, frames_of
+from mixseq.mesh.measures import edge_lengths, sound_lengths
+from mixseq.mesh.rigid import kabsch
+from mixseq.mesh.rotations import inverse, product, quaternions, rotations_of
+from mixseq.mesh.topology import Topology
+from mixseq.runtime.lazy import PickledWithoutCaches
+from mixseq.shells.face_frames import (
+    FrameGraph,
+    Hinges,
+    bridging,
+    connected,
+    flat_triangles,
+    frames_of,
+    turned_sides,
+)
+from mixseq.shells.kernels import lengths_and_angles
 from mixseq.shells.shell import THIN, Relaxation, Relaxed, Shell
-from mixseq.shells.shell_kernels import lengths_and_angles
-from mixseq.topology import Topology
+from mixseq.types import Float, Index, Mask
 
 AVERAGING_ROUNDS = 3
 """Rounds of rotation averaging over parts and faces."""

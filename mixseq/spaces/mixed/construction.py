@@ -1,7 +1,7 @@
 """Make the mixed shape space of a sequence: mean shapes, skinning weights, joint faces and settings of P_m.
 
 Half-way between two frames lengths and angles should be their means. Joint faces are those with errors there, however
-parts were found. The share of their lengths and angles is chosen by `mixseq.signals.tuning`.
+parts were found. The share of their lengths and angles is chosen by `mixseq.signals.fitting`.
 """
 
 from __future__ import annotations
@@ -14,19 +14,18 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.arrays import Float, FloatArray, Mask, evenly
 from mixseq.choices import PLACEMENTS, PlacementName
-from mixseq.disk_array import LargeArray
 from mixseq.errors import SettingsError
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, flat_faces, wrap
-from mixseq.geometry.rigid import mean_shape
-from mixseq.progress import Progress, silent
-from mixseq.segmentation.joints import Decomposition
-from mixseq.segmentation.observed import frames_to_look_at
-from mixseq.sequence import bounding_diagonal
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, flat_faces, wrap
+from mixseq.mesh.rigid import mean_shape
+from mixseq.mesh.topology import Topology
+from mixseq.runtime.low_memory import LargeArray
+from mixseq.runtime.progress import Progress, silent
+from mixseq.segmentation.joints import Decomposition, frames_to_look_at
+from mixseq.sequence.sequence import bounding_diagonal
 from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
 from mixseq.spaces.mixed.skinning_weights import fitted_skinning_weights
-from mixseq.topology import Topology
+from mixseq.types import Float, FloatArray, Mask, evenly
 
 Purpose = Literal["sequence", "reduced", "blends"]
 """Use of a space: frames in time; models of a given rank or knots; blends of poses that may be far apart."""

@@ -28,35 +28,24 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from mixseq.arrays import Float, FloatArray, Index, Mask
 from mixseq.choices import PlacementName
 from mixseq.errors import SettingsError
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles, wrap
-from mixseq.geometry.rotations import (
-    continued,
-    exponentials,
-    inverse,
-    product,
-    quaternions,
-    rotations_of,
-    turned,
-)
-from mixseq.prediction.operator import Operator
-from mixseq.prediction.poses import Poses
-from mixseq.progress import Progress, silent
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, unwrap_angles, wrap
+from mixseq.mesh.rotations import continued, exponentials, inverse, product, quaternions, rotations_of, turned
+from mixseq.mesh.topology import Topology
+from mixseq.runtime.parallel import one_blas_thread
+from mixseq.runtime.progress import Progress, silent
 from mixseq.segmentation.joints import Decomposition
 from mixseq.shells.shell import Relaxation
-from mixseq.spaces.base import ShapeSpace
-from mixseq.spaces.metric import ANGLE, radii_of_gyration
+from mixseq.spaces.base import ANGLE, ShapeSpace, radii_of_gyration
 from mixseq.spaces.mixed import posing_kernels as kernels
 from mixseq.spaces.mixed.articulation import Articulation, PartPoses, Steadiness, articulation_of
 from mixseq.spaces.mixed.assembly import Assembly, FreeFrame
-from mixseq.spaces.mixed.complex_step import Numbers, values_and_rates, with_rates
-from mixseq.spaces.mixed.joint_projection import BENDING_WEIGHT, JointProjection
+from mixseq.spaces.mixed.joints import BENDING_WEIGHT, JointProjection, Numbers, values_and_rates, with_rates
 from mixseq.spaces.mixed.pose_prediction import PosePrediction
-from mixseq.spaces.registered import registered
-from mixseq.threads import one_blas_thread
-from mixseq.topology import Topology
+from mixseq.spaces.pieces import registered
+from mixseq.spaces.temporal import Operator, Poses
+from mixseq.types import Float, FloatArray, Index, Mask
 
 JOINT_WEIGHT = 1e-3
 """Weight of lengths and angles in the metric. Unposed vertices weigh 1 and describe the same shape."""

@@ -1,6 +1,6 @@
 r"""Interpolation of part poses in time: predictions in the world, in the axes of the body, and by neighbours.
 
-Rotations are chained and centres are weighted sums (`mixseq.prediction.poses`), in the axes of the world, where feet
+Rotations are chained and centres are weighted sums (`mixseq.spaces.temporal`), in the axes of the world, where feet
 stand, and in those of the body, where a rotation of the body does not move its parts. Bodies follow the first
 prediction; part poses are predicted relative to them, independent of the rotations of bodies. Neighbours also predict
 each other. A pose is the matrix :math:`X = (R^T; t)` with four rows, a relation :math:`X_j = G_{ij} X_i`.
@@ -25,12 +25,11 @@ from functools import cached_property
 
 import numpy as np
 
-from mixseq.arrays import Float, Index, Mask
-from mixseq.geometry.rigid import nearest_rotations
-from mixseq.geometry.rotations import continued, quaternions, rotations_of, turned
-from mixseq.prediction.operator import Operator, Rows
-from mixseq.prediction.poses import Poses, chained, predicted_alone
+from mixseq.mesh.rigid import nearest_rotations
+from mixseq.mesh.rotations import continued, quaternions, rotations_of, turned
 from mixseq.spaces.mixed.articulation import Articulation
+from mixseq.spaces.temporal import Operator, Poses, Rows, chained, predicted_alone
+from mixseq.types import Float, Index, Mask
 
 RELATION_WEIGHT = 2.0
 r"""Weight :math:`\lambda` of a relation against a pose; chosen on half of the animations of the benchmarks."""

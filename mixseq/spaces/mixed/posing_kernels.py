@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixseq.arrays import Float, Index
-from mixseq.compiled import compiled, inlined
-from mixseq.shells.face_frame_kernels import product, product_with_inverse
+from mixseq.runtime.jit import compiled, inlined
+from mixseq.shells.face_frames import product, product_with_inverse
+from mixseq.types import Float, Index
 
 AVERAGING_ROUNDS = 2
 """Rounds of rotation averaging over parts."""

@@ -16,13 +16,13 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from mixseq.arrays import Float, FloatArray, Index
-from mixseq.compiled import compiled
-from mixseq.geometry.rotations import turned
+from mixseq.mesh.rotations import turned
+from mixseq.mesh.topology import Topology, vertices_near
+from mixseq.runtime.jit import compiled
 from mixseq.segmentation.joints import Decomposition
 from mixseq.shells.solvers import factorise
-from mixseq.spaces.registered import registered
-from mixseq.topology import Topology, vertices_near
+from mixseq.spaces.pieces import registered
+from mixseq.types import Float, FloatArray, Index
 
 EXCHANGES = 4
 

@@ -1,4 +1,4 @@
-// Polygons without loss, in their order, as mixseq/coding/bitstream/connectivity.py and its kernels decode them.
+// Polygons without loss, in their order, as mixseq/compression/bitstream/connectivity.py and its kernels decode them.
 import { BASES, GUESSES, makeGuesses, noPast, remember, slotOf } from "./corner_guesses.js";
 import { checkOf, refuseOthers, withoutCheck } from "./decoded_check.js";
 import { MixseqError } from "./errors.js";

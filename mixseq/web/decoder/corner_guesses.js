@@ -1,4 +1,4 @@
-// Guesses at the next corner of a mesh, and what they take, as in mixseq/coding/bitstream/corner_guesses.py.
+// Guesses at the next corner of a mesh, and what they take, as in mixseq/compression/bitstream/connectivity_kernels.py.
 import { INTO, OUT_OF } from "./half_edges.js";
 import { INPUTS, spread } from "./hashed_contexts.js";
 

@@ -1,4 +1,4 @@
-// Corners of polygons, and an order of polygons in which each is beside those before it, as in mixseq/coding/bitstream/growing.py.
+// Corners of polygons, and an order of polygons in which each is beside those before it, as in mixseq/compression/bitstream/connectivity.py.
 
 const BUCKETS = 4;
 

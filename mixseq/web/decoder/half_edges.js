@@ -1,4 +1,4 @@
-// Half-edges of a mesh that grows polygon by polygon, as in mixseq/coding/bitstream/half_edges.py: a half-edge is open as long
+// Half-edges of a mesh that grows polygon by polygon, as in mixseq/compression/bitstream/connectivity_kernels.py: a half-edge is open as long
 // as none runs the other way, and has the number of the corner that it starts from.
 
 /** States of vertices. */

@@ -1,4 +1,4 @@
-// Hard edges: which corners at a vertex share a normal, as mixseq/coding/bitstream/hard_edges.py decodes it.
+// Hard edges: which corners at a vertex share a normal, as mixseq/compression/bitstream/corner_values.py decodes it.
 import { checkOf, refuseOthers, withoutCheck } from "./decoded_check.js";
 import { cornersOf, growingOrder } from "./growing.js";
 import { hashedBits } from "./hashed_contexts.js";

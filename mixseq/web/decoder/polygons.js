@@ -1,4 +1,4 @@
-// Triangles of polygons, as mixseq/polygons.py has them.
+// Triangles of polygons, as mixseq/mesh/polygons.py has them.
 
 /**
  * The triangles `Uint32Array(3F)` of polygons: the fans about their first corners. `counts` are the numbers of corners,

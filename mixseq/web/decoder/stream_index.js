@@ -1,4 +1,4 @@
-// Where the streams are among the bytes, and whether they are sound. Mirrors io/mixseq_io/coded/stream_index.py.
+// Where the streams are among the bytes, and whether they are sound. Mirrors io/mixseq_io/coded/streams.py.
 import { crc32 } from "./crc32.js";
 import { MixseqError } from "./errors.js";
 

@@ -1,4 +1,4 @@
-// Texture coordinates on the polygons of a mesh, as mixseq/coding/bitstream/texture_coordinates.py decodes them.
+// Texture coordinates on the polygons of a mesh, as mixseq/compression/bitstream/corner_values.py decodes them.
 import { checkOf, refuseOthers, withoutCheck } from "./decoded_check.js";
 import { cornersOf, growingOrder } from "./growing.js";
 import { hashedBits } from "./hashed_contexts.js";

@@ -1,4 +1,4 @@
-// The times of frames, which need not be regular. Mirrors io/mixseq_io/coded/lossless.py.
+// The times of frames, which need not be regular. Mirrors io/mixseq_io/coded/streams.py.
 import { MixseqError } from "./errors.js";
 
 /** The times of so many frames, in seconds, of the bytes of their differences from regular ones; none if they are regular. */

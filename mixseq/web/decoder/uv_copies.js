@@ -1,4 +1,4 @@
-// Regions of texture coordinates that are copies of earlier ones, as in mixseq/coding/bitstream/uv_copies.py.
+// Regions of texture coordinates that are copies of earlier ones, as in mixseq/compression/bitstream/uv_seams.py.
 
 const PRECISION = 1 << 17, PIECE = 1 << 14;
 

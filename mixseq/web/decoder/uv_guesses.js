@@ -1,4 +1,4 @@
-// Guesses at the texture coordinates of a node from those around it, as in mixseq/coding/bitstream/uv_guesses.py.
+// Guesses at the texture coordinates of a node from those around it, as in mixseq/compression/bitstream/uv_seams.py.
 
 /** What a guess is made of. */
 export const COPIED = 0;

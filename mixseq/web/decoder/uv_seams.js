@@ -1,4 +1,4 @@
-// Which corners at a vertex share texture coordinates, or normals, as mixseq/coding/bitstream/uv_seams.py decodes it.
+// Which corners at a vertex share texture coordinates, or normals, as mixseq/compression/bitstream/uv_seams.py decodes it.
 
 /** Kinds of bits with weights of their own. */
 export const SEAM_KINDS = 4;

@@ -1,4 +1,4 @@
-// The values of texture coordinates: how far they are from what is guessed, as mixseq/coding/bitstream/uv_values.py decodes them.
+// The values of texture coordinates: how far they are from what is guessed, as mixseq/compression/bitstream/uv_values.py decodes them.
 import { MixseqError } from "./errors.js";
 import { copy, dropAnchor, fits, follow, giveImage, noCopies } from "./uv_copies.js";
 import { AROUND, BESIDE, COPIED, makeGuess, noGuess } from "./uv_guesses.js";

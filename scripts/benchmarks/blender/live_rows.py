@@ -16,9 +16,9 @@ import mixseq
 from mixseq.blender.extension import RELEASES, this_platform, write_extension
 from mixseq.blender.motion import Motion, Placing
 from mixseq.creature import walk_cycle
-from mixseq.sequence import MeshSequence
-from mixseq.signals import Model
-from mixseq.surface import CornerValues, Surface
+from mixseq.mesh.surface import CornerValues, Surface
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.model import Model
 from scripts.benchmarks.blender.environment import python
 
 FPS = 24

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 import mixseq
-from mixseq.arrays import Float, FloatArray
 from mixseq.creature import walk_cycle
 from mixseq.rigging.rigs import Morph, Skin
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import Float, FloatArray
 from mixseq_io.rig_measuring import measure
 from scripts.benchmarks.blender.environment import show
 from scripts.benchmarks.blender.live_rows import LiveRow

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mixseq.arrays import Float, Index
+from mixseq.types import Float, Index
 from scripts.benchmarks.blender.environment import show
 from scripts.benchmarks.blender.seen import Seen, Surface, root_mean_square
 from scripts.benchmarks.blender.shot import BASE, FIRST, LAST, RATES

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mixseq.arrays import Float, Index
+from mixseq.types import Float, Index
 
 MESHES = ("body", "sword")
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mixseq.arrays import Float
 from mixseq.operations import Retiming
+from mixseq.types import Float
 from scripts.benchmarks.blender.shot import BASE, FIRST, LAST
 from scripts.benchmarks.common.child import MIXSEQ
 

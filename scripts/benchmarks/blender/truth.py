@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mixseq.arrays import Float
+from mixseq.types import Float
 from scripts.benchmarks.blender.environment import show
 from scripts.benchmarks.blender.seen import Seen
 from scripts.benchmarks.blender.shot import BASE, FIRST, LAST, RATES

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mixseq.arrays import Float, FloatArray, Index
-from mixseq.geometry.rotations import matrices
+from mixseq.mesh.rotations import matrices
+from mixseq.types import Float, FloatArray, Index
 
 FRAMES = 8
 SIDE = 7

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 import mixseq
-from mixseq.arrays import FloatArray, IntArray
-from mixseq.polygons import Polygons
-from mixseq.sequence import SequenceHeader
+from mixseq.mesh.polygons import Polygons
+from mixseq.sequence.header import SequenceHeader
+from mixseq.types import FloatArray, IntArray
 from scripts.benchmarks.common.varied import varied
 
 

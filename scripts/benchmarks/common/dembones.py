@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mixseq.arrays import Float
+from mixseq.types import Float
 from scripts.benchmarks.common.animations import animation
 from scripts.benchmarks.common.timing import Timing, repeated
 

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mixseq.arrays import Float
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
-from mixseq.topology import Topology
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap
+from mixseq.mesh.topology import Topology
+from mixseq.types import Float
 
 
 class Envelope(NamedTuple):

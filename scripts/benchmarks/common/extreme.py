@@ -12,7 +12,7 @@ import sys
 
 import numpy as np
 
-from mixseq.arrays import Float, FloatArray, Index
+from mixseq.types import Float, FloatArray, Index
 
 FRAMES = 10_000
 AROUND = 1000  # vertices of the torus, along and across

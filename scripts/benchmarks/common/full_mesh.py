@@ -12,12 +12,11 @@ from importlib import import_module
 
 import numpy as np
 
-from mixseq.arrays import Float
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles
-from mixseq.shells.fitting import ShellProblem, ShellReport, ShellSettings, fit_shell
-from mixseq.shells.patch import Patch
-from mixseq.shells.reconstruction import linear_initialisation
-from mixseq.topology import Topology
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, unwrap_angles
+from mixseq.mesh.topology import Topology
+from mixseq.shells.fitting import Patch, ShellProblem, fit_shell, linear_initialisation
+from mixseq.shells.gauss_newton import ShellReport, ShellSettings
+from mixseq.types import Float
 
 
 @dataclass(frozen=True, eq=False)

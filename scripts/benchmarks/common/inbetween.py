@@ -8,10 +8,10 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 import mixseq
-from mixseq.arrays import Float, Index
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
-from mixseq.prediction.operator import chosen
-from mixseq.sequence import MeshSequence
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.spaces.temporal import chosen
+from mixseq.types import Float, Index
 
 Motion = Callable[[Float], Float]
 """From times ``(N,)`` to points ``(N, V, 3)``."""

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import mixseq
-from mixseq.arrays import FloatArray
+from mixseq.types import FloatArray
 from scripts.benchmarks.common.animations import animation, header_of, subdivided
 
 BLOCK = 8

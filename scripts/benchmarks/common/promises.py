@@ -17,11 +17,11 @@ from typing import Literal
 import numpy as np
 
 import mixseq
-from mixseq.arrays import FloatArray, Index
 from mixseq.errors import MixseqError
-from mixseq.sequence import MeshSequence
-from mixseq.signals.tolerance import EXACT
-from mixseq_io.compressed_files import read_compressed
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.detail import EXACT
+from mixseq.types import FloatArray, Index
+from mixseq_io.verification import read_compressed
 
 Way = Literal["fit", "compress", "exact"]
 WAYS: tuple[Way, ...] = ("fit", "compress", "exact")

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 import mixseq
-from mixseq.arrays import Float
+from mixseq.types import Float
 
 WAVES = 3
 BENDS = 6

@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 import mixseq
-from mixseq.arrays import Float, Index
+from mixseq.types import Float, Index
 from scripts.benchmarks.common.dembones import INFLUENCES, skinned, skinning
 from scripts.benchmarks.peers.packing import from_lzma, numbers, planes, to_lzma
 from scripts.benchmarks.peers.prediction import prediction

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import mixseq
-from mixseq.arrays import Float
+from mixseq.types import Float
 from scripts.benchmarks.peers.coder import as_file
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import mixseq
-from mixseq.arrays import Float
+from mixseq.types import Float
 
 KG_TARGETS = (1.0, 0.5, 0.1, 0.05, 0.02)
 """KG errors in percent that rates are told at."""

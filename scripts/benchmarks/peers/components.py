@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from mixseq.arrays import Float, FloatArray
+from mixseq.types import Float, FloatArray
 
 Space = Literal["shape", "trajectory"]
 

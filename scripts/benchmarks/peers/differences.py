@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 
 import mixseq
-from mixseq.arrays import Float
+from mixseq.types import Float
 from scripts.benchmarks.peers.coder import KG_SWEEP, step_of
 from scripts.benchmarks.peers.packing import from_zstd, numbers, planes, to_zstd, width
 

@@ -14,8 +14,8 @@ from functools import cache
 import numpy as np
 
 import mixseq
-from mixseq.arrays import Float, Index
 from mixseq.errors import InvalidSequenceError
+from mixseq.types import Float, Index
 
 LEVEL = 10
 LATTICE = 10  # bits a coordinate

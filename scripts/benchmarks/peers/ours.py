@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 import mixseq
-from mixseq.arrays import Float
+from mixseq.types import Float
 from scripts.benchmarks.common.child import MIXSEQ, run
 from scripts.benchmarks.peers.coder import ERROR_TARGETS, KG_TARGETS, as_file
 

@@ -6,7 +6,7 @@ import lzma
 
 import numpy as np
 
-from mixseq.arrays import Index
+from mixseq.types import Index
 
 ZSTD_LEVEL = 19
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 import mixseq
-from mixseq.arrays import Float, Index
+from mixseq.types import Float, Index
 from scripts.benchmarks.peers.coder import KG_SWEEP, spread
 from scripts.benchmarks.peers.components import Space, components, to_points
 from scripts.benchmarks.peers.packing import from_lzma, numbers, planes, to_lzma, width

@@ -14,8 +14,8 @@ import numpy as np
 from scipy import sparse
 
 import mixseq
-from mixseq.arrays import Index
-from mixseq.compiled import compiled
+from mixseq.runtime.jit import compiled
+from mixseq.types import Index
 
 BITS = 14
 HALF = 1 << (BITS - 1)

@@ -11,7 +11,7 @@ import numpy as np
 import mixseq
 from mixseq.errors import MissingExtraError
 from mixseq.operations.interpolation import PoseInterpolator
-from mixseq.shells.fitting import ShellReport, ShellSettings
+from mixseq.shells.gauss_newton import ShellReport, ShellSettings
 from scripts.benchmarks.common.animations import animation
 from scripts.benchmarks.common.envelope import envelope
 from scripts.benchmarks.common.full_mesh import FullMesh, iterate

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import mixseq
-from mixseq.mapping import on_threads
-from mixseq.shells.fitting import ShellSettings
+from mixseq.runtime.parallel import on_threads
+from mixseq.shells.gauss_newton import ShellSettings
 from scripts.benchmarks.common.animations import animation
 from scripts.benchmarks.common.full_mesh import FullMesh, iterate
 from scripts.benchmarks.common.section import Bar, LargeArray, Say, Section, at_least

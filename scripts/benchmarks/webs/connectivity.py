@@ -17,9 +17,9 @@ from statistics import median
 import numpy as np
 
 import mixseq
-from mixseq.coding.bitstream.connectivity import decode_polygons, encode_polygons
-from mixseq.coding.bitstream.texture_coordinates import decode_uvs
-from mixseq.coding.encoder.uv_regions import encode_uvs
+from mixseq.compression.bitstream.connectivity import decode_polygons, encode_polygons
+from mixseq.compression.bitstream.corner_values import decode_uvs
+from mixseq.compression.encoder.uvs import encode_uvs
 from scripts.benchmarks.common.animations import animation
 from scripts.benchmarks.common.node import node_executable
 

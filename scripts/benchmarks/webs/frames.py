@@ -17,7 +17,7 @@ from pathlib import Path
 import h5py
 
 import mixseq
-from mixseq.web.bundle import bundled
+from mixseq.web import bundled
 from scripts.benchmarks.common.animations import animation, subdivided
 
 NAMES = ("horse_gallop", "elephant_gallop", "q_man_run*16")

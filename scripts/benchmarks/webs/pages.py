@@ -16,8 +16,10 @@ from statistics import median
 from typing import TYPE_CHECKING
 
 import mixseq
-from mixseq.scene import Scene, SceneColours, SceneItem
-from mixseq.viewing.export import ExportReport, ExportSettings, export_page, page_items
+from mixseq.pictures.colours import SceneColours
+from mixseq.pictures.scene import Scene, SceneItem
+from mixseq.viewer.export import ExportReport, ExportSettings, export_page
+from mixseq.viewer.export_data import page_items
 from scripts.benchmarks.common.animations import animation
 
 if TYPE_CHECKING:

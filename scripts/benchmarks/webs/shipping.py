@@ -19,7 +19,7 @@ from click.testing import CliRunner
 
 import mixseq
 from mixseq.cli import main as command_line
-from mixseq.web.folder import contents
+from mixseq.web import contents
 from scripts.benchmarks.common.node import node_executable
 
 DRACO_BITS = {1e-3: 10, 1e-4: 14}

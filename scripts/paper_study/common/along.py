@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mixseq.arrays import Float
+from mixseq.types import Float
 from scripts.paper_study.common.errors import errors
 from scripts.paper_study.common.methods import Blended, Method
 from scripts.paper_study.common.poses import MESHES, Poses, between

@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mixseq.arrays import Float, Index
-from mixseq.geometry.normals import shared_normals
-from mixseq.geometry.rigid import kabsch, transform
-from mixseq.polygons import Polygons
-from mixseq.scene.camera import View, y_up
+from mixseq.mesh.measures import shared_normals
+from mixseq.mesh.polygons import Polygons
+from mixseq.mesh.rigid import kabsch, transform
+from mixseq.pictures.scene import View, y_up
+from mixseq.types import Float, Index
 from scripts.paper_study.common.poses import Poses
 
 OPPOSITE = -0.7

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mixseq.arrays import Float
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap
+from mixseq.types import Float
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.poses import Poses
 

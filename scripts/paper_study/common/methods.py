@@ -23,17 +23,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from mixseq.arrays import Float, Index
 from mixseq.choices import PlacementName
+from mixseq.runtime.parallel import one_blas_thread
 from mixseq.segmentation.joints import Decomposition, decompose
-from mixseq.shells.fitting import ShellReport, ShellSettings, fit_shell
-from mixseq.shells.patch import Patch
-from mixseq.shells.reconstruction import rebuild
-from mixseq.spaces.edge import EdgeSettings, EdgeSpace
-from mixseq.spaces.edge.discrete_shell import DiscreteShell
-from mixseq.spaces.mixed import MixedSpace, mixed_space
+from mixseq.shells.fitting import Patch, fit_shell, rebuild
+from mixseq.shells.gauss_newton import ShellReport, ShellSettings
+from mixseq.spaces.edge import DiscreteShell, EdgeSettings, EdgeSpace
 from mixseq.spaces.mixed.assembly import FreeFrame
-from mixseq.threads import one_blas_thread
+from mixseq.spaces.mixed.construction import mixed_space
+from mixseq.spaces.mixed.mixed_space import MixedSpace
+from mixseq.types import Float, Index
 from scripts.paper_study.common.poses import Poses
 from scripts.paper_study.common.registered import PaperSpace
 from scripts.paper_study.msgi.multiscale import MultiScale

@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mixseq.arrays import Float, Index
-from mixseq.plots import CLAY, draw_mesh, segmentation_colours, shared_limits, three_quarter_view
-from mixseq.plots.charts import LINES, chart_style, new_page
-from mixseq.plots.sheet_layout import Sheet
-from mixseq.scene.camera import Limits, View, y_up
+from mixseq.pictures.charts import LINES, chart_style, new_page
+from mixseq.pictures.colours import CLAY, segmentation_colours
+from mixseq.pictures.page import Sheet, draw_mesh
+from mixseq.pictures.scene import Limits, View, shared_limits, three_quarter_view, y_up
 from mixseq.segmentation.joints import Decomposition
+from mixseq.types import Float, Index
 from scripts.paper_study.common.poses import Poses
 
 DPI = 80

@@ -10,12 +10,12 @@ from typing import NamedTuple
 import numpy as np
 
 import mixseq
-from mixseq.arrays import Float, Index
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles
-from mixseq.geometry.rigid import kabsch, transform
-from mixseq.segmentation import MotionSettings, segment_by_motion
-from mixseq.sequence import bounding_diagonal
-from mixseq.topology import Topology
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, unwrap_angles
+from mixseq.mesh.rigid import kabsch, transform
+from mixseq.mesh.topology import Topology
+from mixseq.segmentation.motion import MotionSettings, segment_by_motion
+from mixseq.sequence.sequence import bounding_diagonal
+from mixseq.types import Float, Index
 from scripts.benchmarks.common.animations import animation, subdivided
 
 

@@ -13,13 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.arrays import Float, Index
-from mixseq.geometry.lengths_angles import sound_lengths
-from mixseq.geometry.rigid import mean_shape, transform
-from mixseq.geometry.rotations import continued, quaternions, rotations_of
+from mixseq.mesh.measures import sound_lengths
+from mixseq.mesh.rigid import mean_shape, transform
+from mixseq.mesh.rotations import continued, quaternions, rotations_of
 from mixseq.segmentation.joints import Decomposition
-from mixseq.shells.shell_kernels import lengths_and_angles
-from mixseq.spaces.registered import registered
+from mixseq.shells.kernels import lengths_and_angles
+from mixseq.spaces.pieces import registered
+from mixseq.types import Float, Index
 from scripts.paper_study.common.poses import Poses
 from scripts.paper_study.common.registration import Overlaps, register
 from scripts.paper_study.common.stitching import Seams, stitch

@@ -21,8 +21,8 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from mixseq.arrays import Float, Index
-from mixseq.geometry.rigid import kabsch, nearest_rotations
+from mixseq.mesh.rigid import kabsch, nearest_rotations
+from mixseq.types import Float, Index
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,9 +18,9 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from mixseq.arrays import Float, Index
+from mixseq.mesh.topology import Topology
 from mixseq.shells.solvers import Factor, factorise
-from mixseq.topology import Topology
+from mixseq.types import Float, Index
 
 
 @dataclass(frozen=True, eq=False)

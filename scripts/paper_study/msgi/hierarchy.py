@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from mixseq.arrays import Index
 from mixseq.errors import SettingsError
-from mixseq.topology import Topology
+from mixseq.mesh.topology import Topology
+from mixseq.types import Index
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,17 +29,16 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from mixseq.arrays import Float, Index
 from mixseq.errors import ReconstructionError
-from mixseq.geometry.lengths_angles import sound_lengths
-from mixseq.pickling import PickledWithoutCaches
+from mixseq.mesh.measures import sound_lengths
+from mixseq.mesh.topology import Topology
+from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.segmentation.joints import make_joint
-from mixseq.shells.fitting import ShellReport, ShellSettings
-from mixseq.shells.patch import Patch
-from mixseq.shells.reconstruction import rebuild
-from mixseq.spaces.edge.projection import Wanted
+from mixseq.shells.fitting import Patch, rebuild
+from mixseq.shells.gauss_newton import ShellReport, ShellSettings
+from mixseq.spaces.edge import Wanted
 from mixseq.spaces.pieces import Pieces
-from mixseq.topology import Topology
+from mixseq.types import Float, Index
 from scripts.paper_study.common.registration import Overlaps, register
 from scripts.paper_study.common.stitching import Seams, stitch
 from scripts.paper_study.msgi.hierarchy import Region, divide

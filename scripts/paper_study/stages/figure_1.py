@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from mixseq.arrays import Float
 from mixseq.choices import SpaceName
 from mixseq.operations.interpolation import PoseInterpolator
+from mixseq.types import Float
 from scripts.paper_study.common.errors import error_table, errors
 from scripts.paper_study.common.methods import METHODS
 from scripts.paper_study.common.pictures import Panel, gallery

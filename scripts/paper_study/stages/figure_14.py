@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mixseq.arrays import Float
+from mixseq.types import Float
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.errors import errors, text
 from scripts.paper_study.common.methods import Free, Strips, strips
@@ -49,7 +49,7 @@ def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
 
 def at_vertices(poses: Poses, points: Float) -> Float:
     """Return the largest error of the edges at every vertex ``(V,)``, half way."""
-    from mixseq.geometry.lengths_angles import edge_lengths
+    from mixseq.mesh.measures import edge_lengths
 
     lengths, _ = poses.target(between(0.5))
     edges = poses.topology.edges

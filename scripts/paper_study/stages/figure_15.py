@@ -7,10 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mixseq.arrays import Index
-from mixseq.segmentation.methods import METHODS, segment
-from mixseq.segmentation.scores import adjusted_rand_index
-from mixseq.topology import split_labels
+from mixseq.mesh.topology import split_labels
+from mixseq.segmentation.methods import METHODS, adjusted_rand_index, segment
+from mixseq.types import Index
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.errors import errors, text
 from scripts.paper_study.common.methods import Clock, Free, Strips, strips

@@ -11,11 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import mixseq
-from mixseq.segmentation import segment_by_labels
+from mixseq.mesh.topology import Topology
 from mixseq.segmentation.methods import METHODS as SEGMENTATIONS
-from mixseq.segmentation.methods import segment
-from mixseq.segmentation.scores import adjusted_rand_index
-from mixseq.topology import Topology
+from mixseq.segmentation.methods import adjusted_rand_index, segment, segment_by_labels
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.errors import errors, text
 from scripts.paper_study.common.methods import METHODS, Clock, Free, Strips, strips
@@ -72,7 +70,7 @@ def measured(pair: Poses) -> Json:
 
 def skeleton(path: str, options: dict[str, Any]) -> Json:
     """Compare the parts that a skeleton makes with as many by motion."""
-    from mixseq_io.labels.reading import read_labels
+    from mixseq_io.text.label_files import read_labels
 
     file = Path(os.environ.get("MIXSEQ_DATA", ""), path)
     whole = mixseq.read(file, **options)

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mixseq.arrays import Float, Index
-from mixseq.plots import three_quarter_view
-from mixseq.spaces.edge.edge_space import EdgeSettings
+from mixseq.pictures.scene import three_quarter_view
+from mixseq.spaces.edge import EdgeSettings
+from mixseq.types import Float, Index
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.damage import BEYOND, SIZE, Pushed, apart, noisy, pushed
 from scripts.paper_study.common.errors import errors, text

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mixseq.arrays import Float
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
-from mixseq.shells.fitting import ShellSettings
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap
+from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.types import Float
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.errors import errors, text
 from scripts.paper_study.common.methods import METHODS

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 import mixseq
-from mixseq.arrays import Float
-from mixseq.geometry.lengths_angles import edge_lengths
-from mixseq.plots import draw_embedding, draw_mesh, shared_limits, three_quarter_view
-from mixseq.plots.charts import chart_style, new_page
-from mixseq.scene.camera import y_up
-from mixseq.sequence import MeshSequence
+from mixseq.mesh.measures import edge_lengths
+from mixseq.pictures.charts import chart_style, draw_embedding, new_page
+from mixseq.pictures.page import draw_mesh
+from mixseq.pictures.scene import shared_limits, three_quarter_view, y_up
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import Float
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.errors import errors, text
 from scripts.paper_study.common.pictures import CLOSE, DPI, Panel, gallery, heat

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from mixseq.arrays import Float, Index
-from mixseq.shells.fitting import ShellProblem, ShellSettings, fit_shell
-from mixseq.shells.shell_kernels import lengths_and_angles
-from mixseq.spaces.edge import EdgeSettings
-from mixseq.spaces.edge.discrete_shell import DiscreteShell
+from mixseq.shells.fitting import ShellProblem, fit_shell
+from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.shells.kernels import lengths_and_angles
+from mixseq.spaces.edge import DiscreteShell, EdgeSettings
+from mixseq.types import Float, Index
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.methods import Anchored, Edge, Printed, strips
 from scripts.paper_study.common.poses import Poses, between

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mixseq.arrays import Index
+from mixseq.types import Index
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.methods import METHODS, Clock, Method, Mixed
 from scripts.paper_study.common.poses import ALL, Poses, between

@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 imath = pytest.importorskip("imath")
 from alembic3d import AbcCoreAbstract, AbcGeom  # noqa: E402
 
-from mixseq.arrays import FloatArray  # noqa: E402
-from mixseq.sequence import MeshSequence, Polygons  # noqa: E402
+from mixseq.mesh.polygons import Polygons  # noqa: E402
+from mixseq.sequence.sequence import MeshSequence  # noqa: E402
+from mixseq.types import FloatArray  # noqa: E402
 from mixseq_io.alembic.reader import open_alembic  # noqa: E402
 from mixseq_io.alembic.writer import write_alembic  # noqa: E402
 

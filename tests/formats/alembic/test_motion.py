@@ -17,9 +17,9 @@ from mixseq.errors import (  # noqa: E402
     InvalidSequenceError,
     MixseqWarning,
 )
-from mixseq.geometry.normals import shared_normals  # noqa: E402
-from mixseq.geometry.rotations import matrices  # noqa: E402
-from mixseq.surface import MeshObject  # noqa: E402
+from mixseq.mesh.measures import shared_normals  # noqa: E402
+from mixseq.mesh.rotations import matrices  # noqa: E402
+from mixseq.mesh.surface import MeshObject  # noqa: E402
 from tests.formats.alembic.alembic_maker import (  # noqa: E402
     CLOCKWISE,
     SQUARE,

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 pytest.importorskip("imath")
-from mixseq.sequence import Polygons, SequenceHeader
-from mixseq.surface import MeshObject, Surface
-from mixseq_io.alembic.object_paths import object_places
+from mixseq.mesh.polygons import Polygons
+from mixseq.mesh.surface import MeshObject, Surface
+from mixseq.sequence.header import SequenceHeader
+from mixseq_io.alembic.samples import object_places
 from mixseq_io.scene_meshes import split
 
 

@@ -13,10 +13,18 @@ imath = pytest.importorskip("imath")
 from alembic3d import Abc, AbcCoreAbstract, AbcGeom, Util  # noqa: E402
 
 import mixseq  # noqa: E402
-from mixseq.errors import MixseqWarning, OutputError, SettingsError  # noqa: E402
-from mixseq.sequence import MeshSequence, Polygons  # noqa: E402
-from mixseq.surface import Surface  # noqa: E402
-from mixseq_io.alembic.library import selector, stored_array  # noqa: E402
+from mixseq.errors import (  # noqa: E402
+    MixseqWarning,
+    OutputError,
+    SettingsError,
+)
+from mixseq.mesh.polygons import Polygons  # noqa: E402
+from mixseq.mesh.surface import Surface  # noqa: E402
+from mixseq.sequence.sequence import MeshSequence  # noqa: E402
+from mixseq_io.alembic.library import (  # noqa: E402
+    selector,
+    stored_array,
+)
 from mixseq_io.alembic.samples import sample_times  # noqa: E402
 from tests.formats.alembic.alembic_maker import (  # noqa: E402
     SQUARE,
@@ -237,7 +245,7 @@ def test_what_the_library_has_no_words_for(
 
     shot = tmp_path / "shot.abc"
     save(shot, MeshSequence.from_arrays(rising(), TRIANGLES))
-    monkeypatch.setattr("mixseq_io.alembic.archive_copy.stored_array", refusing)
+    monkeypatch.setattr("mixseq_io.alembic.overlay.stored_array", refusing)
     with pytest.warns(MixseqWarning, match="cannot copy '/mesh/mesh..faceC"):
         mixseq.write(path, load(shot))
 

@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("imath")
 from mixseq.errors import FormatError
-from mixseq_io.alembic.placing import Placing
+from mixseq_io.alembic.samples import Placing
 from tests.formats.alembic.alembic_maker import SQUARE, shift
 
 

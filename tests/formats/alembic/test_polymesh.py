@@ -12,9 +12,7 @@ from numpy.typing import ArrayLike
 imath = pytest.importorskip("imath")
 from alembic3d import Abc, AbcCoreAbstract, AbcGeom, AbcMaterial  # noqa: E402
 
-from mixseq.errors import (  # noqa: E402
-    MixseqWarning,
-)
+from mixseq.errors import MixseqWarning  # noqa: E402
 from tests.formats.alembic.alembic_maker import (  # noqa: E402
     CLOCKWISE,
     SQUARE,

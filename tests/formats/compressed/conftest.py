@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 import mixseq
-from mixseq.coding.bitstream.compressed_sequence import Chunk, CompressedSequence
+from mixseq.compression.bitstream.compressed_sequence import Chunk, CompressedSequence
 from mixseq_io.coded.packing import pack
-from mixseq_io.gltf.sequence_writer import write_container
+from mixseq_io.gltf.mesh_sequence import write_container
 from tests.formats.compressed.stream_cases import BETWEEN, PARAMETERS, any_bytes
 from tests.meshes import bar
 

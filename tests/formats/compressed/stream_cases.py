@@ -6,9 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from mixseq.coding.bitstream.compressed_sequence import BetweenFrames, CodingParameters, CompressedSequence
-from mixseq_io.coded.stream_index import MAGIC, Stream, StreamIndex, read_index
-from mixseq_io.compressed_files import read_container
+from mixseq.compression.bitstream.compressed_sequence import (
+    BetweenFrames,
+    CodingParameters,
+    CompressedSequence,
+)
+from mixseq_io.coded.streams import MAGIC, Stream, StreamIndex, read_index
+from mixseq_io.verification import read_container
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
+from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
 from mixseq.errors import FormatError
-from mixseq_io.coded.stream_index import Stream, StreamIndex
-from mixseq_io.compressed_files import compressed_sizes, is_compressed, read_compressed
+from mixseq_io.coded.streams import Stream, StreamIndex
+from mixseq_io.verification import compressed_sizes, is_compressed, read_compressed
 from tests.formats.compressed.stream_cases import assert_same, damage, flip, index_of, place_of
 
 pytestmark = pytest.mark.slow

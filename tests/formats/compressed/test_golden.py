@@ -8,9 +8,9 @@ from math import inf
 import numpy as np
 
 import mixseq
-from mixseq.sequence import MeshSequence
-from mixseq.surface import FaceSet, Surface
-from mixseq_io.compressed_files import read_compressed, read_container
+from mixseq.mesh.surface import FaceSet, Surface
+from mixseq.sequence.sequence import MeshSequence
+from mixseq_io.verification import read_compressed, read_container
 from tests.formats.compressed.stream_cases import GOLDEN
 from tests.meshes import bar
 

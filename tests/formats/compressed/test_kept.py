@@ -13,12 +13,12 @@ import pytest
 from numpy.typing import NDArray
 
 import mixseq
-from mixseq.coding.bitstream.compressed_sequence import BetweenFrames, Chunk, CompressedSequence
+from mixseq.compression.bitstream.compressed_sequence import BetweenFrames, Chunk, CompressedSequence
 from mixseq.errors import FormatError, MixseqWarning, OutputError
-from mixseq.sequence import MeshSequence
-from mixseq.spaces.basis import BasisSpace
-from mixseq_io.coded.stream_index import COMPRESSED_VERSION
-from mixseq_io.compressed_files import compressed_sizes, is_compressed, read_compressed
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.spaces.vertex import BasisSpace
+from mixseq_io.coded.streams import COMPRESSED_VERSION
+from mixseq_io.verification import compressed_sizes, is_compressed, read_compressed
 from tests.formats.compressed.stream_cases import PARAMETERS, any_bytes, assert_same
 from tests.meshes import bar
 

@@ -11,14 +11,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import mixseq
-from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
+from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
 from mixseq.errors import FormatError
-from mixseq.polygons import Polygons
-from mixseq.sequence import SequenceHeader
-from mixseq.surface import CornerValues, FaceSet, MeshObject, Origin, Surface, by_first_use
-from mixseq_io.coded.lossless import pack_surface, pack_times, unpack_surface, unpack_times
-from mixseq_io.coded.stream_index import pack_leb128, unpack_leb128
-from mixseq_io.compressed_files import compressed_sizes, read_compressed
+from mixseq.mesh.polygons import Polygons
+from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Origin, Surface, by_first_use
+from mixseq.sequence.header import SequenceHeader
+from mixseq_io.coded.streams import (
+    pack_leb128,
+    pack_surface,
+    pack_times,
+    unpack_leb128,
+    unpack_surface,
+    unpack_times,
+)
+from mixseq_io.verification import compressed_sizes, read_compressed
 from tests.formats.compressed.stream_cases import any_bytes
 from tests.meshes import tube
 

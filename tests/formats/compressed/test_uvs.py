@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
-from mixseq.coding.encoder.uv_quantisation import UV_ERROR
+from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
+from mixseq.compression.encoder.uvs import UV_ERROR
 from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
-from mixseq.sequence import MeshSequence
-from mixseq.surface import CornerValues, FaceSet, Surface
+from mixseq.mesh.surface import CornerValues, FaceSet, Surface
+from mixseq.sequence.sequence import MeshSequence
 from mixseq_io.coded.packing import room_for_signals
-from mixseq_io.compressed_files import compressed_sizes, read_compressed
+from mixseq_io.verification import compressed_sizes, read_compressed
 from tests.formats.compressed.stream_cases import GOLDEN, damage, index_of
 from tests.meshes import bar
 

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from mixseq.errors import FormatError, MixseqWarning, SettingsError
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
 from tests.formats.gltf_maker import TRIANGLE, Maker, moving
 
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from mixseq.errors import MixseqWarning
-from mixseq.polygons import Polygons
-from mixseq.sequence import MeshSequence
+from mixseq.mesh.polygons import Polygons
+from mixseq.sequence.sequence import MeshSequence
 from tests.formats.conftest import lossy
 from tests.formats.gltf_files import IMAGE, Gltf, Json, read, rigged, write_glb, written
 from tests.given import chunks

@@ -12,9 +12,9 @@ import pytest
 import mixseq
 from mixseq.choices import StillName
 from mixseq.errors import MixseqWarning
-from mixseq.rigging import fit_skin
-from mixseq.sequence import MeshSequence
-from mixseq.surface import CornerValues
+from mixseq.mesh.surface import CornerValues
+from mixseq.rigging.fitting import fit_skin
+from mixseq.sequence.sequence import MeshSequence
 from tests.formats.gltf_files import Gltf, read, validate, written
 from tests.formats.gltf_maker import TRIANGLE, Maker, load
 from tests.meshes import bar

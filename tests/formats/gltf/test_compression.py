@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from mixseq.errors import FormatError, MissingExtraError
-from mixseq.sequence import MeshSequence
-from mixseq_io.gltf import draco
-from mixseq_io.gltf.compression import plain
+from mixseq.sequence.sequence import MeshSequence
+from mixseq_io.gltf import codecs
+from mixseq_io.gltf.codecs import plain
 from mixseq_io.gltf.document import load_document
 from mixseq_io.gltf.reader import open_gltf
 from mixseq_io.gltf.writer import write_gltf
@@ -151,7 +151,7 @@ def test_a_view_that_unpacks_to_far_more_than_the_file(tmp_path: Path) -> None:
 
 
 def test_draco_without_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(draco, "find_spec", lambda name: None)
+    monkeypatch.setattr(codecs, "find_spec", lambda name: None)
     with pytest.raises(
         MissingExtraError, match=r"draco.glb is compressed with Draco.*pip install 'mixseq\[gltf\]'"
     ):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from mixseq.errors import FormatError, InvalidSequenceError, MixseqWarning
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
 from tests.formats.gltf_maker import JOINTS, TRIANGLE, Maker, load, morphing, moving, skinned, split_square
 
 pytestmark = pytest.mark.slow

@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.arrays import FloatArray
 from mixseq.choices import STILLS, StillName
-from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
+from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
 from mixseq.errors import AmbiguousError, FormatError, MixseqWarning, OutputError, SettingsError
-from mixseq.sequence import MeshSequence
-from mixseq.surface import CornerValues, FaceSet, Origin, Surface
-from mixseq_io.compressed_files import compressed_sizes, read_container
+from mixseq.mesh.surface import CornerValues, FaceSet, Origin, Surface
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import FloatArray
+from mixseq_io.verification import compressed_sizes, read_container
 from tests.formats.compressed.stream_cases import assert_same
 from tests.formats.gltf_files import validate
 from tests.meshes import bar
@@ -198,7 +198,7 @@ def test_stills_may_be_left_out(tmp_path: Path, coded: CompressedSequence, path:
 
 
 def mixseq_coded(path: Path) -> CompressedSequence:
-    from mixseq_io.compressed_files import read_compressed
+    from mixseq_io.verification import read_compressed
 
     return read_compressed(path)
 

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from mixseq.errors import FormatError, MissingExtraError
-from mixseq_io.gltf import meshopt
-from mixseq_io.gltf.meshopt import unpacked
+from mixseq_io.gltf import codecs
+from mixseq_io.gltf.codecs import unpacked
 from tests.formats.gltf.packed_files import FOLDER
 from tests.formats.gltf_maker import load
 
@@ -91,6 +91,6 @@ def test_damage_is_an_error_or_other_numbers(data: st.DataObject) -> None:
 
 
 def test_without_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(meshopt, "find_spec", lambda name: None)
+    monkeypatch.setattr(codecs, "find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match=r"meshopt\.glb is compressed.*pip install 'mixseq\[gltf\]'"):
         load(FOLDER / "meshopt.glb")

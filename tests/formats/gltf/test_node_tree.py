@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, MixseqWarning
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
 from tests.formats.gltf_maker import SQUARE, TRIANGLE, Maker, moving
 
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from mixseq.errors import MixseqError, MixseqWarning, OutputError, SettingsError
-from mixseq.sequence import MeshSequence
-from mixseq.surface import Surface
+from mixseq.mesh.surface import Surface
+from mixseq.sequence.sequence import MeshSequence
 from mixseq_io.gltf.writer import write_gltf
 from tests.formats.conftest import lossy
 from tests.formats.gltf.test_carry import change

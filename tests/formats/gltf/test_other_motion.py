@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from mixseq.errors import MixseqWarning
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
 from tests.formats.conftest import lossy
 from tests.formats.gltf_files import Gltf, read, validate, written
 from tests.formats.gltf_maker import TRIANGLE, Maker

@@ -15,7 +15,7 @@ import mixseq
 from mixseq.creature import walk_cycle
 from mixseq.errors import InvalidSequenceError, MixseqWarning, OutputError
 from mixseq.rigging.rigs import Morph, Skin, rotation_matrices
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
 from mixseq_io.rig_arrays import four_influences
 from mixseq_io.rig_measuring import measure, size_as_frames
 from tests.formats.conftest import dressed, lossy
@@ -217,7 +217,7 @@ def test_targets_whose_weights_never_change_are_in_the_base(tmp_path: Path) -> N
 
 
 def test_normals_of_targets_come_close_to_those_of_the_frames(tmp_path: Path) -> None:
-    from mixseq.geometry.normals import shared_normals
+    from mixseq.mesh.measures import shared_normals
 
     morph = swelling()
     file = written(tmp_path / "a.glb", replace(morph, weights=morph.weights * [[0], [1], [0], [0.0]]))

@@ -11,9 +11,9 @@ import pytest
 from numpy.typing import NDArray
 
 from mixseq.errors import FormatError, MixseqWarning
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
 from mixseq_io.gltf.document import load_document
-from mixseq_io.gltf.welding import weld
+from mixseq_io.gltf.primitives import weld
 from tests.formats.gltf_maker import SQUARE, TRIANGLE, Maker, moving, split_square
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
 from tests.formats.gltf_maker import JOINTS, TRIANGLE, morphing, skinned
 
 

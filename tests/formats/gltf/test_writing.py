@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mixseq.arrays import FloatArray
 from mixseq.errors import InvalidSequenceError, MixseqWarning, OutputError
-from mixseq.sequence import MeshSequence, Polygons
-from mixseq.surface import CornerValues, FaceSet, MeshObject, Surface
+from mixseq.mesh.polygons import Polygons
+from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Surface
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import FloatArray
 from mixseq_io.gltf.new_document import _distinct
 from mixseq_io.gltf.writer import write_gltf
 from tests.formats.conftest import CASES, lossy

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdSkel, Vt
 
-from mixseq.polygons import Polygons
-from mixseq.sequence import MeshSequence
+from mixseq.mesh.polygons import Polygons
+from mixseq.sequence.sequence import MeshSequence
 from mixseq_io import Labels
 from tests.formats.usd_maker import Asset
 

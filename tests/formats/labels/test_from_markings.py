@@ -8,16 +8,15 @@ import numpy as np
 import pytest
 
 from mixseq.errors import FormatError
-from mixseq.polygons import Polygons
-from mixseq.surface import FaceSet
-from mixseq_io.labels.faces import polygon_labels, triangle_labels
-from mixseq_io.labels.from_markings import (
+from mixseq.mesh.polygons import Polygons
+from mixseq.mesh.surface import FaceSet
+from mixseq_io.text.derived_labels import (
     labels_of_colours,
     labels_of_sets,
     labels_of_skinning,
     without_small_regions,
 )
-from mixseq_io.labels.markings import Skinning, joined_skinning
+from mixseq_io.text.labels import Skinning, joined_skinning, polygon_labels, triangle_labels
 from tests.formats.labels.labelled_files import FACES, told
 from tests.meshes import grid
 

@@ -10,11 +10,11 @@ import pytest
 from pxr import UsdGeom
 
 from mixseq.errors import FormatError
-from mixseq.polygons import Polygons
-from mixseq.segmentation import segment_by_labels
-from mixseq.topology import Topology
+from mixseq.mesh.polygons import Polygons
+from mixseq.mesh.topology import Topology
+from mixseq.segmentation.methods import segment_by_labels
 from mixseq_io import open_sequence, read, read_labels
-from mixseq_io.labels.reading import labels_of
+from mixseq_io.text.label_files import labels_of
 from tests.formats.gltf_maker import SQUARE, Maker, skinned, split_square
 from tests.formats.labels.labelled_files import (
     FACES,
@@ -182,8 +182,7 @@ def test_a_character_has_the_same_labels_in_two_formats(data: Path) -> None:
     ],
 )
 def test_skeletons_agree_with_motion(name: str, options: dict[str, Any], least: float, data: Path) -> None:
-    from mixseq.segmentation.methods import segment
-    from mixseq.segmentation.scores import adjusted_rand_index
+    from mixseq.segmentation.methods import adjusted_rand_index, segment
 
     whole = read(data / name, **options)
     topology = Topology(whole.faces, whole.vertex_count)

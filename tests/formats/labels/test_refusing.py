@@ -11,7 +11,7 @@ import pytest
 from pxr import UsdGeom, Vt
 
 from mixseq.errors import AmbiguousError, FormatError, MixseqError, SettingsError
-from mixseq.polygons import Polygons
+from mixseq.mesh.polygons import Polygons
 from mixseq_io import read, read_labels
 from tests.formats.labels.labelled_files import OBJ, groups, mesh, skinned_strip, subsets, told
 from tests.formats.usd_maker import Asset

@@ -10,11 +10,10 @@ import pytest
 from pxr import Usd, UsdGeom
 
 from mixseq.errors import MixseqWarning, OutputError
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
 from mixseq_io import Labels, open_sequence, read, read_labels, write
-from mixseq_io.labels.faces import triangle_labels
-from mixseq_io.labels.reading import labels_of
-from mixseq_io.labels.writing import write_labels
+from mixseq_io.text.label_files import labels_of, write_labels
+from mixseq_io.text.labels import triangle_labels
 from tests.formats.labels.labelled_files import mesh, skinned_strip, subsets, told
 from tests.formats.usd_maker import mesh_at, problems
 from tests.meshes import bar

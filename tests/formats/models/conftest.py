@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 import mixseq
-from mixseq.shells.fitting import ShellSettings
-from mixseq.signals import Model
+from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.signals.detail import Detail
+from mixseq.signals.model import Model
 from tests.formats.models.model_cases import jointed
 from tests.meshes import bar
 

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import mixseq
-from mixseq.sequence import MeshSequence
-from mixseq.signals import Model
+from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.detail import Detail, build, encode
-from mixseq.spaces import MixedSpace, Projection, VertexSpace
+from mixseq.signals.model import Model
+from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
+from mixseq.spaces.vertex import VertexSpace
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 

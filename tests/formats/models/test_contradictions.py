@@ -14,7 +14,7 @@ import pytest
 
 import mixseq
 from mixseq.errors import FormatError
-from mixseq_io.hdf5.h5_writing import put_text
+from mixseq_io.hdf5.datasets import put_text
 from tests.formats.models.model_cases import replace, scaled, with_more, with_zeros
 
 

@@ -16,7 +16,7 @@ import pytest
 
 import mixseq
 from mixseq.errors import FormatError
-from mixseq.signals import Model
+from mixseq.signals.model import Model
 from tests.formats.models.model_cases import (
     ATTRIBUTES,
     DATASETS,

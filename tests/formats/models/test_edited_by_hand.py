@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import mixseq
-from mixseq.geometry.rotations import normalised, product, rotations_of
-from mixseq.signals import Curve, Model
+from mixseq.mesh.rotations import normalised, product, rotations_of
+from mixseq.signals.curve import Curve
+from mixseq.signals.model import Model
 from tests.formats.models.model_cases import INSIDE, points_at, replace, scale
 from tests.meshes import bar
 

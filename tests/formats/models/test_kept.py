@@ -14,12 +14,16 @@ import pytest
 import mixseq
 from mixseq.choices import PLACEMENTS
 from mixseq.errors import OutputError
-from mixseq.sequence import MeshSequence, Polygons
-from mixseq.shells.fitting import ShellSettings
-from mixseq.signals import Curve, Model
-from mixseq.spaces import EdgeSpace, MixedSpace
-from mixseq.surface import CornerValues, FaceSet, MeshObject, Origin, Surface
-from mixseq_io.surface_arrays import surface_arrays
+from mixseq.mesh.polygons import Polygons
+from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Origin, Surface
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.signals.curve import Curve
+from mixseq.signals.model import Model
+from mixseq.spaces.base import ShapeSpace
+from mixseq.spaces.edge import EdgeSpace
+from mixseq.spaces.mixed.mixed_space import MixedSpace
+from mixseq_io.surfaces import surface_arrays
 from tests.formats.models.model_cases import (
     ATTRIBUTES,
     DATASETS,
@@ -174,7 +178,7 @@ def test_a_failed_save_leaves_the_old_file(model: Model, copy: Path, monkeypatch
     def fail(*_: Any) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("mixseq_io.hdf5.model_files.write_signals", fail)
+    monkeypatch.setattr("mixseq_io.hdf5.models.write_signals", fail)
     with pytest.raises(OutputError, match=r"bar\.h5"):
         mixseq.save(copy, model)
     assert copy.read_bytes() == before
@@ -187,7 +191,7 @@ def test_a_folder_that_is_not_there_is_an_output_error(model: Model, tmp_path: P
 
 
 def test_other_spaces_are_an_output_error(tmp_path: Path) -> None:
-    class Volumes(mixseq.spaces.ShapeSpace):
+    class Volumes(ShapeSpace):
         name = "volumes"
         dim = 3
         weights = np.ones(3)
@@ -200,7 +204,7 @@ def test_other_spaces_are_an_output_error(tmp_path: Path) -> None:
 
     given = mixseq.fit(bar(4, 3, 2), space="vertex")
     curve = Curve(given.times, np.zeros((2, 0)))
-    pose = mixseq.signals.PoseMap(np.ones(1), np.zeros((0, 1)))
+    pose = mixseq.PoseMap(np.ones(1), np.zeros((0, 1)))
     model = Model(given.header, Volumes(), curve, pose, np.ones((1, 3)), curve)
     with pytest.raises(
         OutputError, match="the spaces mixed, vertex, gradient, lri, edge, basis, not in Volumes"

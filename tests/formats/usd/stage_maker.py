@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel, Vt
 
-from mixseq.arrays import FloatArray
-from mixseq.sequence import MeshSequence
-from mixseq.surface import FaceSet
+from mixseq.mesh.surface import FaceSet
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import FloatArray
 from mixseq_io.usd.reader import open_usd
 
 CORNERS = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (2, 0, 0)], dtype=np.float32)

@@ -9,7 +9,7 @@ import pytest
 from pxr import Gf, Usd, UsdGeom, UsdSkel, UsdUtils, Vt
 
 from mixseq.errors import InvalidSequenceError, MixseqWarning
-from mixseq_io.usd.seams import weld
+from mixseq_io.usd.motion import weld
 from tests.formats.usd.stage_maker import CORNERS, INDICES, Make, baked, lower, paths, read, saved
 
 

@@ -124,7 +124,7 @@ class TestChoosing:
     def test_instances_of_instances_without_end(
         self, stage: Usd.Stage, make: Make, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr("mixseq_io.usd.prims._MOST_PRIMS", 1000)
+        monkeypatch.setattr("mixseq_io.usd.stage._MOST_PRIMS", 1000)
         make("/level0/mesh")
         for level in range(1, 40):
             for number in range(2):

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from pxr import Sdf, Tf, Usd, UsdGeom
 
-from mixseq.cli.console import announce, format_bytes
+from mixseq.cli.group import announce, format_bytes
 from mixseq.errors import InvalidSequenceError, MixseqWarning, OutputError, SettingsError
-from mixseq.sequence import MeshSequence
-from mixseq_io.usd.paths import clips_of
+from mixseq.sequence.sequence import MeshSequence
+from mixseq_io.usd.stage import clips_of
 from mixseq_io.usd.writer import write_usd
 from tests.formats.usd_maker import (
     Asset,

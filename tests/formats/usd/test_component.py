@@ -12,11 +12,13 @@ import pytest
 from pxr import Sdf, Tf, Usd, UsdGeom, UsdShade, UsdUtils, Vt
 
 from mixseq.errors import InvalidSequenceError, MixseqWarning, OutputError
-from mixseq.geometry.normals import shared_normals
-from mixseq.sequence import MeshSequence, Polygons, header_fields
-from mixseq.surface import CornerValues, FaceSet, MeshObject, Surface
+from mixseq.mesh.measures import shared_normals
+from mixseq.mesh.polygons import Polygons
+from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Surface
+from mixseq.sequence.header import header_fields
+from mixseq.sequence.sequence import MeshSequence
 from mixseq_io import open_sequence, read, write
-from mixseq_io.usd.prims import define
+from mixseq_io.usd.stage import define
 from tests.formats.usd_maker import TOKENS, Asset, lift, link, load, mesh_at, paint, problems, save, shot
 
 

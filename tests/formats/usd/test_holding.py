@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom
 
-from mixseq.arrays import FloatArray
 from mixseq.errors import MixseqWarning, OutputError
-from mixseq.sequence import MeshSequence, collect
+from mixseq.sequence.sequence import MeshSequence, collect
+from mixseq.types import FloatArray
 from mixseq_io.usd.reader import open_usd
 from tests.formats.usd_maker import (
     Asset,

@@ -9,8 +9,8 @@ import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, Vt
 
 import mixseq
-from mixseq.arrays import FloatArray
 from mixseq.errors import InvalidSequenceError, MixseqWarning
+from mixseq.types import FloatArray
 from tests.formats.usd.stage_maker import INDICES, Make, plain, saved
 
 UVS = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0.5, 0.25), (0.75, 0.5), (0.25, 0)], dtype=np.float32)

@@ -13,8 +13,10 @@ import pytest
 from pxr import Sdf, UsdUtils, Vt
 
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
-from mixseq.sequence import MeshSequence, Polygons, header_fields
-from mixseq.surface import Origin, Surface
+from mixseq.mesh.polygons import Polygons
+from mixseq.mesh.surface import Origin, Surface
+from mixseq.sequence.header import header_fields
+from mixseq.sequence.sequence import MeshSequence
 from tests.formats.usd_maker import (
     CORNERS,
     FACES,

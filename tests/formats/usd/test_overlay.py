@@ -11,8 +11,8 @@ import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, UsdUtils, Vt
 
 from mixseq.errors import MixseqWarning, OutputError
-from mixseq.geometry.normals import shared_normals
-from mixseq.sequence import MeshSequence
+from mixseq.mesh.measures import shared_normals
+from mixseq.sequence.sequence import MeshSequence
 from tests.formats.usd_maker import (
     CORNERS,
     FACES,

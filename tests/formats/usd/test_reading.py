@@ -11,7 +11,7 @@ import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdUtils, Vt
 
 from mixseq.errors import FormatError, InvalidSequenceError, MixseqWarning
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
 from mixseq_io import read
 
 # Not in the type stubs yet.

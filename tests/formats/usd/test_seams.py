@@ -12,10 +12,11 @@ import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from mixseq.errors import OutputError
-from mixseq.sequence import MeshSequence, Polygons
-from mixseq.surface import Surface
+from mixseq.mesh.polygons import Polygons
+from mixseq.mesh.surface import Surface
+from mixseq.sequence.sequence import MeshSequence
 from mixseq_io import read, write
-from mixseq_io.usd.seams import VERTICES
+from mixseq_io.usd.motion import VERTICES
 from tests.formats.conftest import lossy
 
 # Two triangles of a square, with points of their own along the diagonal from (0, 0) to (1, 1).

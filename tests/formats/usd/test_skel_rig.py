@@ -10,10 +10,10 @@ import pytest
 from pxr import Gf, Usd, UsdGeom, UsdSkel
 
 import mixseq
-from mixseq.arrays import Float
 from mixseq.errors import InvalidSequenceError, OutputError
 from mixseq.rigging.rigs import Morph, Skin
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import Float
 from mixseq_io.rig_measuring import measure
 from tests.formats.conftest import dressed, lossy
 from tests.formats.rig_maker import QUARTER, carried, hinge, random_skin, swelling

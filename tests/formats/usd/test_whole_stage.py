@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdVol
 
-from mixseq.arrays import FloatArray
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
-from mixseq.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import FloatArray
 from tests.formats.usd_maker import Asset, character, lift, load, paint, problems, save, shot, world_points
 
 CODES = np.array([0.0, 1, 2, 3, 4])

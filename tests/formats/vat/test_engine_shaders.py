@@ -16,11 +16,11 @@ import pytest
 from numpy.typing import NDArray
 
 from mixseq.creature import walk_cycle
-from mixseq.sequence import MeshSequence, bounding_diagonal
-from mixseq_io.vat.texels import Texels
+from mixseq.sequence.sequence import MeshSequence, bounding_diagonal
+from mixseq_io.vat.textures import Texels
 from mixseq_io.vat.writer import VatReport, write_vat
 from tests.formats.vat.test_images import unpacked
-from tests.viewing.conftest import browser, new_page, page
+from tests.viewer.conftest import browser, new_page, page
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

@@ -13,8 +13,8 @@ import pytest
 from numpy.typing import NDArray
 
 from mixseq.errors import MissingExtraError
-from mixseq_io.vat import images
-from mixseq_io.vat.images import png_of, write_exr
+from mixseq_io.vat import textures
+from mixseq_io.vat.textures import png_of, write_exr
 
 pytestmark = pytest.mark.slow
 
@@ -76,4 +76,4 @@ def test_exr(tmp_path: Path) -> None:
 def test_exr_without_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "OpenEXR", None)
     with pytest.raises(MissingExtraError, match=r"walk.vat: EXR textures.*pip install 'mixseq\[exr\]'"):
-        images.exr_library(Path("walk.vat"))
+        textures.exr_library(Path("walk.vat"))

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 import mixseq
 from mixseq.creature import walk_cycle
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
-from mixseq.sequence import MeshSequence, bounding_diagonal
-from mixseq_io.vat.texels import Texels
+from mixseq.sequence.sequence import MeshSequence, bounding_diagonal
+from mixseq_io.vat.textures import Texels
 from mixseq_io.vat.writer import VatReport, write_vat
 from tests.formats.gltf_files import Gltf, validate
 from tests.formats.vat.test_images import unpacked
 from tests.meshes import bar, rotation
-from tests.viewing.conftest import browser, new_page, page
+from tests.viewer.conftest import browser, new_page, page
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page, Route

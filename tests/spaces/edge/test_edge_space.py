@@ -11,19 +11,19 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.arrays import Float
 from mixseq.errors import ReconstructionError, SettingsError
-from mixseq.geometry.lengths_angles import edge_lengths
-from mixseq.geometry.rigid import kabsch
-from mixseq.segmentation import decompose
-from mixseq.sequence import MeshSequence, bounding_diagonal
+from mixseq.mesh.measures import edge_lengths
+from mixseq.mesh.rigid import kabsch
+from mixseq.mesh.topology import Topology
+from mixseq.segmentation.joints import decompose
+from mixseq.sequence.sequence import MeshSequence, bounding_diagonal
 from mixseq.shells import shell
-from mixseq.shells.fitting import ShellSettings
-from mixseq.spaces.edge.discrete_shell import volume
-from mixseq.spaces.edge.edge_space import EdgeSettings, EdgeSpace
-from mixseq.spaces.mixed import Projection, mixed_space
-from mixseq.spaces.mixed.joint_projection import BENDING_WEIGHT
-from mixseq.topology import Topology
+from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.spaces.edge import EdgeSettings, EdgeSpace, volume
+from mixseq.spaces.mixed.construction import mixed_space
+from mixseq.spaces.mixed.joints import BENDING_WEIGHT
+from mixseq.spaces.mixed.mixed_space import Projection
+from mixseq.types import Float
 from tests.meshes import SEQUENCES, bent, rotation, torus, tube
 
 pytestmark = pytest.mark.slow

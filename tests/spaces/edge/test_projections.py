@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixseq.arrays import Float
 from mixseq.errors import ReconstructionError
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
-from mixseq.geometry.rigid import kabsch
-from mixseq.shells.fitting import ShellSettings
-from mixseq.spaces.edge.discrete_shell import DiscreteShell, volume
-from mixseq.spaces.edge.projection import EdgeProjection, Wanted
-from mixseq.spaces.edge.relaxed_shell import RelaxedShell
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap
+from mixseq.mesh.rigid import kabsch
+from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.spaces.edge import DiscreteShell, EdgeProjection, RelaxedShell, Wanted, volume
 from mixseq.spaces.pieces import Pieces
+from mixseq.types import Float
 from tests.meshes import Mesh, bent, grid, joined, pages, tetrahedron, topology_of, torus, tube
 
 MESH: Mesh = joined(tube(6, 9), tetrahedron(), torus(9, 5), pages(3, 4, 2))

@@ -7,19 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mixseq.arrays import Float
 from mixseq.errors import ReconstructionError
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
-from mixseq.shells.fitting import ShellProblem, ShellSettings, fit_shell
-from mixseq.spaces.edge.discrete_shell import (
-    DiscreteShell,
-    VolumeTerm,
-    is_sheet,
-    surface_area,
-    volume,
-    volume_gradient,
-)
+from mixseq.mesh.measures import dihedral_angles, edge_lengths
+from mixseq.shells.fitting import ShellProblem, fit_shell
+from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.spaces.edge import DiscreteShell, VolumeTerm, is_sheet, surface_area, volume, volume_gradient
 from mixseq.spaces.pieces import Pieces
+from mixseq.types import Float
 from tests.meshes import Mesh, flipped, grid, rotation, tetrahedron, topology_of, torus, tube
 
 

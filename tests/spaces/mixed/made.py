@@ -8,12 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from mixseq.arrays import Float, Index
 from mixseq.choices import PLACEMENTS, PlacementName
-from mixseq.segmentation import decompose, segment_by_labels, segment_by_motion
-from mixseq.sequence import MeshSequence
-from mixseq.spaces.mixed import MixedSpace, Projection, Purpose, mixed_space
-from mixseq.topology import Topology
+from mixseq.mesh.topology import Topology
+from mixseq.segmentation.joints import decompose
+from mixseq.segmentation.methods import segment_by_labels
+from mixseq.segmentation.motion import segment_by_motion
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.spaces.mixed.construction import Purpose, mixed_space
+from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
+from mixseq.types import Float, Index
 from tests.meshes import (
     SEQUENCES,
     Mesh,

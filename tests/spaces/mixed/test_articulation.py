@@ -9,12 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixseq.arrays import Float, Index
-from mixseq.geometry.rotations import normalised, product, quaternions, rotations_of, turned
-from mixseq.prediction.poses import Poses
-from mixseq.segmentation import decompose
-from mixseq.segmentation.boundaries import Boundaries
-from mixseq.spaces.metric import radii_of_gyration
+from mixseq.mesh.rotations import normalised, product, quaternions, rotations_of, turned
+from mixseq.segmentation.elements import Boundaries
+from mixseq.segmentation.joints import decompose
+from mixseq.spaces.base import radii_of_gyration
 from mixseq.spaces.mixed import posing_kernels as kernels
 from mixseq.spaces.mixed.articulation import (
     MOTION_FLOOR,
@@ -23,7 +21,9 @@ from mixseq.spaces.mixed.articulation import (
     Steadiness,
     articulation_of,
 )
-from mixseq.spaces.mixed.complex_step import values_and_rates, with_rates
+from mixseq.spaces.mixed.joints import values_and_rates, with_rates
+from mixseq.spaces.temporal import Poses
+from mixseq.types import Float, Index
 from tests.meshes import Mesh, joined, rigid_motions, rotation, seeds, topology_of, tube
 from tests.spaces.mixed.made import sliced
 

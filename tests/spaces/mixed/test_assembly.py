@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mixseq.arrays import Float
-from mixseq.geometry.rigid import kabsch, transform
-from mixseq.geometry.rotations import product, quaternions
+from mixseq.mesh.rigid import kabsch, transform
+from mixseq.mesh.rotations import product, quaternions
 from mixseq.spaces.mixed.assembly import FreeFrame
 from mixseq.spaces.mixed.mixed_space import MixedSpace
+from mixseq.types import Float
 from tests.meshes import rotation
 from tests.spaces.mixed.made import error, sequence_of, space_of
 

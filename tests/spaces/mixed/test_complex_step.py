@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mixseq.shells.solvers import factored_laplacian
-from mixseq.spaces.mixed.complex_step import solve, values_and_rates, with_rates
+from mixseq.spaces.mixed.joints import solve, values_and_rates, with_rates
 
 RNG = np.random.default_rng(0)
 VALUES, RATES = RNG.normal(size=(2, 5, 3))

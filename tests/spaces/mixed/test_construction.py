@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixseq.arrays import Float, FloatArray
 from mixseq.choices import PLACEMENTS, PlacementName
 from mixseq.creature import walk_cycle
 from mixseq.errors import SettingsError
-from mixseq.segmentation import decompose, segment_by_labels, segment_by_motion
-from mixseq.sequence import MeshSequence
-from mixseq.spaces.mixed import MixedSpace, Projection, Purpose, mixed_space
+from mixseq.mesh.topology import Topology
+from mixseq.segmentation.joints import decompose
+from mixseq.segmentation.methods import segment_by_labels
+from mixseq.segmentation.motion import segment_by_motion
+from mixseq.sequence.sequence import MeshSequence
 from mixseq.spaces.mixed.construction import (
     FAR_HOLD,
     FAR_RELATIONS,
@@ -20,12 +21,15 @@ from mixseq.spaces.mixed.construction import (
     MIN_STEPS,
     REFERENCE_STEP,
     SIZE_REDUCTION,
+    Purpose,
     are_far,
     at_winding_hinges,
     flat_in_some_frame,
     half_way_errors,
+    mixed_space,
 )
-from mixseq.topology import Topology
+from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
+from mixseq.types import Float, FloatArray
 from tests.meshes import SEQUENCES, bar, bent, grid, topology_of, tube
 from tests.spaces.mixed.made import sequence_of, sliced, space_of
 

@@ -10,10 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixseq.arrays import Float, Mask
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
-from mixseq.spaces.mixed.complex_step import values_and_rates, with_rates
-from mixseq.spaces.mixed.joint_projection import JointProjection
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap
+from mixseq.spaces.mixed.joints import JointProjection, values_and_rates, with_rates
+from mixseq.types import Float, Mask
 from tests.meshes import Mesh, grid, joined, rigid_motions, seeds, topology_of, torus, tube
 from tests.spaces.mixed.made import MESHES
 

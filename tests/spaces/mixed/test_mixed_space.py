@@ -12,21 +12,28 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import mixseq
-from mixseq.arrays import Float
 from mixseq.choices import PLACEMENTS, PlacementName
 from mixseq.creature import walk_cycle
 from mixseq.errors import ReconstructionError, SettingsError
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
-from mixseq.geometry.rigid import kabsch, transform
-from mixseq.geometry.rotations import normalised, product, quaternions, rotations_of, turned
-from mixseq.prediction.operator import Operator, with_middles
-from mixseq.prediction.poses import Poses, predicted_alone
-from mixseq.segmentation import decompose, segment_by_labels
-from mixseq.sequence import MeshSequence
-from mixseq.spaces import VertexSpace, mixed_space
-from mixseq.spaces.metric import ANGLE
-from mixseq.spaces.mixed import MixedSpace, Projection, Purpose, as_mixed
-from mixseq.spaces.mixed.mixed_space import ARTICULATION_WEIGHT, JOINT_EMBEDDING_WEIGHT, JOINT_WEIGHT
+from mixseq.mesh.measures import dihedral_angles, edge_lengths
+from mixseq.mesh.rigid import kabsch, transform
+from mixseq.mesh.rotations import normalised, product, quaternions, rotations_of, turned
+from mixseq.segmentation.joints import decompose
+from mixseq.segmentation.methods import segment_by_labels
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.spaces.base import ANGLE
+from mixseq.spaces.mixed.construction import Purpose, mixed_space
+from mixseq.spaces.mixed.mixed_space import (
+    ARTICULATION_WEIGHT,
+    JOINT_EMBEDDING_WEIGHT,
+    JOINT_WEIGHT,
+    MixedSpace,
+    Projection,
+    as_mixed,
+)
+from mixseq.spaces.temporal import Operator, Poses, predicted_alone, with_middles
+from mixseq.spaces.vertex import VertexSpace
+from mixseq.types import Float
 from tests.meshes import SEQUENCES, Mesh, bending, bent, rigid_motions, rotation, seeds, topology_of, tube
 from tests.spaces.mixed.made import (
     MESHES,

@@ -7,14 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixseq.arrays import Float, Index
-from mixseq.geometry.rotations import continued, product, quaternions, rotations_of, turned
-from mixseq.prediction.operator import LENGTHS, Operator, chosen, with_middles
-from mixseq.prediction.poses import Poses, predicted_alone
+from mixseq.mesh.rotations import continued, product, quaternions, rotations_of, turned
 from mixseq.spaces.mixed.articulation import Articulation, Steadiness
 from mixseq.spaces.mixed.pose_prediction import PosePrediction
+from mixseq.spaces.temporal import LENGTHS, Operator, Poses, chosen, predicted_alone, with_middles
+from mixseq.types import Float, Index
 from tests.meshes import rigid_motions, rotation, seeds
-from tests.prediction.moving import turns_of, wandering
+from tests.spaces.moving import turns_of, wandering
 
 
 def related(pairs: Index, pivots: Float, radii: Float, rest: Float) -> Articulation:

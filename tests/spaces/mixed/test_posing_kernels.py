@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixseq.arrays import Float, Index
-from mixseq.geometry.rotations import normalised, product, quaternions
+from mixseq.mesh.rotations import normalised, product, quaternions
 from mixseq.spaces.mixed import posing_kernels as kernels
-from mixseq.spaces.mixed.complex_step import values_and_rates, with_rates
+from mixseq.spaces.mixed.joints import values_and_rates, with_rates
+from mixseq.types import Float, Index
 from tests.meshes import rigid_motions, rotation, seeds
 
 AXIS = np.array([2.0, -1.0, 2.0]) / 3

@@ -8,11 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
 
-from mixseq.arrays import Float
-from mixseq.geometry.rigid import mean_shape
-from mixseq.segmentation import Decomposition, decompose, segment_by_labels
+from mixseq.mesh.rigid import mean_shape
+from mixseq.segmentation.joints import Decomposition, decompose
+from mixseq.segmentation.methods import segment_by_labels
 from mixseq.spaces.mixed import skinning_weights
 from mixseq.spaces.mixed.skinning_weights import GRID, LEAST, MOST, fitted_skinning_weights
+from mixseq.types import Float
 from tests.meshes import (
     SEQUENCES,
     Mesh,

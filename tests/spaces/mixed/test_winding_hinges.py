@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mixseq.mesh.topology import Topology
 from mixseq.spaces.mixed.construction import at_winding_hinges
-from mixseq.topology import Topology
 
 
 @pytest.mark.parametrize(("turn", "winding"), [(80.0, False), (100.0, True)])

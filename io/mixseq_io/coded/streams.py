@@ -1,0 +1,477 @@
+"""Index of a compressed model's streams in its one dataset, with the length and CRC-32 of each.
+
+==========  =====================================================================================================
+bytes       meaning, all numbers little-endian
+==========  =====================================================================================================
+4           ``msq1``
+3 x 4       uint32: size of the lengths, size of the checksums, CRC-32 of both
+any         lengths, as numbers of 7 bits a byte (LEB128): number of groups of the basis, number of chunks, number of
+            frames of every chunk, length of every stream
+any         uint32 each: CRC-32 of the attribute ``coding``, and of every stream that is not empty
+==========  =====================================================================================================
+
+Frozen: changing this breaks old files.
+
+Lossless packing of times and surfaces of compressed models.
+
+First differences of numbers are stored bytewise: the first bytes of all numbers, then the second bytes, and so on.
+Most are zeros, which zlib compresses well.
+
+Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``).
+
+Read a compressed sequence from a text that describes the streams, and the streams.
+
+The text is JSON: parameters, name, fps, up_axis, metres_per_unit, counts, first time. The index (`stream_index`) has
+the length and CRC-32 of every stream. Their order is: connectivity, surface, times, texture coordinates if any; spatial
+basis by group; coefficients and residual layer chunk by chunk. Specification: ``docs/file-format.md``.
+
+Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1*``).
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
+from itertools import accumulate
+from math import inf
+from pathlib import Path
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.choices import ORDERS, OrderName
+from mixseq.compression.bitstream.compressed_sequence import (
+    BetweenFrames,
+    Chunk,
+    CodingParameters,
+    CompressedSequence,
+    to_model,
+)
+from mixseq.compression.bitstream.connectivity import decode_polygons
+from mixseq.compression.bitstream.corner_values import decode_hard_edges, decode_uvs, encode_hard_edges
+from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
+from mixseq.mesh.polygons import Polygons
+from mixseq.mesh.surface import WHITE, CornerValues, Surface
+from mixseq.sequence.header import SequenceHeader
+from mixseq.signals.model import Model
+from mixseq_io.files import check_memory, gigabytes, max_memory
+from mixseq_io.surfaces import surface_arrays, surface_of_arrays
+
+COMPRESSED_VERSION = 1
+"""Version of compressed models, separate from that of models with datasets. Frozen: breaks old files."""
+
+MAGIC = b"msq1"
+"""First bytes of the index. Frozen: breaks old files."""
+
+HEAD = struct.Struct("<4sIII")
+"""Magic, bytes of the lengths, bytes of the checksums, checksum of both. Frozen: breaks old files."""
+
+
+@dataclass(frozen=True)
+class Container:
+    """Contents of a file: the attribute ``coding`` and the dataset ``streams``, unchanged, and the version."""
+
+    text: bytes
+    streams: bytes
+    version: int = COMPRESSED_VERSION
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Range of a stream in the dataset, in bytes, and its CRC-32."""
+
+    what: str
+    start: int
+    size: int
+    checksum: int
+
+    def read(self, streams: bytes) -> bytes | None:
+        """Return the stream's bytes, or None if they are damaged or incomplete."""
+        data = streams[self.start : self.start + self.size]
+        return data if len(data) == self.size and crc32(data) == self.checksum else None
+
+
+@dataclass(frozen=True)
+class ChunkStreams:
+    """Streams of the frames `first` to ``first + count - 1``."""
+
+    first: int
+    count: int
+    coefficients: Stream
+    residuals: Stream
+
+
+@dataclass(frozen=True)
+class StreamIndex:
+    """All streams of a file; `ground` are connectivity, surface, times and uvs if any, `size` is the index's size."""
+
+    size: int
+    ground: Mapping[str, Stream]
+    basis: tuple[Stream, ...]
+    chunks: tuple[ChunkStreams, ...]
+
+
+def read_index(path: Path, container: Container) -> StreamIndex:
+    """Read the index; raise `FormatError` for another version, or a damaged index or attribute."""
+    if container.version != COMPRESSED_VERSION:
+        raise FormatError(
+            f"{path} is a compressed model of version {container.version}, this mixseq reads {COMPRESSED_VERSION}: "
+            "upgrade with pip install --upgrade mixseq, or compress the original again"
+        )
+    damaged = FormatError(f"{path}: its index is damaged, so nothing can be read; restore the file")
+    if len(container.streams) < HEAD.size:
+        raise damaged
+    magic, lengths_size, checksums_size, checksum = HEAD.unpack_from(container.streams)
+    size = HEAD.size + lengths_size + checksums_size
+    body = container.streams[HEAD.size : size]
+    if magic != MAGIC or crc32(body) != checksum or checksums_size % 4:
+        raise damaged
+    numbers = list(unpack_leb128(body[:lengths_size]))
+    checksums = np.frombuffer(body[lengths_size:], dtype="<u4").tolist()
+    if not checksums or crc32(container.text) != checksums[0]:
+        raise damaged
+    uvs = facts_of(path, container)["coding"].get("uv_steps") is not None
+    try:
+        return _index(size, numbers, checksums[1:], uvs)
+    except (IndexError, ValueError, StopIteration) as error:  # not by chance: somebody made it so
+        raise damaged from error
+
+
+def _index(size: int, numbers: list[int], checksums: list[int], uvs: bool) -> StreamIndex:
+    groups, chunks, *rest = numbers
+    counts, lengths = rest[:chunks], rest[chunks:]
+    if len(lengths) != 3 + uvs + groups + 2 * chunks or 0 in counts or max(lengths) >= 1 << 63:
+        raise ValueError("there cannot be so many streams, or frames, or bytes")
+    firsts = [0, *accumulate(counts)]
+    names = ["the connectivity's bytes", "the surface's bytes", "the times", "the texture coordinates"]
+    names = names[: 3 + uvs]
+    names += [f"the basis vectors of group {group}" for group in range(groups)]
+    for first, count in zip(firsts, counts, strict=False):
+        frames = f"of frames {first} to {first + count - 1}"
+        names += [f"the coefficients {frames}", f"the residuals {frames}"]
+    starts = accumulate(lengths, initial=size)
+    left = iter(checksums)
+    streams = [
+        Stream(name, start, length, next(left) if length else 0)
+        for name, start, length in zip(names, starts, lengths, strict=False)
+    ]
+    if next(left, None) is not None:
+        raise ValueError("there are more checksums than streams")
+    of_chunks = zip(
+        firsts, counts, streams[3 + uvs + groups :: 2], streams[4 + uvs + groups :: 2], strict=False
+    )
+    return StreamIndex(
+        size=size,
+        ground=dict(zip(("connectivity", "surface", "times", "uvs"), streams[: 3 + uvs], strict=False)),
+        basis=tuple(streams[3 + uvs : 3 + uvs + groups]),
+        chunks=tuple(ChunkStreams(*each) for each in of_chunks),
+    )
+
+
+def facts_of(path: Path, container: Container) -> dict[str, Any]:
+    """Return the attribute ``coding``; raise `FormatError` if it is no JSON, or has no parameters."""
+    try:
+        facts = json.loads(container.text)
+    except ValueError as error:
+        raise FormatError(f"{path}: the attribute coding is no JSON ({error}); it is damaged") from error
+    if not isinstance(facts, dict) or not isinstance(facts.get("coding"), dict):
+        raise FormatError(f"{path}: the attribute coding has no parameters; it is damaged")
+    return facts
+
+
+def pack_leb128(numbers: Iterable[int]) -> bytes:
+    """Write non-negative integers, 7 bits to the byte, the lowest first (LEB128): [5, 300] is 05 ac 02."""
+    packed = bytearray()
+    for number in numbers:
+        while number > 127:
+            packed.append(number & 127 | 128)
+            number >>= 7
+        packed.append(number)
+    return bytes(packed)
+
+
+def unpack_leb128(packed: bytes) -> Iterator[int]:
+    """Read the integers written by `pack_leb128`."""
+    number = shift = 0
+    for byte in packed:
+        number |= (byte & 127) << shift
+        shift += 7
+        if byte < 128:
+            yield number
+            number = shift = 0
+
+
+Mesh = tuple[Polygons, int]
+"""Polygons, and the number of vertices."""
+
+_HARD_EDGES = "hard_edges"
+"""Array of coded hard edges; `creases` are indices of normals. Frozen: breaks old files."""
+
+
+def pack_times(times: NDArray[np.float64], fps: float) -> bytes:
+    """Return the packed deviations of times ``(T,)`` from ``times[0] + n / fps``, empty if there are none.
+
+    Differences of the numbers' bits, taken as integers, are stored, so that nothing is rounded.
+    """
+    apart = _bits(times) - _bits(_regular(float(times[0]), len(times), fps))
+    return zlib.compress(_shuffled(np.diff(apart, prepend=0)), 9) if apart.any() else b""
+
+
+def unpack_times(packed: bytes, first: float, count: int, fps: float) -> NDArray[np.float64]:
+    """Return the times ``(T,)`` that `pack_times` was given; raise `FormatError` for another number of times."""
+    regular = _regular(first, count, fps)
+    if not packed:
+        return regular
+    data = _decompressed(packed, 8 * count + 1, "the times are")
+    if len(data) != 8 * count:
+        raise FormatError(f"there are {len(data)} bytes of times, {8 * count} are expected")
+    apart = np.cumsum(_unshuffled(data, np.dtype("<i8"), count))
+    times: NDArray[np.float64] = (_bits(regular) + apart).view(np.float64)
+    return times
+
+
+def _regular(first: float, count: int, fps: float) -> NDArray[np.float64]:
+    with np.errstate(all="ignore"):  # damaged files have any numbers
+        regular: NDArray[np.float64] = first + np.arange(count) / fps
+    return regular
+
+
+def _bits(times: NDArray[np.float64]) -> NDArray[np.int64]:
+    return np.ascontiguousarray(times).view(np.int64)
+
+
+def _decompressed(packed: bytes, most: int, what: str) -> bytes:
+    """Undo `zlib.compress`, up to `most` bytes."""
+    try:
+        return zlib.decompressobj().decompress(packed, most)
+    except zlib.error as error:
+        raise FormatError(f"{what} damaged ({error})") from error
+
+
+def pack_surface(surface: Surface, mesh: Mesh) -> bytes:
+    """Return a packed surface, empty if it has nothing.
+
+    A JSON list of the arrays' names, types and shapes (with all texts), a zero byte, the arrays' bytes;
+    all of it compressed by zlib. Hard edges are coded by `mixseq.compression.bitstream.corner_values`, if they can be.
+    Colours per vertex are in the order of the vertices, without indices.
+    """
+    listed: list[list[Any]] = []
+    data = []
+    for name, array in _arrays_on(surface, mesh).items():
+        if array.dtype.kind == "U":
+            listed.append([name, array.tolist()])
+        else:
+            little = array.astype(array.dtype.newbyteorder("<"))
+            listed.append([name, little.dtype.str, little.shape])
+            data.append(_shuffled(_differences(little.reshape(-1))))
+    if not listed:
+        return b""
+    text = json.dumps(listed, separators=(",", ":")).encode("ascii")
+    return zlib.compress(b"\0".join([text, b"".join(data)]), 9)
+
+
+def _arrays_on(surface: Surface, mesh: Mesh) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a surface, shortened or omitted where they follow from the mesh."""
+    polygons, vertex_count = mesh
+    corners, colours = polygons.indices, surface.colours
+    of_vertices = colours is not None and colours.one_per_vertex(corners)
+    if colours is not None and of_vertices:
+        values = colours.at_vertices(corners, vertex_count, WHITE)
+        surface = replace(surface, colours=CornerValues(values, corners))
+    arrays = surface_arrays(surface)
+    if of_vertices:
+        del arrays["colour_indices"]
+    coded = None if surface.hard_edges is None else encode_hard_edges(*mesh, surface.hard_edges)
+    if coded is None:
+        return arrays
+    del arrays["creases"]
+    return arrays | {_HARD_EDGES: np.frombuffer(coded, dtype=np.uint8)}
+
+
+def unpack_surface(packed: bytes, folder: Path, mesh: Mesh) -> Surface:
+    """Return the surface packed by `pack_surface`; raise `FormatError` or `InvalidSequenceError` if it is damaged."""
+    if not packed:
+        return Surface()
+    try:
+        limit = max_memory()
+        whole = _decompressed(packed, limit, "the surface is")
+        if len(whole) == limit:  # it continues to an unknown length
+            raise FormatError(
+                f"the surface takes more than {gigabytes(limit)} of memory, the limit (--max-memory)"
+            )
+        text, _, data = whole.partition(b"\0")
+        arrays = _arrays(json.loads(text), data)
+        coded = arrays.pop(_HARD_EDGES, None)
+        if coded is not None:
+            arrays["creases"] = decode_hard_edges(coded.tobytes(), *mesh)
+        if "colour_values" in arrays:
+            arrays.setdefault("colour_indices", mesh[0].indices)
+        return surface_of_arrays(arrays, folder)
+    except (ValueError, TypeError, KeyError, IndexError) as error:
+        raise FormatError(f"the surface is damaged ({error})") from error
+
+
+def _arrays(listed: list[list[Any]], data: bytes) -> dict[str, NDArray[Any]]:
+    arrays: dict[str, NDArray[Any]] = {}
+    start = 0
+    for name, *what in listed:
+        if len(what) == 1:
+            arrays[name] = np.array(what[0], dtype=np.str_)
+            continue
+        dtype, shape = np.dtype(what[0]), tuple(what[1])
+        count = int(np.prod(shape, dtype=np.int64))
+        flat = _unshuffled(data[start : start + count * dtype.itemsize], dtype, count)
+        start += count * dtype.itemsize
+        if dtype.kind == "i":
+            flat = np.cumsum(flat, dtype=dtype)
+        arrays[name] = flat.reshape(shape).astype(dtype.newbyteorder("="))
+    return arrays
+
+
+def _differences(array: NDArray[Any]) -> NDArray[Any]:
+    """Return first differences of integers, with wrap-around; floats unchanged."""
+    return np.diff(array, prepend=array.dtype.type(0)) if array.dtype.kind == "i" else array
+
+
+def _shuffled(array: NDArray[Any]) -> bytes:
+    """Return the first bytes of all numbers, then their second bytes, and so on."""
+    little = array.astype(array.dtype.newbyteorder("<"))
+    return little.view(np.uint8).reshape(len(array), array.dtype.itemsize).T.tobytes()
+
+
+def _unshuffled(data: bytes, dtype: np.dtype[Any], count: int) -> NDArray[Any]:
+    planes = np.frombuffer(data, dtype=np.uint8).reshape(dtype.itemsize, count)
+    return np.ascontiguousarray(planes.T).view(dtype).reshape(count)
+
+
+_OF_ELEMENT, _OF_CORNER = 64, 256
+"""Memory in bytes that decoding takes per vertex, corner and frame, and extra per corner with a surface."""
+
+_DECODED = 16
+"""Memory in bytes that decoding takes per number of a basis and its coefficients."""
+
+
+def sequence_of(path: Path, container: Container) -> CompressedSequence:
+    """Return the compressed sequence of a file, checked; raise `FormatError` with the damaged stream and its frames."""
+    index = read_index(path, container)
+
+    def sound(stream: Stream) -> bytes:
+        data = stream.read(container.streams)
+        if data is None:
+            raise FormatError(f"{path}: {stream.what} are damaged; restore the file")
+        return data
+
+    # Everything is checked before anything is made of it.
+    ground = {name: sound(stream) for name, stream in index.ground.items()}
+    basis = tuple(sound(stream) for stream in index.basis)
+    chunks = tuple(
+        Chunk(each.first, each.count, sound(each.coefficients), sound(each.residuals))
+        for each in index.chunks
+    )
+    header = read_header(path, container, index, ground)
+    return CompressedSequence(
+        header,
+        read_parameters(path, container),
+        basis,
+        chunks,
+        read_order(path, container),
+        read_between(path, container),
+    )
+
+
+def read_parameters(path: Path, container: Container) -> CodingParameters:
+    """Read the decoding parameters; raise `FormatError` if one is unknown, missing or out of range."""
+    facts = facts_of(path, container)
+    given: dict[str, Any] = facts["coding"]
+    known = {field.name for field in fields(CodingParameters)}
+    unknown = sorted(set(given) - known)
+    if unknown:
+        raise FormatError(f"{path}: this mixseq does not know the parameter {unknown[0]!r}; upgrade it")
+    try:
+        parameters = CodingParameters(**given)
+    except TypeError as error:
+        raise FormatError(f"{path}: parameters are missing ({error}); it is damaged") from error
+    except SettingsError as error:
+        raise FormatError(f"{path}: {error}; it is damaged") from error
+    if parameters.frame_count != facts.get("frame_count"):
+        raise FormatError(f"{path}: its two numbers of frames contradict each other; it is damaged")
+    return parameters
+
+
+def read_order(path: Path, container: Container) -> OrderName:
+    """Read which numbering of the original is kept; raise `FormatError` if the order is unknown."""
+    order: OrderName = facts_of(path, container).get("order", "keep")
+    if order not in ORDERS:
+        raise FormatError(f"{path}: this mixseq does not know the order {order!r}; upgrade it")
+    return order
+
+
+def read_between(path: Path, container: Container) -> BetweenFrames | None:
+    """Read the prediction of coefficients between frames, None if absent; raise `FormatError` if it is invalid."""
+    given = facts_of(path, container).get("between")
+    if given is None:
+        return None
+    if not (isinstance(given, dict) and set(given) == {"length", "cubic"}):
+        raise FormatError(f"{path}: between is {given!r}; length and cubic are expected; it is damaged")
+    length, cubic = given["length"], given["cubic"]
+    try:
+        return BetweenFrames(
+            inf if length is None else length, tuple(cubic) if isinstance(cubic, list) else cubic
+        )
+    except SettingsError as error:
+        raise FormatError(f"{path}: between: {error}; it is damaged") from error
+
+
+def read_header(
+    path: Path, container: Container, index: StreamIndex, ground: Mapping[str, bytes]
+) -> SequenceHeader:
+    """Read mesh and times from `StreamIndex.ground`; raise `FormatError` for contradictions or too much memory."""
+    facts = facts_of(path, container)
+    told = [facts.get(f"{what}_count") for what in ("vertex", "corner", "frame")]
+    elements = sum(each for each in told if isinstance(each, int))
+    on_corners = "uvs" in ground or ground["surface"]
+    corner = _OF_CORNER * told[1] if on_corners and isinstance(told[1], int) else 0
+    check_memory(path, _OF_ELEMENT * elements + corner, "mesh and times")
+    parameters = read_parameters(path, container)
+    try:
+        vertices, polygons, corners, frames = (
+            int(facts[f"{what}_count"]) for what in ("vertex", "polygon", "corner", "frame")
+        )
+        fps = float(facts["fps"])
+        if sum(chunk.count for chunk in index.chunks) != frames:
+            raise FormatError(f"its chunks do not add up to {frames} frames")
+        mesh = decode_polygons(ground["connectivity"], polygons, corners, vertices)
+        surface = unpack_surface(ground["surface"], path.parent, (mesh, vertices))
+        if "uvs" in ground and parameters.uv_steps is not None:
+            uvs = decode_uvs(ground["uvs"], mesh, vertices, parameters.uv_steps)
+            surface = replace(surface, uvs=uvs)
+        return SequenceHeader(
+            polygons=mesh,
+            vertex_count=vertices,
+            times=unpack_times(ground["times"], float(facts["first_time"]), frames, fps),
+            fps=fps,
+            up_axis=str(facts["up_axis"]),
+            metres_per_unit=float(facts["metres_per_unit"]),
+            name=str(facts["name"]),
+            surface=surface,
+        )
+    except (FormatError, InvalidSequenceError, LookupError, TypeError, ValueError, OverflowError) as error:
+        raise FormatError(f"{path}: {error}; it is damaged") from error
+    except MemoryError as error:
+        raise FormatError(f"{path}: {error}; it is damaged, or there is too little memory") from error
+
+
+def decoded(path: Path, coded: CompressedSequence) -> Model:
+    """Return the model of a sequence read from a file; raise `FormatError` for contradictions or too much memory."""
+    width, frames = 3 if coded.parameters.factors == "shapes" else 1, coded.header.frame_count
+    numbers = coded.parameters.rank * (width * coded.header.vertex_count + 3 * frames)
+    check_memory(path, _DECODED * numbers, "its basis and coefficients")
+    try:
+        return to_model(coded)
+    except (FormatError, MemoryError) as error:
+        raise FormatError(f"{path}: {error}") from error

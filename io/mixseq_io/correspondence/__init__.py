@@ -1,1 +1,0 @@
-"""Files of correspondences between two meshes: pairs of vertices (`markers`), and whole maps (`maps`)."""

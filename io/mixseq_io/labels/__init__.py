@@ -1,1 +1,0 @@
-"""Labels of faces from other programs: read (`reading`), derived (`from_markings`), and written (`writing`)."""

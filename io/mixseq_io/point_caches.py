@@ -1,0 +1,330 @@
+r"""Point caches: positions only, with the faces in a mesh file beside.
+
+A cache ``walk.pc2`` belongs to ``walk.obj``, or another mesh file of that name, or the one of the option `mesh`, which
+gives the faces, the surface, the name, the units and the up axis; an OBJ has neither of the latter, so Y is up. Points
+are those of the cache, without any transform of the mesh's file. Written are the cache and ``<name>.obj`` with the
+first frame.
+
+PC2 point caches (3ds Max, Blender, Maya): all frames in one binary file, the mesh beside it.
+
+Little-endian throughout:
+
+=======================  ===========================================================
+``"POINTCACHE2\0"``       12 bytes
+version                  int32, 1
+number of points         int32
+first frame              float32
+frames between samples   float32
+number of samples        int32
+points                   float32, x, y, z of all points, sample after sample
+=======================  ===========================================================
+
+Times are evenly spaced frame numbers; `fps`, missing in the file, converts them to seconds. PC2 has no place for
+uneven times, units, the up axis and velocities; see `mixseq_io.point_caches` for the mesh.
+
+Specification: http://www.footools.com/plugins/docs/PointCache2_README.html
+
+MDD point caches (LightWave, Blender, Modo): all frames in one binary file, the mesh beside it.
+
+Big-endian throughout:
+
+=================  ===========================================================
+number of frames   int32
+number of points   int32
+times              float32, seconds, one per frame
+points             float32, x, y, z of all points, frame after frame
+=================  ===========================================================
+
+The frame rate is that of the median step. Times that are whole frames within float32 rounding become exactly that, in
+float64. MDD has no place for units, the up axis and velocities; see `mixseq_io.point_caches` for the mesh.
+
+Specification: http://rodolphe-vaillant.fr/?e=134
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import FormatError, InvalidSequenceError, MixseqError, OutputError, SettingsError
+from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
+from mixseq.types import FloatArray
+from mixseq_io.files import replacing_many
+from mixseq_io.numbered.files import a_file
+from mixseq_io.numbered.obj import lost_in_obj, obj_encoder
+from mixseq_io.reader import SequenceReader, as_float32, checked, naming, reading
+from mixseq_io.scene_meshes import on_grid
+from mixseq_io.surfaces import lost_scale, warn_of_losses
+
+MeshPath = str | os.PathLike[str] | None
+
+# Not STL, which has no order of vertices.
+_MESHES = (".obj", ".ply", ".usdc", ".usda", ".usd", ".usdz", ".abc", ".glb", ".gltf", ".npz", ".h5", ".hdf5")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Layout of the points in a cache file."""
+
+    start: int
+    frames: int
+    points: int
+    order: str
+
+    @property
+    def frame_size(self) -> int:
+        """Size of a frame in bytes."""
+        return 12 * self.points
+
+    def check_size(self, file: IO[bytes]) -> None:
+        """Check the layout against the file's size before anything is allocated."""
+        if self.frames < 1 or self.points < 1:
+            raise ValueError(f"it says that it has {self.frames} frames of {self.points} points")
+        size, needed = os.fstat(file.fileno()).st_size, self.start + self.frames * self.frame_size
+        if size != needed:
+            raise ValueError(
+                f"{self.frames} frames of {self.points} points need {needed} bytes, it has {size}"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Timing:
+    """Times ``(T,)`` of the frames in seconds, and frames per second or None."""
+
+    times: NDArray[np.float64]
+    fps: float | None
+
+
+class PointCacheReader(SequenceReader):
+    """Reader of the points of a cache whose header has been read."""
+
+    def __init__(
+        self, path: Path, header: SequenceHeader, file: IO[bytes], layout: Layout, stack: ExitStack
+    ) -> None:
+        super().__init__(path, header, stack)
+        self._file = file
+        self._layout = layout
+
+    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
+        layout = self._layout
+        for first in range(0, layout.frames, size):
+            count = min(size, layout.frames - first)
+            with reading(self.path, "a point cache", ValueError):
+                self._file.seek(layout.start + first * layout.frame_size)
+                data = self._file.read(count * layout.frame_size)
+                points = np.frombuffer(data, f"{layout.order}f4").reshape(count, layout.points, 3)
+            yield points.astype(np.float32, copy=False)
+
+
+def open_cache(
+    path: Path, kind: str, mesh: MeshPath, read_start: Callable[[IO[bytes]], tuple[Layout, Timing]]
+) -> SequenceReader:
+    """Open a point cache and its mesh."""
+    with ExitStack() as stack:
+        with reading(path, a_file(kind), ValueError):
+            file = stack.enter_context(path.open("rb"))
+            layout, timing = read_start(file)
+        mesh_path = _mesh_beside(path, kind) if mesh is None else Path(mesh)
+        header = _header_of_mesh(mesh_path)
+        if header.vertex_count != layout.points:
+            raise FormatError(
+                f"{path} has {layout.points} points, but its mesh {mesh_path} has {header.vertex_count} vertices; name "
+                "the mesh that it was made for with mesh=... (--mesh)"
+            )
+        with naming(path):
+            timed = header.with_times(timing.times, timing.fps or header.fps)
+        return PointCacheReader(path, timed, file, layout, stack.pop_all())
+
+
+def _mesh_beside(path: Path, kind: str) -> Path:
+    """Return the first mesh file with the cache's name."""
+    places = dict.fromkeys([path, Path(os.path.realpath(path))])
+    for place in places:
+        beside = {
+            file.suffix.lower(): file
+            for file in place.parent.iterdir()
+            if file.stem == place.stem and file.is_file()
+        }
+        for extension in _MESHES:
+            if extension in beside:
+                return beside[extension]
+    raise FormatError(
+        f"{path}: {a_file(kind)} has no faces, and there is no mesh beside it: none of "
+        f"{path.stem}{', '.join(_MESHES)}; name its mesh with mesh=... (--mesh)"
+    )
+
+
+def _header_of_mesh(path: Path) -> SequenceHeader:
+    from mixseq_io.registry import open_sequence  # which imports the formats, this one too
+
+    with open_sequence(path) as reader:
+        return reader.header
+
+
+def write_cache(
+    path: Path,
+    kind: str,
+    header: SequenceHeader,
+    blocks: Iterable[FloatArray],
+    velocities: Iterable[FloatArray] | None,
+    start: bytes,
+    order: str,
+    lost: Iterable[str],
+) -> None:
+    """Write a point cache, and ``<name>.obj`` with the first frame beside it; both or none.
+
+    An existing OBJ is replaced only if it holds the same faces. `start` is the header in bytes, `order` the byte order
+    "<" or ">", `lost` the properties of the times that the format cannot hold; velocities are lost.
+    """
+    target = Path(os.path.realpath(path))
+    mesh = target.with_suffix(".obj")
+    _check_mesh_in_the_way(target, mesh, header)
+    warn_of_losses(
+        path, f"{kind} files", [*lost, *lost_scale(header, velocities is not None), *lost_in_obj(header)]
+    )
+    encode = obj_encoder(mesh, header)
+    with replacing_many(target) as folder, (folder / target.name).open("wb") as file:
+        file.write(start)
+        _, numbered = checked(header, blocks, velocities)
+        for first, block, _ in numbered:
+            points = as_float32(block, first, kind, header=header)
+            if first == 0:
+                (folder / mesh.name).write_bytes(b"".join(encode(points[0], 0)))
+            file.write(points.astype(f"{order}f4", copy=False).tobytes())
+
+
+def _check_mesh_in_the_way(path: Path, mesh: Path, header: SequenceHeader) -> None:
+    if not mesh.is_file():
+        return
+    try:
+        other = _header_of_mesh(mesh)
+        same = other.vertex_count == header.vertex_count and other.polygons.same_as(header.polygons)
+    except MixseqError:
+        same = False
+    if not same:
+        raise OutputError(
+            f"{mesh} has the name of the mesh that goes with {path.name}, but holds another mesh; remove it, or choose "
+            "another name"
+        )
+
+
+_MAGIC = b"POINTCACHE2\0"
+_PC2_HEADER = struct.Struct("<12siiffi")
+_FRAME_ERROR = 1e-3
+"""Largest unreported error of a time, in frames."""
+
+
+def open_pc2(path: Path, mesh: MeshPath = None, fps: float = DEFAULT_FPS) -> SequenceReader:
+    """Open a PC2 file."""
+    if not (np.isfinite(fps) and fps > 0):
+        raise SettingsError(f"fps is {fps}; a positive number is expected")
+
+    def read_start(file: IO[bytes]) -> tuple[Layout, Timing]:
+        start = file.read(_PC2_HEADER.size)
+        if len(start) < _PC2_HEADER.size or not start.startswith(_MAGIC):
+            raise ValueError("it does not begin with POINTCACHE2 and a header")
+        _, version, points, first, step, samples = _PC2_HEADER.unpack(start)
+        if version != 1:
+            raise ValueError(f"its version is {version}, not 1")
+        layout = Layout(_PC2_HEADER.size, samples, points, "<")
+        layout.check_size(file)
+        with np.errstate(all="ignore"):
+            return layout, Timing(_seconds(first, step, samples, fps), fps)
+
+    return open_cache(path, "PC2", mesh, read_start)
+
+
+def write_pc2(
+    path: Path,
+    header: SequenceHeader,
+    blocks: Iterable[FloatArray],
+    velocities: Iterable[FloatArray] | None = None,
+) -> None:
+    """Write a PC2 file, and its mesh beside it; parameters and errors are those of `write_cache`."""
+    frames = header.times * header.fps
+    first, step = np.float32(frames[0]), np.float32(1)
+    lost = []
+    if header.frame_count > 1:
+        step = np.float32((frames[-1] - frames[0]) / (header.frame_count - 1))
+        even = _seconds(float(first), float(step), header.frame_count, 1.0)
+        if np.abs(even - frames).max() > _FRAME_ERROR:
+            lost.append("uneven times (they are written as if they were even)")
+        if header.fps != DEFAULT_FPS:
+            lost.append(f"{header.fps:g} frames per second (read it with fps={header.fps:g})")
+    start = _PC2_HEADER.pack(_MAGIC, 1, header.vertex_count, first, step, header.frame_count)
+    write_cache(path, "PC2", header, blocks, velocities, start, "<", lost)
+
+
+def _seconds(first: float, step: float, count: int, fps: float) -> NDArray[np.float64]:
+    return (first + np.arange(count, dtype=np.float64) * step) / fps
+
+
+_MDD_HEADER = struct.Struct(">ii")
+_STEP_ERROR = 1e-2
+"""Relative error of a single step between rounded times."""
+_RATE_ERROR = 2e-4
+"""Relative error of a rate from rounded times; less than the gap between 24 and 23.976."""
+
+
+def open_mdd(path: Path, mesh: MeshPath = None) -> SequenceReader:
+    """Open an MDD file; parameters and errors are those of `mixseq_io.point_caches.open_cache`."""
+    return open_cache(path, "MDD", mesh, _read_start)
+
+
+def _read_start(file: IO[bytes]) -> tuple[Layout, Timing]:
+    start = file.read(_MDD_HEADER.size)
+    if len(start) < _MDD_HEADER.size:
+        raise ValueError("it has no header")
+    frames, points = _MDD_HEADER.unpack(start)
+    layout = Layout(_MDD_HEADER.size + 4 * frames, frames, points, ">")
+    layout.check_size(file)
+    times = np.frombuffer(file.read(4 * frames), ">f4").astype(np.float64)
+    rate = _rate(times)
+    return layout, Timing(on_grid(times, rate) if rate else times, rate)
+
+
+def _rate(times: NDArray[np.float64]) -> float | None:
+    """Return the frame rate of float32 times ``(T,)``, a whole or NTSC rate if it is near enough; None if unknown."""
+    step = float(np.quantile(np.diff(times), 0.5, method="lower")) if times.size > 1 else 0.0
+    if not (np.isfinite(step) and step > 0):
+        return None
+    span = float(times[-1] - times[0])
+    if not (np.isfinite(span) and span > 0):
+        return None  # non-increasing times are reported where they are used
+    overall = (
+        max(1, round(span / step)) / span
+    )  # more exact than one step, which is rounded, if steps are even
+    rate = overall if abs(overall * step - 1) < _STEP_ERROR else 1 / step
+    for candidate in (round(rate), round(rate * 1.001) / 1.001):
+        if abs(candidate - rate) <= _RATE_ERROR * rate:
+            return float(candidate)
+    return rate
+
+
+def write_mdd(
+    path: Path,
+    header: SequenceHeader,
+    blocks: Iterable[FloatArray],
+    velocities: Iterable[FloatArray] | None = None,
+) -> None:
+    """Write an MDD file, and its mesh beside it; parameters and errors are those of `write_cache`."""
+    times = header.times.astype(np.float32)
+    together = np.flatnonzero(np.diff(times) <= 0)
+    if together.size:
+        raise InvalidSequenceError(
+            f"frames {together[0]} and {together[0] + 1} are both at {times[together[0]]:.9g} s in float32, which MDD "
+            "stores; write .npz or .h5"
+        )
+    rate = _rate(times.astype(np.float64))
+    same = rate is None or abs(rate - header.fps) <= _RATE_ERROR * header.fps
+    lost = [] if same else [f"{header.fps:g} frames per second"]
+    start = _MDD_HEADER.pack(header.frame_count, header.vertex_count) + times.astype(">f4").tobytes()
+    write_cache(path, "MDD", header, blocks, velocities, start, ">", lost)

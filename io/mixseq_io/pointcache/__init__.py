@@ -1,1 +1,0 @@
-"""Point caches without faces of their own: PC2 and MDD with a mesh beside them."""

@@ -1,0 +1,358 @@
+"""Displacement of vertices by rounding points to float32, as in most formats.
+
+A float32 has 24 binary digits: a vertex c diagonals from the origin moves by up to about 1e-7 c diagonals. That is
+relevant for meshes that are far away or hardly larger than zero.
+
+Colours of files, with or without alpha, as bytes or floats, converted to RGBA; linear and sRGB values stay so.
+
+Contents that a format cannot hold, in words, for its writer's single warning.
+
+A `Surface` as named arrays, for formats that hold any arrays: npz, HDF5.
+
+========================  ====================  =====================================================
+array                     shape                 meaning
+========================  ====================  =====================================================
+``uv_values``             (n, 2) float32        texture coordinates, v upwards
+``uv_indices``            (corners,) int32      row of ``uv_values`` for every corner of the polygons
+``colour_values``         (n, 4) float32        red, green, blue, alpha, from 0 to 1; or uint8, of which 255 is 1
+``colour_indices``        (corners,) int32      row of ``colour_values`` for every corner
+``creases``               (corners,) int32      corners with the same number share a normal
+``face_set_names``        (S,) str              names of the face sets
+``face_set_materials``    (S,) str              their materials, "" for none
+``face_set_sizes``        (S,) int32            number of their polygons
+``face_set_polygons``     (sum of sizes,) int32 the polygons
+``object_names``          (M,) str              the meshes that the sequence joins
+``object_paths``          (M,) str              where they are in the file they came from
+``object_sizes``          (M, 2) int32          numbers of their vertices and polygons
+``object_subdivisions``   (M,) str              how renderers subdivide each, absent where all are alike
+``subdivision``           (1,) str              how they subdivide, or most of the meshes; absent for "none"
+``origin``                (2,) str              format and path of the file that it was read from
+========================  ====================  =====================================================
+
+All are optional; those that begin with the same word come together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import InvalidSequenceError
+from mixseq.mesh.measures import Diagonal
+from mixseq.mesh.surface import WHITE, CornerValues, FaceSet, MeshObject, Origin, Surface
+from mixseq.sequence.frame_rates import NEAR
+from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
+from mixseq.types import Float, FloatArray
+from mixseq_io.reader import warn
+
+VISIBLE = 1e-4
+"""Displacement in diagonals that is reported: a fifth of the visually lossless one."""
+
+_FRAMES = 8  # measured at once
+
+_HALF_DIGIT = 2.0**-24, 2.0**-150  # largest rounding error: relative to a coordinate, and near zero
+
+
+class Rounding:
+    """Measures the rounding of points on their way to a float32 file."""
+
+    def __init__(self) -> None:
+        self.error, self.frame = 0.0, 0
+
+    def watched(self, blocks: Iterable[FloatArray]) -> Iterator[FloatArray]:
+        """Yield blocks ``(B, V, 3)``, measuring each after the writer has checked it."""
+        unit, first = None, 0
+        for block in blocks:
+            yield block
+            points = np.asarray(block)
+            if points.dtype == np.float32 or not points.size:
+                continue
+            unit = unit or Diagonal.of(points[0])
+            for start in range(0, len(points), _FRAMES):
+                self._measure(points[start : start + _FRAMES], first + start, unit)
+            first += len(points)
+
+    def _measure(self, points: FloatArray, first: int, unit: Diagonal) -> None:
+        relative, least = _HALF_DIGIT
+        largest = max(float(points.max()), -float(points.min()))
+        if 2 * max(relative * largest, least) < VISIBLE * unit.length:
+            return  # the usual case: nothing can be that far off
+        with np.errstate(over="ignore", under="ignore"):
+            apart: Float = unit.shifted(points - points.astype(np.float32))
+            errors = np.sqrt(np.square(apart).sum(axis=2).max(axis=1)) / (unit.fraction or 1.0)
+        if errors.max() > self.error:
+            self.error, self.frame = float(errors.max()), first + int(errors.argmax())
+
+    def warn(self, path: Path, files: str, header: SequenceHeader) -> None:
+        """Warn if vertices are visibly off in files of a kind ("USD")."""
+        if self.error > VISIBLE:
+            warn(
+                f"{path}: {files} holds points in single precision, and vertices are off by up to {self.error:.2g} of "
+                f"the diagonal, most in {header.frame_name(self.frame)}; write .npz, .h5 or .ply, which hold "
+                "doubles, or move the sequence to the origin"
+            )
+
+
+LARGEST_BYTE = 255
+"""Byte value of 1.0."""
+
+# Colours from 0 to 255 have larger numbers unless the mesh is nearly black; lit colours, with 1 as white, rarely do.
+_BRIGHTEST = 16
+
+
+def with_alpha(colours: FloatArray) -> FloatArray:
+    """Return colours ``(n, 3)`` as opaque ``(n, 4)``; colours ``(n, 4)`` as they are."""
+    return np.hstack(
+        [colours[:, :3], np.ones_like(colours[:, :1]) if colours.shape[1] == 3 else colours[:, 3:]]
+    )
+
+
+def from_text(numbers: FloatArray) -> FloatArray:
+    """Return colours of text files: divided by 255 if the largest number is above 16, else as they are."""
+    return numbers / (LARGEST_BYTE if numbers[np.isfinite(numbers)].max(initial=0) > _BRIGHTEST else 1)
+
+
+def of_bytes(values: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return bytes as floats from 0 to 1."""
+    return (values / np.float32(LARGEST_BYTE)).astype(np.float32)
+
+
+def nearest_bytes(values: FloatArray) -> NDArray[np.uint8]:
+    """Return the bytes whose floats (`of_bytes`) are nearest."""
+    return np.rint(LARGEST_BYTE * within_one(values)).astype(np.uint8)
+
+
+def as_bytes(values: FloatArray) -> NDArray[np.uint8] | None:
+    """Return the bytes whose floats (`of_bytes`) are exactly the given ones, None if there are none."""
+    rounded = nearest_bytes(values)
+    return rounded if np.array_equal(of_bytes(rounded), values) else None
+
+
+def within_one(values: FloatArray) -> FloatArray:
+    """Clip numbers to 0 to 1."""
+    return np.clip(np.nan_to_num(values), 0, 1)
+
+
+def colours_of_vertices(header: SequenceHeader, channels: int) -> list[str]:
+    """Return the colours of vertices as text behind coordinates, such as " 0.2 0 1"; empty if there are none."""
+    colours, vertices = header.surface.colours, header.polygons.indices
+    if colours is None:
+        return []
+    values = within_one(colours.at_vertices(vertices, header.vertex_count, WHITE)[:, :channels])
+    return ["".join(f" {number!s}".removesuffix(".0") for number in row) for row in values]
+
+
+_SCALE = (" up", " metres per unit")
+
+
+def lost_scale(header: SequenceHeader, moving: bool) -> list[str]:
+    """Return the losses of formats without up axis, units and velocities."""
+    lost = []
+    if header.up_axis != "Y":
+        lost.append(f"{header.up_axis} up")
+    if header.metres_per_unit != 1.0:
+        lost.append(f"{header.metres_per_unit:g} metres per unit")
+    if moving:
+        lost.append("velocities")
+    return lost
+
+
+def lost_times(header: SequenceHeader, first_number: float) -> list[str]:
+    """Return the losses of formats that number frames from `first_number` on and are read at 24 frames per second."""
+    if header.frame_count == 1:  # a single frame has no rate
+        return []
+    lost = []
+    if header.fps != DEFAULT_FPS:
+        lost.append(f"{header.fps:g} frames per second")
+    if not np.abs(header.times * header.fps - (first_number + np.arange(header.frame_count))).max() <= NEAR:
+        lost.append("the times of the frames")
+    return lost
+
+
+def lost_surface(header: SequenceHeader, held: Collection[str] = ()) -> list[str]:
+    """Return the fields of `mixseq.mesh.surface.Surface` that are lost, all but those in `held`."""
+    surface = header.surface
+    present = {
+        "uvs": surface.uvs is not None and "texture coordinates",
+        "colours": surface.colours is not None and "colours",
+        "hard_edges": surface.hard_edges is not None and "hard edges",
+        "face_sets": bool(surface.face_sets) and "face sets",
+        "objects": len(surface.objects) > 1 and f"the names of {len(surface.objects)} objects",
+        "subdivision": lost_subdivision(surface),
+    }
+    return [words for name, words in present.items() if words and name not in held]
+
+
+def lost_polygons(header: SequenceHeader) -> list[str]:
+    """Return the losses of formats with triangles only."""
+    return [] if header.polygons.only_triangles else ["polygons (they are cut into triangles)"]
+
+
+def lost_colours(header: SequenceHeader, *, corners: bool = True, alpha: bool = True) -> list[str]:
+    """Return the losses of formats with colours from 0 to 1; optionally of vertices only, or opaque."""
+    colours = header.surface.colours
+    if colours is None:
+        return []
+    values = colours.values[np.unique(colours.indices)]
+    kept = values[:, : 4 if alpha else 3]
+    written = CornerValues(within_one(colours.values[:, : kept.shape[1]]), colours.indices)
+    below, above = bool((kept < 0).any()), bool((kept > 1).any())
+    lost = {
+        "colours below 0 and above 1 (0 and 1 are written)": below and above,
+        "colours below 0 (0 is written)": below and not above,
+        "colours above 1 (1 is written)": above and not below,
+        "colours that are no numbers (0 is written)": np.isnan(kept).any(),
+        "several colours at a vertex (that of its first corner is written)": not (
+            corners or written.one_per_vertex(header.polygons.indices)
+        ),
+        "the alpha of colours": not (alpha or (values[:, 3] == 1).all()),
+    }
+    return [words for words, is_lost in lost.items() if is_lost]
+
+
+def lost_subdivision(surface: Surface) -> str:
+    """Return the words for lost subdivision, "" without a scheme."""
+    schemes = [each for each in dict.fromkeys(surface.subdivisions) if each != "none"]
+    return f"{' and '.join(schemes)} subdivision" if schemes else ""
+
+
+def warn_of_losses(path: Path, files: str, lost: Sequence[str]) -> None:
+    """Warn once of all losses of files of a kind ("OBJ files"), if there are any."""
+    if lost:
+        convert = "; convert_units (--convert-axes Y, --convert-units m) turns and scales the sequence"
+        hint = convert if any(each.endswith(_SCALE) for each in lost) else ""
+        warn(f"{path}: {files} cannot hold {', '.join(lost)}; USD, .npz and .h5 can{hint}")
+
+
+Arrays = dict[str, NDArray[Any]]
+
+_GROUPS = (
+    ("uv_values", "uv_indices"),
+    ("colour_values", "colour_indices"),
+    ("creases",),
+    ("face_set_names", "face_set_materials", "face_set_sizes", "face_set_polygons"),
+    ("object_names", "object_paths", "object_sizes"),
+    ("object_subdivisions",),
+    ("subdivision",),
+    ("origin",),
+)
+SURFACE_ARRAYS = tuple(name for group in _GROUPS for name in group)
+
+
+def surface_arrays(surface: Surface) -> Arrays:
+    """Return a surface as arrays; strings as NumPy's Unicode."""
+    arrays: Arrays = {}
+    if surface.uvs is not None:
+        arrays |= {"uv_values": surface.uvs.values, "uv_indices": surface.uvs.indices}
+    if surface.colours is not None:
+        values = surface.colours.values
+        exact = as_bytes(values)
+        arrays |= {
+            "colour_values": values if exact is None else exact,
+            "colour_indices": surface.colours.indices,
+        }
+    if surface.hard_edges is not None:
+        arrays["creases"] = surface.hard_edges
+    sets = surface.face_sets
+    if sets:
+        arrays |= {
+            "face_set_names": np.array([each.name for each in sets]),
+            "face_set_materials": np.array([each.material for each in sets]),
+            "face_set_sizes": np.array([each.polygons.size for each in sets], dtype=np.int32),
+            "face_set_polygons": np.concatenate([each.polygons for each in sets]),
+        }
+    objects = surface.objects
+    if objects:
+        arrays |= {
+            "object_names": np.array([each.name for each in objects]),
+            "object_paths": np.array([each.path for each in objects]),
+            "object_sizes": np.array(
+                [(each.vertex_count, each.polygon_count) for each in objects], dtype=np.int32
+            ),
+        }
+    if len(set(surface.subdivisions)) > 1:
+        arrays["object_subdivisions"] = np.array(surface.subdivisions)
+    if surface.subdivision != "none":
+        arrays["subdivision"] = np.array([surface.subdivision])
+    if surface.origin is not None:
+        arrays["origin"] = np.array([surface.origin.format, surface.origin.path])
+    return arrays
+
+
+def surface_of_arrays(arrays: Mapping[str, NDArray[Any]], folder: Path | None = None) -> Surface:
+    """Make a surface from the arrays of `surface_arrays`."""
+    for group in _GROUPS:
+        missing = [name for name in group if name not in arrays]
+        if missing and len(missing) < len(group):
+            raise InvalidSequenceError(f"{', '.join(missing)} of the surface are missing")
+    uvs = colours = None
+    if "uv_values" in arrays:
+        uvs = CornerValues(arrays["uv_values"], _whole_numbers(arrays, "uv_indices"))
+    if "colour_values" in arrays:
+        values = arrays["colour_values"]
+        values = of_bytes(values) if values.dtype == np.uint8 else values
+        colours = CornerValues(values, _whole_numbers(arrays, "colour_indices"))
+    origin = None
+    if "origin" in arrays:
+        if arrays["origin"].size != 2:
+            raise InvalidSequenceError("the origin of the surface is not a format and a path")
+        origin = _beside(Origin(*map(str, arrays["origin"].reshape(-1))), folder)
+    return Surface(
+        uvs=uvs,
+        colours=colours,
+        hard_edges=_whole_numbers(arrays, "creases") if "creases" in arrays else None,
+        face_sets=_face_sets(arrays) if "face_set_names" in arrays else (),
+        objects=_objects(arrays) if "object_names" in arrays else (),
+        subdivision=str(arrays["subdivision"].item()) if "subdivision" in arrays else "none",
+        origin=origin,
+    )
+
+
+def _beside(origin: Origin, folder: Path | None) -> Origin:
+    """Return the origin's current path, if it moved together with the file that names it."""
+    if folder is None or Path(origin.path).exists():
+        return origin
+    moved = folder.absolute() / Path(origin.path).name
+    return Origin(origin.format, str(moved)) if moved.is_file() else origin
+
+
+def _face_sets(arrays: Mapping[str, NDArray[Any]]) -> tuple[FaceSet, ...]:
+    names, materials = arrays["face_set_names"].reshape(-1), arrays["face_set_materials"].reshape(-1)
+    sizes, polygons = _whole_numbers(arrays, "face_set_sizes"), _whole_numbers(arrays, "face_set_polygons")
+    if not len(names) == len(materials) == len(sizes) or (sizes < 0).any() or sizes.sum() != polygons.size:
+        raise InvalidSequenceError(
+            "the face sets' names, materials, sizes and polygons do not fit each other"
+        )
+    lists = np.split(polygons, np.cumsum(sizes))
+    return tuple(
+        FaceSet(str(name), each, str(material))
+        for name, each, material in zip(names, lists, materials, strict=False)
+    )
+
+
+def _objects(arrays: Mapping[str, NDArray[Any]]) -> tuple[MeshObject, ...]:
+    names, paths = arrays["object_names"].reshape(-1), arrays["object_paths"].reshape(-1)
+    sizes = _whole_numbers(arrays, "object_sizes")
+    usual = str(arrays["subdivision"].item()) if "subdivision" in arrays else "none"
+    schemes = arrays.get("object_subdivisions", np.full(len(names), usual)).reshape(-1)
+    if not len(names) == len(paths) == len(sizes) == len(schemes) or sizes.shape[1:] != (2,):
+        raise InvalidSequenceError(
+            "the objects' names, paths, sizes and schemes of subdivision do not fit each other"
+        )
+    return tuple(
+        MeshObject(
+            str(name), str(path), int(vertices), int(polygons), None if scheme == usual else str(scheme)
+        )
+        for name, path, (vertices, polygons), scheme in zip(names, paths, sizes, schemes, strict=True)
+    )
+
+
+def _whole_numbers(arrays: Mapping[str, NDArray[Any]], name: str) -> NDArray[np.int64]:
+    array = arrays[name]
+    if array.dtype.kind not in "iu":
+        raise InvalidSequenceError(f"{name} of the surface are {array.dtype}; integers are expected")
+    return array.astype(np.int64)

@@ -1,0 +1,1 @@
+"""Files of text and arrays about faces and vertices: labels of parts, markers, contacts and maps."""

@@ -1,0 +1,214 @@
+"""Files of maps: the source vertex or triangle of every target vertex or triangle.
+
+``.npz``, written and read by `write_map`: arrays ``version`` (1), ``corners``, ``weights``, ``faces``, ``leaders`` and
+``sizes`` of a `Correspondence`, and ``source`` and ``target``, checksums of the triangles of the two meshes, to detect
+other meshes. Other archives need one of the arrays ``vertices`` (V',), ``triangles`` (F',), or ``corners`` and
+``weights`` (V', 3), as in `mixseq.retargeting.matching`.
+
+``.json``: ``{"vertices": list}``, ``{"triangles": list}`` or ``{"barycentric": list}``, or a list by itself, which is
+of vertices. Items are rows, as below, as lists of numbers.
+
+Other files are text, a row a line, with numbers separated by spaces, commas, colons, semicolons or ``->``::
+
+    # vertices        which kind of map: vertices, triangles or barycentric; the word may stand without the #
+    750, 3386         source and target (vertices or triangles)
+    750               or the source alone, -1 for none: as many rows as the target has vertices or triangles
+    # barycentric
+    17, 3386, 0.2, 0.5, 0.3   source triangle, target vertex, and weights of the triangle's corners
+    17, 0.2, 0.5, 0.3         or without the target vertex
+
+Without that word, rows of one or two numbers are vertices, in files ``.tricorrs`` (Sumner and Popović's) triangles, of
+which the first source of a target counts; rows of four or five are barycentric. Comments (``#``) and empty lines are
+skipped. One line may announce the number of rows before rows of several numbers. Vertices and triangles are numbered
+from 0; targets without a row are left out of maps of pairs.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import FormatError, OutputError, SettingsError
+from mixseq.retargeting.markers import Correspondence
+from mixseq.retargeting.matching import Mesh, from_barycentric, from_triangles, from_vertices
+from mixseq.types import IntArray, PathLike
+from mixseq_io.files import replacing
+from mixseq_io.npz import opened_archive
+from mixseq_io.text.markers import Kind, read_rows
+
+VERSION = 1
+
+_STORED = ("corners", "weights", "faces", "leaders", "sizes", "source", "target")
+
+
+@dataclass(frozen=True, eq=False)
+class GivenMap:
+    """Map as stored in a file."""
+
+    file: Path  # the file, for messages
+    kind: str  # vertices, triangles, barycentric (rows), or the arrays of an npz file: corners, stored
+    rows: NDArray[np.float64]  # (n, k) rows in the order of the head of this module; empty for arrays
+    arrays: dict[str, NDArray[Any]]  # of an npz file
+
+
+FEW = 0.1
+"""Smallest mapped share of a mesh; a map with less is a list of markers given by mistake."""
+
+
+def read_map(path: PathLike, kind: Kind | None = None) -> GivenMap:
+    """Read a map; see the head of this module."""
+    file = Path(path)
+    if file.suffix.lower() == ".npz":
+        return _read_npz(file)
+    return GivenMap(file, *read_rows(file, kind), {})
+
+
+def to_correspondence(given: GivenMap, source: Mesh, target: Mesh) -> Correspondence:
+    """Return a map's correspondence of two meshes: source, target ``(V, 3)``."""
+    try:
+        if given.kind == "stored":
+            return _stored(given.arrays, source, target)
+        if given.kind == "corners":
+            return from_barycentric(given.arrays["corners"], given.arrays["weights"], source, target)
+        if given.kind in given.arrays:
+            numbers, weights = given.arrays[given.kind], np.zeros((0, 0))
+        else:
+            targets = len(target[1] if given.kind == "triangles" else target[0])
+            numbers, weights = _columns(given.rows, targets, given.kind)
+            if np.count_nonzero(numbers >= 0) < FEW * targets:
+                raise SettingsError(
+                    f"it has rows for {np.count_nonzero(numbers >= 0)} of the target's {targets} {given.kind}, too few "
+                    "for a map; if these are markers, give them as markers"
+                )
+        if given.kind == "vertices":
+            return from_vertices(numbers, source, target)
+        if given.kind == "triangles":
+            return from_triangles(numbers, source, target)
+        outside = numbers[(numbers < -1) | (numbers >= len(source[1]))]
+        if outside.size:
+            place = int(np.flatnonzero(numbers == outside[0])[0])
+            raise SettingsError(
+                f"target vertex {place} is on triangle {outside[0]}, but the source has {len(source[1])}, from 0"
+            )
+        corners = np.where(numbers[:, None] >= 0, np.asarray(source[1])[numbers], -1)
+        return from_barycentric(corners, weights, source, target)
+    except SettingsError as error:
+        raise FormatError(f"{given.file}: {error}") from None
+
+
+def write_map(
+    path: PathLike, correspondence: Correspondence, source_faces: IntArray, target_faces: IntArray
+) -> None:
+    """Write a correspondence of meshes with triangles ``(F, 3)``, ``(F', 3)`` as an npz file, atomically."""
+    file = Path(path)
+    if file.suffix.lower() != ".npz":
+        raise OutputError(f"{file}: maps are written as npz files; give it the extension .npz")
+    sizes = correspondence.source_size, correspondence.target_size
+    arrays: dict[str, Any] = {
+        "version": np.int64(VERSION),
+        "corners": correspondence.corners.astype(np.int32),
+        "weights": correspondence.weights,
+        "faces": correspondence.faces.astype(np.int32),
+        "leaders": correspondence.leaders.astype(np.int32),
+        "sizes": np.array(sizes, np.int64),
+        "source": np.array(checksum(sizes[0][0], source_faces)),
+        "target": np.array(checksum(sizes[1][0], target_faces)),
+    }
+    with replacing(file) as temporary, temporary.open("wb") as stream:
+        np.savez_compressed(stream, allow_pickle=False, **arrays)
+
+
+def checksum(vertex_count: int, faces: IntArray) -> str:
+    """Return the SHA-256 of a mesh's number of vertices and triangles ``(F, 3)``, its identity."""
+    hashed = hashlib.sha256(str(vertex_count).encode())
+    hashed.update(np.ascontiguousarray(faces, "<i8").tobytes())
+    return hashed.hexdigest()
+
+
+def _read_npz(file: Path) -> GivenMap:
+    with opened_archive(file) as archive:
+        arrays = {name: archive.read(name) for name in archive.names}
+    empty = np.zeros((0, 0))
+    if "version" in arrays and "corners" in arrays:
+        if arrays["version"].tolist() != VERSION:  # it may be of any type and shape
+            raise FormatError(
+                f"{file} is a map of version {arrays['version']!s:.20}; this mixseq reads version {VERSION}"
+            )
+        missing = [name for name in _STORED if name not in arrays]
+        if missing:
+            raise FormatError(f"{file} has no array {missing[0]!r}; it is damaged")
+        return GivenMap(file, "stored", empty, arrays)
+    if {"corners", "weights"} <= arrays.keys():
+        return GivenMap(file, "corners", empty, arrays)
+    for kind in ("vertices", "triangles"):
+        if kind in arrays:
+            return GivenMap(file, kind, empty, arrays)
+    raise FormatError(
+        f"{file} has the arrays {', '.join(arrays) or 'none'}; a map has `vertices`, `triangles`, or `corners` and "
+        "`weights`"
+    )
+
+
+def _stored(arrays: dict[str, NDArray[Any]], source: Mesh, target: Mesh) -> Correspondence:
+    """Return the correspondence written by `write_map`; raise an error for other meshes or damage."""
+    sizes = [(len(points), len(faces)) for points, faces in (source, target)]
+    for name, mesh in (("source", source), ("target", target)):
+        if str(arrays[name]) != checksum(len(mesh[0]), mesh[1]):
+            raise SettingsError(
+                f"this is a map of another {name}, of other vertices or triangles than the {len(mesh[0])} and "
+                f"{len(mesh[1])} given; make it anew from markers"
+            )
+    (source_vertices, source_faces), (vertices, faces) = sizes
+    limits = {
+        "corners": (source_vertices, (vertices, 3), -1),
+        "faces": (source_faces, (faces,), -1),
+        "leaders": (vertices, (vertices,), 0),
+    }
+    for name, (limit, shape, lowest) in limits.items():
+        array = arrays[name]
+        sound = array.shape == shape and np.issubdtype(array.dtype, np.integer)
+        if not (sound and (array >= lowest).all() and (array < limit).all()):
+            raise SettingsError(f"the array {name!r} does not fit the meshes; the file is damaged")
+    weights = arrays["weights"]
+    if weights.shape != (vertices, 3) or weights.dtype.kind != "f" or not np.isfinite(weights).all():
+        raise SettingsError("the array 'weights' does not fit the meshes; the file is damaged")
+    numbers = (arrays[name].astype(np.int64) for name in limits)
+    corners, moved_by, leaders = numbers
+    return Correspondence(sizes[0], sizes[1], corners, weights.astype(np.float64), moved_by, leaders)
+
+
+def _columns(
+    rows: NDArray[np.float64], targets: int, kind: str
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return source ``(n,)`` and weights ``(n, 3)`` of every target, from rows with or without the target's index."""
+    source, weights = rows[:, 0].astype(np.int64), rows[:, -3:] if kind == "barycentric" else rows[:, :0]
+    if rows.shape[1] in (1, 4):
+        if len(rows) != targets:
+            raise SettingsError(
+                f"there are {len(rows)} rows; one for each of the target's {targets} is expected, or give pairs"
+            )
+        return source, weights
+    target = rows[:, 1].astype(np.int64)
+    outside = target[(target < 0) | (target >= targets)]
+    if outside.size:
+        raise SettingsError(
+            f"there is no target {outside[0]}: it has {targets} ({kind}), from 0; rows have the source's number first, "
+            "then the target's"
+        )
+    order = np.argsort(target, kind="stable")
+    if kind != "triangles":
+        for first, second in pairwise(order.tolist()):
+            if target[first] == target[second] and not np.array_equal(rows[first], rows[second]):
+                raise SettingsError(
+                    f"target {target[first]} is given two sources, {source[first]} and {source[second]}"
+                )
+    once, first_row = np.unique(target, return_index=True)
+    numbers, shares = np.full(targets, -1), np.zeros((targets, weights.shape[1]))
+    numbers[once], shares[once] = source[first_row], weights[first_row]
+    return numbers, shares

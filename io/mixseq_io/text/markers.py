@@ -1,0 +1,391 @@
+"""Files of markers: pairs of vertices of two meshes, numbered from 0, the source's first.
+
+=================  =================================================================================================
+file               contents
+=================  =================================================================================================
+``.json``          a list of markers, or ``{"markers": list}``, or ``{"source": list, "target": list, "names": list}``
+``.yml, .yaml``    the same; a comment behind a marker is its name
+others             a marker a line: two numbers, separated by a space, comma, colon, semicolon or ``->``; a comment
+                   behind it (``#``) is its name; empty lines and comments on lines of their own are skipped. The first
+                   line may be the number of markers, or the words ``source`` and ``target``
+=================  =================================================================================================
+
+In lists, a marker is a pair of numbers ``[750, 3386]``, a text as on a line ``"750:3386"``, or an object
+``{"source": 750, "target": 3386, "name": "nose"}``. That includes published files of Sumner and Popović's meshes:
+``.cons`` and ``.corr`` (lines), and lists of ``"750:3386"`` in YAML. YAML itself takes ``12:34`` for a time of day,
+754 seconds; here it is a pair.
+
+Files of text and JSON, read whole or as rows of numbers, with errors that name the file and the line.
+
+Files of contacts: named groups of vertices of a target that rest on the ground, such as feet.
+
+JSON, ``{"left foot": [12, 13, 20], "right foot": [40, 41]}``, with vertices numbered from 0; or an object with that as
+``"contacts"``.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from mixseq.errors import FormatError, MissingExtraError
+from mixseq.retargeting.markers import Markers
+from mixseq.runtime.public import public
+from mixseq.types import Float, PathLike
+from mixseq_io.files import replacing
+from mixseq_io.reader import brief, read_whole, reading
+
+
+def read_text(file: Path, what: str) -> str:
+    """Read a UTF-8 file, with or without a byte order mark; `what` names its expected contents in messages."""
+    with reading(file, what, UnicodeDecodeError):
+        return read_whole(file, text=True).decode("utf-8-sig")
+
+
+def parse_json(file: Path, text: str) -> Any:
+    """Parse the text of a JSON file."""
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:  # numbers of thousands of digits are a ValueError, too
+        raise FormatError(f"{file} cannot be read as JSON: {brief(error)}") from None
+
+
+Kind = Literal["vertices", "triangles", "barycentric"]
+
+COLUMNS: dict[str, tuple[int, int]] = {"vertices": (1, 2), "triangles": (1, 2), "barycentric": (4, 5)}
+"""Numbers in a row: with the source alone, and with the target."""
+
+_SEPARATOR = re.compile(r"\s*(?:->|[,:;\s])\s*")
+
+_Rows = list[tuple[str, list[float]]]
+"""Rows with their place in the file."""
+
+
+def read_rows(file: Path, kind: Kind | None = None) -> tuple[Kind, Float]:
+    """Read rows ``(n, k)``; return their kind, too: `kind`, else as stated by the file, else by their length."""
+    text = read_text(file, "a map")
+    said, rows = _of_json(file, text) if file.suffix.lower() == ".json" else _of_text(file, text)
+    if not rows:
+        raise FormatError(f"{file} has no rows of a map")
+    width = len(rows[0][1])
+    looks: Kind = (
+        "barycentric" if width > 2 else "triangles" if file.suffix.lower() == ".tricorrs" else "vertices"
+    )
+    chosen = kind or said or looks
+    for place, row in rows:
+        if len(row) != width or width not in COLUMNS[chosen]:
+            few, many = COLUMNS[chosen]
+            raise FormatError(
+                f"{file}, {place} has {len(row)} numbers; a map of {chosen} has {few} or {many} in every row"
+            )
+    table = np.array([row for _, row in rows], np.float64)
+    whole = table[:, : 1 + (width == COLUMNS[chosen][1])]
+    wrong = np.argwhere(~((whole >= -1) & (whole < 1 << 53) & (whole == np.floor(whole))))
+    if wrong.size:
+        row, column = wrong[0]
+        raise FormatError(
+            f"{file}, {rows[row][0]}: {whole[row, column]:g} is no number of a vertex or triangle; they count from 0"
+        )
+    return chosen, table
+
+
+def _of_text(file: Path, text: str) -> tuple[Kind | None, _Rows]:
+    said: Kind | None = None
+    rows: _Rows = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        word = line.strip().lstrip("#").strip().lower()
+        if not rows and word in get_args(Kind):
+            said = get_args(Kind)[get_args(Kind).index(word)]
+            continue
+        body = line.partition("#")[0].strip().rstrip(",;")
+        if not body:
+            continue
+        try:
+            rows.append((f"line {number}", [float(part) for part in _SEPARATOR.split(body)]))
+        except ValueError:
+            raise FormatError(
+                f"{file}, line {number}: {body[:40]!r} is no row of a map; numbers of the source and of the target are "
+                "expected, separated by a space, comma, colon, semicolon or '->'"
+            ) from None
+    if len(rows) > 1 and len(rows[0][1]) == 1 < len(rows[1][1]):
+        (announced,), rows = rows[0][1], rows[1:]
+        if announced != len(rows):
+            raise FormatError(
+                f"{file}: it announces {announced:g} rows, but {len(rows)} follow; is it truncated?"
+            )
+    return said, rows
+
+
+def _of_json(file: Path, text: str) -> tuple[Kind | None, _Rows]:
+    tree = parse_json(file, text)
+    said: Kind | None = None
+    if isinstance(tree, dict):
+        said = next((kind for kind in get_args(Kind) if kind in tree), None)
+        tree = tree.get(said)
+    if not isinstance(tree, list):
+        raise FormatError(
+            f"{file} has no map; a list is expected, by itself or as 'vertices', 'triangles' or 'barycentric'"
+        )
+    return said, [
+        (f"row {number}", _json_row(file, number, item)) for number, item in enumerate(tree, start=1)
+    ]
+
+
+def _json_row(file: Path, number: int, item: Any) -> list[float]:
+    row = item if isinstance(item, list) else [-1 if item is None else item]
+    try:
+        if all(isinstance(value, int | float) and not isinstance(value, bool) for value in row):
+            return [float(value) for value in row]
+    except OverflowError:
+        pass
+    raise FormatError(f"{file}, row {number}: {str(item)[:40]} is no row of numbers")
+
+
+def read_contacts(path: PathLike) -> dict[str, list[int]]:
+    """Read contacts.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder, "feet.json")
+    ...     _ = file.write_text('{"left": [3, 4], "right": [7]}')
+    ...     read_contacts(file)
+    {'left': [3, 4], 'right': [7]}
+    """
+    file = Path(path)
+    groups = parse_json(file, read_text(file, "contacts"))
+    if isinstance(groups, dict) and isinstance(groups.get("contacts"), dict):
+        groups = groups["contacts"]
+    if not isinstance(groups, dict) or not groups:
+        raise FormatError(f'{file} has no contacts; an object such as {{"left foot": [12, 13]}} is expected')
+    for name, vertices in groups.items():
+        if not isinstance(vertices, list) or not vertices:
+            raise FormatError(
+                f"{file}: contact '{name}' is no list of vertices; give at least one number, from 0"
+            )
+        wrong = [vertex for vertex in vertices if type(vertex) is not int or vertex < 0]
+        if wrong:
+            raise FormatError(
+                f"{file}: contact '{name}' names {wrong[0]!r}, which is no vertex; they count from 0"
+            )
+    return groups
+
+
+YAML = (".yml", ".yaml")
+
+_PAIR = re.compile(r"(\d+)\s*(?:->|[\s,:;])\s*(\d+)")
+_COUNT = re.compile(r"\d{1,18}")
+_HEADING = re.compile(r"source\s*(?:->|[\s,:;])\s*target", re.IGNORECASE)
+_EXPECTED = (
+    "two numbers of vertices, from 0, are expected, separated by a space, comma, colon, semicolon or '->'"
+)
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """Raw marker: its place in the file, its value, and the comment behind it."""
+
+    where: str
+    value: Any
+    comment: str = ""
+
+
+@public
+def read_markers(path: PathLike, *, reverse: bool = False) -> Markers:
+    r"""Read markers.
+
+    Parameters
+    ----------
+    path : path-like
+        The file; see the head of this module.
+    reverse : bool
+        The target's vertices come first: exchange the two.
+
+    Returns
+    -------
+    Markers
+        With names if at least one has a name. `mixseq.retargeting.checks.check_markers` checks whether they fit two
+        meshes.
+
+    Raises
+    ------
+    FormatError
+        If there is no such file, or it is no list of pairs; the message names the line or the marker.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder, "markers.txt")
+    ...     _ = file.write_text("750, 3386  # nose\n524 -> 3737")
+    ...     markers = read_markers(file)
+    >>> markers.source.tolist(), markers.target.tolist(), markers.names
+    ([750, 524], [3386, 3737], ('nose', ''))
+    """
+    file = Path(path)
+    if file.suffix.lower() == ".npz" and file.exists():
+        raise FormatError(f"{file} is a map, not a list of markers; give it as the map (--map)")
+    entries = _entries(file, read_text(file, "markers"))
+    if not entries:
+        raise FormatError(f"{file} has no markers; {_EXPECTED}")
+    found = [_marker(f"{file}, {entry.where}", entry) for entry in entries]
+    pairs = [(target, source) if reverse else (source, target) for source, target, _ in found]
+    names = tuple(name for _, _, name in found)
+    return Markers.of(pairs, names if any(names) else ())
+
+
+def write_markers(path: PathLike, markers: Markers) -> None:
+    """Write markers in the form of the file's extension; see the head of this module."""
+    file = Path(path)
+    names = [" ".join(name.split()) for name in markers.names or [""] * len(markers)]
+    rows = list(zip(markers.source.tolist(), markers.target.tolist(), names, strict=True))
+    comments = [f"  # {name}" if name else "" for name in names]
+    if file.suffix.lower() == ".json":
+        listed = [{"source": s, "target": t} | ({"name": name} if name else {}) for s, t, name in rows]
+        body = ",\n".join(f"  {json.dumps(marker, ensure_ascii=False)}" for marker in listed)
+        text = f'{{"markers": [\n{body}\n]}}\n'
+    elif file.suffix.lower() in YAML:
+        lines = (f'  - "{s}:{t}"{comment}\n' for (s, t, _), comment in zip(rows, comments, strict=True))
+        text = "markers:\n" + "".join(lines)
+    else:
+        lines = (f"{s} {t}{comment}\n" for (s, t, _), comment in zip(rows, comments, strict=True))
+        text = "# source target\n" + "".join(lines)
+    with replacing(file) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def _entries(file: Path, text: str) -> list[_Entry]:
+    if file.suffix.lower() in YAML:
+        return _yaml(file, text)
+    if file.suffix.lower() == ".json":
+        values = _listed(file, parse_json(file, text))
+        return [_Entry(f"marker {number}", value) for number, value in enumerate(values, start=1)]
+    return _lines(file, text)
+
+
+def _lines(file: Path, text: str) -> list[_Entry]:
+    entries: list[_Entry] = []
+    announced = None
+    for number, line in enumerate(text.splitlines(), start=1):
+        body, _, comment = line.partition("#")
+        body = body.strip()
+        first = not entries and announced is None
+        if first and _COUNT.fullmatch(body):
+            announced = int(body)
+        elif body and not (first and _HEADING.fullmatch(body)):
+            entries.append(_Entry(f"line {number}", body, comment))
+    if announced is not None and announced != len(entries):
+        raise FormatError(
+            f"{file}: its first line announces {announced} markers, but {len(entries)} follow; "
+            "is it truncated? If not, leave that line out"
+        )
+    return entries
+
+
+def _yaml(file: Path, text: str) -> list[_Entry]:
+    """Return raw markers of YAML, with numbers as text, since ``12:34`` is a time of day, and comments by line."""
+    try:
+        import yaml
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(
+            f"{file}: markers in YAML need PyYAML; get it with: pip install 'mixseq[yaml]'"
+        ) from error
+    try:
+        for token in yaml.scan(text, Loader=yaml.SafeLoader):
+            # A few lines of aliases of aliases stand for more values than fit into any memory.
+            if isinstance(token, yaml.AnchorToken | yaml.AliasToken):
+                line = token.start_mark.line + 1
+                raise FormatError(
+                    f"{file}, line {line}: anchors (&) and aliases (*) are not read; write it out"
+                )
+        root = yaml.compose(text, Loader=yaml.SafeLoader)
+        values = _listed(file, _plain(root))
+    except (yaml.YAMLError, RecursionError) as error:
+        where = getattr(error, "problem_mark", None)
+        what = getattr(error, "problem", None) or brief(error)
+        line = f", line {where.line + 1}" if where else ""
+        raise FormatError(f"{file}{line} cannot be read as YAML: {what}") from None
+    nodes = root
+    if isinstance(root, yaml.MappingNode):
+        nodes = next((value for key, value in root.value if key.value == "markers"), None)
+    if not isinstance(nodes, yaml.SequenceNode):  # lists of sources and of targets
+        return [_Entry(f"marker {number}", value) for number, value in enumerate(values, start=1)]
+    lines = text.splitlines()
+    entries = []
+    for node, value in zip(nodes.value, values, strict=True):
+        end = node.end_mark
+        behind = lines[end.line][end.column :] if end.line == node.start_mark.line else ""
+        entries.append(_Entry(f"line {node.start_mark.line + 1}", value, behind.partition("#")[2]))
+    return entries
+
+
+def _plain(node: Any) -> Any:
+    """Return the lists, dictionaries and texts of a YAML node."""
+    if node is None:
+        return None
+    if isinstance(node.value, str):
+        return node.value
+    if node.id == "sequence":
+        return [_plain(child) for child in node.value]
+    return {_plain(key) if key.id == "scalar" else "": _plain(value) for key, value in node.value}
+
+
+def _listed(file: Path, tree: Any) -> list[Any]:
+    """Return the list of markers in a file's contents."""
+    if isinstance(tree, dict) and "markers" in tree:
+        tree = tree["markers"]
+    elif isinstance(tree, dict) and isinstance(tree.get("source"), list):
+        columns = [tree["source"], tree.get("target"), tree.get("names")]
+        if columns[2] is None:
+            columns[2] = [""] * len(columns[0])
+        lengths = [len(column) if isinstance(column, list) else -1 for column in columns]
+        if len(set(lengths)) != 1:
+            raise FormatError(f"{file}: its lists 'source', 'target' (and 'names') are not equally long")
+        tree = [
+            dict(zip(("source", "target", "name"), row, strict=True)) for row in zip(*columns, strict=True)
+        ]
+    if not isinstance(tree, list):
+        raise FormatError(
+            f"{file} has no list of markers; a list of pairs is expected, by itself or as 'markers', or lists "
+            "'source' and 'target'"
+        )
+    return tree
+
+
+def _marker(where: str, entry: _Entry) -> tuple[int, int, str]:
+    """Return source, target and name of one marker."""
+    value, name = entry.value, entry.comment
+    if isinstance(value, str):
+        match = _PAIR.fullmatch(value.strip())
+        if match is None:
+            raise FormatError(f"{where}: {_quoted(value)} is no pair of vertices; {_EXPECTED}")
+        value = match.groups()
+    elif isinstance(value, dict):
+        name = str(value.get("name") or name)
+        value = [value.get("source"), value.get("target")]
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        raise FormatError(
+            f"{where}: {_quoted(value)} is no marker; a pair of vertices, a text such as '750:3386', or an object "
+            "with 'source' and 'target' is expected"
+        )
+    source, target = (_vertex(where, number) for number in value)
+    return source, target, " ".join(name.split())
+
+
+def _vertex(where: str, value: Any) -> int:
+    if isinstance(value, str) and _COUNT.fullmatch(value.strip()):
+        return int(value)
+    if isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 1 << 62:
+        return value
+    raise FormatError(f"{where}: {_quoted(value)} is no number of a vertex; vertices are numbered from 0")
+
+
+def _quoted(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 40 else f"{text[:36]}..."

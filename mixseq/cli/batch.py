@@ -1,0 +1,585 @@
+"""Plan a batch: find the sequences, and choose the paths of their models.
+
+The report of a batch, with the result of every asset: in JSON, for resuming the batch, and in Markdown.
+
+Encode assets, one after the other or on a cluster, and keep the report up to date.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import warnings
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, suppress
+from dataclasses import asdict, dataclass, field, fields, replace
+from hashlib import sha256
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter
+from typing import TYPE_CHECKING, Any, Literal
+
+import click
+
+import mixseq
+from mixseq.cli.compressed import aim_options, compressed
+from mixseq.cli.files import Claim, Decoded, is_model, options_of, overwrite_option
+from mixseq.cli.formats import as_markdown
+from mixseq.cli.group import format_bytes, print_table, printable, progress_bar, say
+from mixseq.cli.options import (
+    FILE,
+    CommandWithSettings,
+    examples,
+    fit_options,
+    quiet_option,
+    reader_options,
+    workers_options,
+)
+from mixseq.errors import FormatError, GivenUpError, MixseqError, MixseqWarning, OutputError, SettingsError
+from mixseq.runtime.progress import Progress, silent
+from mixseq.version import __version__
+
+if TYPE_CHECKING:
+    from mixseq.runtime.cluster import Cluster
+    from mixseq.runtime.parallel import Executor
+
+
+_LAST_NUMBER = re.compile(r"(\d+)(?=\D*$)")
+
+
+@dataclass(frozen=True)
+class Asset:
+    """A sequence to encode."""
+
+    # Its file, or the pattern of its numbered files; absolute, as another process may have another folder.
+    source: Path
+    target: Path  # the model to write, absolute
+    size: int  # bytes of the source, all of its files together
+    signature: str  # hash of the names, sizes and modification times of its files
+
+
+def find_sources(paths: Iterable[Path]) -> list[Path]:
+    """Return the absolute paths of sequences, each once: files and patterns as they are, folders searched.
+
+    In a folder, without its subfolders, these are files of formats for sequences, and numbered files. Models and the
+    meshes of point caches are left out, and other single meshes with a warning.
+    """
+    found: dict[Path, None] = {}
+    for path in paths:
+        sources = sorted(_in_folder(path)) if path.is_dir() else [path]
+        if not sources:
+            raise FormatError(
+                f"{path}: there are no sequences in this folder; `mixseq formats` lists what can be read"
+            )
+        for source in sources:
+            if not files_of(source):
+                raise FormatError(f"{source} does not exist")
+            found[source.parent.resolve() / source.name] = None
+    return list(found)
+
+
+def files_of(source: Path) -> list[Path]:
+    """Return the file of a sequence, or its numbered files; empty if they do not exist."""
+    from mixseq_io.numbered.files import files_of_pattern
+
+    return [source] if source.exists() else [file for _, file in files_of_pattern(source)]
+
+
+def plan(sources: Sequence[Path], out: Path, names: Mapping[str, str]) -> tuple[Asset, ...]:
+    """Choose the paths of models: ``walk.h5`` for ``walk.usdc``, or ``walk.usdc.h5`` if there is another walk."""
+    taken = {name.casefold() for name in names.values()}
+    stems = Counter(stem_of(source).casefold() for source in sources if str(source) not in names)
+    owners: dict[str, Path | str] = {
+        name.casefold(): other for other, name in names.items() if Path(other) not in set(sources)
+    }
+    assets = []
+    for source in sources:
+        stem = stem_of(source)
+        alone = stems[stem.casefold()] == 1 and f"{stem}.h5".casefold() not in taken
+        name = names.get(str(source)) or (f"{stem}.h5" if alone else f"{stem}{source.suffix}.h5")
+        other = owners.setdefault(name.casefold(), source)
+        if other is not source:
+            raise OutputError(
+                f"{source} and {other} would both be written to {out / name}; give one of them another --out"
+            )
+        target = out.resolve() / name
+        if target in sources:
+            raise OutputError(f"{target} is a source itself and would be lost; give another --out")
+        assets.append(Asset(source, target, *_signed(files_of(source))))
+    return tuple(assets)
+
+
+def _signed(files: Iterable[Path]) -> tuple[int, str]:
+    """Return the total size of files, and a hash that changes with any of them."""
+    states = sorted((file.name, (state := file.stat()).st_size, state.st_mtime_ns) for file in files)
+    return sum(size for _, size, _ in states), sha256(repr(states).encode()).hexdigest()
+
+
+def stem_of(source: Path) -> str:
+    """Return the name of a sequence: numbered files without their number, or their folder's name if nothing is left.
+
+    >>> [stem_of(Path("shots") / name) for name in ("walk.usdc", "run_####.obj", "%04d.ply")]
+    ['walk', 'run', 'shots']
+    """
+    from mixseq_io.numbered.files import is_pattern
+
+    if source.is_dir():
+        return source.name
+    if not is_pattern(source):
+        return source.stem
+    return re.sub(r"[ ._-]*(#+|%\d*d)", "", source.stem) or source.parent.name
+
+
+def _in_folder(folder: Path) -> Iterator[Path]:
+    from mixseq_io.registry import FORMATS
+
+    formats = {extension: each for each in FORMATS for extension in each.extensions}
+    series: dict[str, list[str]] = defaultdict(list)
+    caches = set()
+    single = []
+    for file in sorted(folder.iterdir()):
+        form = formats.get(file.suffix.lower())
+        if form is None or file.name.startswith(".") or not file.is_file():
+            continue
+        if not form.numbered:
+            if not _is_model(file):
+                if "mesh" in form.read_options:
+                    caches.add(file.stem)
+                yield file
+        elif number := _LAST_NUMBER.search(file.stem):
+            around = file.stem[: number.start()], file.stem[number.end() :] + file.suffix
+            series["\0".join(around)].append(number[1])
+        else:
+            single.append(file.name)
+    for names, numbers in series.items():
+        before, after = names.split("\0")
+        if len(numbers) > 1:
+            yield folder / f"{before}{'#' * min(map(len, numbers))}{after}"
+        else:
+            single.append(f"{before}{numbers[0]}{after}")
+    _tell_of_single(folder, [name for name in single if Path(name).stem not in caches])
+
+
+def _is_model(file: Path) -> bool:
+    """Return whether a file is a model; an unreadable one is an asset that will fail."""
+    with suppress(FormatError):
+        return is_model(file)
+    return False
+
+
+def _tell_of_single(folder: Path, names: list[str]) -> None:
+    if names:
+        shown = ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+        warnings.warn(
+            f"{folder}: single meshes are no sequences and are left out: {shown}", MixseqWarning, stacklevel=2
+        )
+
+
+HEADING = ("asset", "frames", "vertices", "time", "max error", "KG error", "size", "bits", "")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """The result of an asset."""
+
+    source: str  # absolute path of the sequence, or pattern of its numbered files
+    target: str  # absolute path of the model
+    source_bytes: int  # size of the source, all of its files together
+    source_signature: str  # hash of the names, sizes and modification times of its files
+    settings: Mapping[str, Any]  # settings of the encoding
+    state: Literal["done", "failed", "left"] = "left"  # left: not started
+    frames: int | None = None  # number of frames
+    vertices: int | None = None  # number of vertices
+    seconds: float | None = None  # time of encoding, without the check
+    max_error: float | None = None  # largest error of a vertex in diagonals, decoded
+    kg_percent: float | None = None  # Karni-Gotsman error
+    bytes: int | None = None  # size of the model
+    bits: float | None = None  # the same in bits per vertex and frame
+    message: str = ""  # why it failed
+    warnings: tuple[str, ...] = field(default=())  # warnings while reading
+
+    @classmethod
+    def of(cls, asset: Asset, settings: Mapping[str, Any], **result: Any) -> Entry:
+        """Make the entry of an asset."""
+        return cls(str(asset.source), str(asset.target), asset.size, asset.signature, settings, **result)
+
+    def holds_for(self, asset: Asset, settings: Mapping[str, Any]) -> bool:
+        """Return whether the asset is done: same source and settings, and the model still exists."""
+        same = Entry.of(asset, settings)
+        told = ("source", "target", "source_bytes", "source_signature", "settings")
+        return (
+            self.state == "done"
+            and all(getattr(self, name) == getattr(same, name) for name in told)
+            and asset.target.is_file()
+            and asset.target.stat().st_size == self.bytes
+        )
+
+
+@dataclass(frozen=True)
+class Report:
+    """Entries by their sources, and whether the batch is complete."""
+
+    entries: Mapping[str, Entry]
+    finished: bool = False
+
+    def with_entry(self, entry: Entry) -> Report:
+        """Return the report with an entry replaced or added."""
+        return replace(self, entries={**self.entries, entry.source: entry})
+
+    def of(self, assets: Iterable[Asset]) -> Report:
+        """Return the report of these assets only, in their order."""
+        return replace(self, entries={key: self.entries[key] for key in (str(a.source) for a in assets)})
+
+    def without_lost(self) -> Report:
+        """Return the report without entries whose source is gone; their models are kept."""
+        return replace(
+            self, entries={key: entry for key, entry in self.entries.items() if files_of(Path(key))}
+        )
+
+    def of_others(self, assets: Iterable[Asset], folder: Path) -> list[Path]:
+        """Return files in a folder that the batch would replace, but did not make, or that changed since."""
+        found = [
+            folder / asset.target.name for asset in assets if asset.target.exists() and not self._made(asset)
+        ]
+        table = folder / "report.md"
+        return found + [table] * (table.exists() and not (folder / "report.json").exists())
+
+    def _made(self, asset: Asset) -> bool:
+        """Return whether the model of an asset is unchanged since a batch wrote it."""
+        entry = self.entries.get(str(asset.source))
+        return (
+            entry is not None
+            and entry.target == str(asset.target)
+            and (entry.state != "done" or asset.target.stat().st_size == entry.bytes)
+        )
+
+    def count(self, state: str) -> int:
+        """Return the number of entries in a state."""
+        return sum(entry.state == state for entry in self.entries.values())
+
+    def summary(self) -> str:
+        """Return one line about all entries."""
+        return ", ".join(
+            f"{self.count(state)} {state}" for state in ("done", "failed", "left") if self.count(state)
+        )
+
+
+def read_report(folder: Path) -> Report:
+    """Read the report in a folder; empty if there is none."""
+    path = folder / "report.json"
+    if not path.exists():
+        return Report({})
+    known = {each.name for each in fields(Entry)}
+    try:
+        stored = json.loads(path.read_text(encoding="utf-8"))
+        entries = [
+            Entry(**{key: value for key, value in asset.items() if key in known})
+            for asset in stored["assets"]
+        ]
+        rows(entries)  # raises an error for damaged entries
+        if not all(isinstance(each, str) for entry in entries for each in (entry.source, entry.target)):
+            raise TypeError("a path is no text")
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        raise FormatError(f"{path} is damaged; delete it, and everything is encoded again") from error
+    return Report({entry.source: entry for entry in entries}, bool(stored.get("finished")))
+
+
+def write_report(folder: Path, report: Report) -> None:
+    """Write ``report.json`` and ``report.md``, each atomically."""
+    from mixseq_io.files import replacing
+
+    stored = {
+        "mixseq": __version__,
+        "finished": report.finished,
+        "assets": [asdict(entry) for entry in report.entries.values()],
+    }
+    for name, text in (
+        ("report.json", json.dumps(stored, indent=2) + "\n"),
+        ("report.md", in_markdown(report)),
+    ):
+        with replacing(folder / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+
+
+def rows(entries: Iterable[Entry]) -> list[tuple[str, ...]]:
+    """Return the rows of the table under `HEADING`."""
+    return [_row(entry) for entry in entries]
+
+
+def _row(entry: Entry) -> tuple[str, ...]:
+    def shown(value: float | None, form: str) -> str:
+        return "" if value is None else form.format(value)
+
+    return (
+        Path(entry.target).stem,
+        shown(entry.frames, "{:,}"),
+        shown(entry.vertices, "{:,}"),
+        shown(entry.seconds, "{:.1f} s"),
+        shown(entry.max_error, "{:.2g}"),
+        shown(entry.kg_percent, "{:.2g} %"),
+        "" if entry.bytes is None else format_bytes(entry.bytes),
+        shown(entry.bits, "{:.3g}"),
+        {"done": "", "failed": f"failed: {entry.message}", "left": "left"}[entry.state],
+    )
+
+
+def in_markdown(report: Report) -> str:
+    """Return the report in Markdown."""
+    entries = list(report.entries.values())
+    again = "" if report.finished else " Not finished: the same command goes on with what is left."
+    cells = [[printable(cell).replace("|", "\\|") for cell in row] for row in rows(entries)]
+    lines = [
+        "# Batch",
+        "",
+        f"{len(entries)} assets: {report.summary()}.{again}",
+        "",
+        as_markdown([HEADING, *cells]),
+        "",
+        "Times are those of encoding. Errors are of all decoded frames: the largest of a vertex in diagonals, and the",
+        "one of Karni and Gotsman. Bits are per vertex and frame.",
+    ]
+    told = [printable(f"- {Path(entry.target).stem}: {each}") for entry in entries for each in entry.warnings]
+    return "\n".join([*lines, *(["", "## Warnings", "", *told] if told else [])]) + "\n"
+
+
+Settings = Mapping[str, Any]
+"""Settings of `mixseq.fit`, those of `mixseq.compress` under ``aim``, of readers under ``reading``; JSON values."""
+
+Work = Callable[[Settings, Iterable[Asset]], Iterator[tuple[Asset, Callable[[], Entry]]]]
+"""Yield finished assets, with a function that returns the entry of each."""
+
+UNFINISHED = ".unfinished"
+"""Folder of unfinished models."""
+
+
+def run(
+    assets: Iterable[Asset], settings: Settings, earlier: Report, out: Path, work: Work, force: bool
+) -> Report:
+    """Encode the assets that are not done yet; the report is written before the work, and after every asset."""
+    assets = list(assets)
+    with _alone(out):
+        return _run(assets, settings, earlier, out, work, force)
+
+
+@contextmanager
+def _alone(out: Path) -> Iterator[None]:
+    """Lock the folder while a batch writes there; the system frees the lock if the process dies."""
+    try:
+        import fcntl
+    except ImportError:  # Windows has no such locks
+        yield
+        return
+    folder = os.open(out, os.O_RDONLY)
+    try:
+        fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(folder)
+        raise OutputError(
+            f"{out}: another batch is writing here; wait for it, or give another --out"
+        ) from None
+    try:
+        yield
+    finally:
+        os.close(folder)
+
+
+def _run(
+    assets: list[Asset], settings: Settings, earlier: Report, out: Path, work: Work, force: bool
+) -> Report:
+    left = []
+    entries: dict[str, Entry] = {}
+    for asset in assets:
+        before = earlier.entries.get(str(asset.source))
+        if before is None or force or not before.holds_for(asset, settings):
+            left.append(asset)
+            before = Entry.of(asset, settings)
+        entries[before.source] = before
+    report = Report(entries | {key: entry for key, entry in earlier.entries.items() if key not in entries})
+    write_report(out, report)
+    try:
+        for asset, result in work(settings, left):
+            report = report.with_entry(_entry(asset, settings, result))
+            write_report(out, report)
+    finally:
+        shutil.rmtree(out / UNFINISHED, ignore_errors=True)
+    report = replace(report, finished=not report.of(assets).count("left"))
+    write_report(out, report)
+    return report
+
+
+def _entry(asset: Asset, settings: Settings, result: Callable[[], Entry]) -> Entry:
+    try:
+        entry = result()
+    except GivenUpError as error:
+        entry = Entry.of(asset, settings, state="failed", message=str(error))
+    if entry.state == "failed" and asset.target.exists():
+        return replace(entry, message=f"{entry.message}; an older model is left at {asset.target.name}")
+    return entry
+
+
+def in_turn(workers: Executor, progress: Progress) -> Work:
+    """Return a function that encodes assets here, one after the other, the frames of each spread over `workers`."""
+
+    def work(settings: Settings, assets: Iterable[Asset]) -> Iterator[tuple[Asset, Callable[[], Entry]]]:
+        left = list(assets)
+        for number, asset in enumerate(left, start=1):
+            place = f"asset {number} of {len(left)}, {asset.target.stem}"
+            entry = encode_asset(settings, asset, workers, _naming(place, progress))
+            yield asset, lambda entry=entry: entry  # type: ignore[misc]
+
+    return work
+
+
+def on_cluster(cluster: Cluster, progress: Progress) -> Work:
+    """Return a function that encodes assets on a cluster, each by one worker."""
+
+    def work(settings: Settings, assets: Iterable[Asset]) -> Iterator[tuple[Asset, Callable[[], Entry]]]:
+        left = list(assets)
+        progress(0, len(left), "encoding assets")
+        for done, item in enumerate(cluster.as_done(encode_asset, settings, left), start=1):
+            yield item
+            progress(done, len(left), "encoding assets")
+
+    return work
+
+
+def _naming(place: str, progress: Progress) -> Progress:
+    return lambda done, total, what: progress(done, total, f"{place}: {what}")
+
+
+def encode_asset(
+    settings: Settings, asset: Asset, workers: Executor | None = None, progress: Progress = silent
+) -> Entry:
+    """Encode an asset, decode and compare it, then move the model into place; errors are recorded in the entry."""
+    try:
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always", MixseqWarning)
+            result = _encode(settings, asset, workers, progress)
+        said = tuple(str(each.message) for each in told if issubclass(each.category, MixseqWarning))
+        return Entry.of(asset, settings, state="done", warnings=said, **result)
+    except MixseqError as error:
+        message = str(error)
+    except OSError as error:
+        message = f"{error.filename or asset.source}: {error.strerror or error}"
+    except MemoryError:
+        message = "there is not enough memory"
+    except Exception as error:
+        # A bug; the other assets go on.
+        message = (
+            f"a bug in mixseq, {type(error).__name__}: {error}; `mixseq encode` tells more, please report it"
+        )
+    return Entry.of(asset, settings, state="failed", message=" ".join(message.split()))
+
+
+def _encode(settings: Settings, asset: Asset, workers: Executor | None, progress: Progress) -> dict[str, Any]:
+    from mixseq.runtime.parallel import serially
+
+    mapped = workers or serially
+    reading = options_of(asset.source, settings["reading"])
+    fitting = {name: value for name, value in settings.items() if name not in ("reading", "aim")}
+    unfinished = asset.target.parent / UNFINISHED
+    unfinished.mkdir(exist_ok=True)
+    with (
+        TemporaryDirectory(dir=unfinished) as folder,
+        mixseq.open_sequence(asset.source, **reading) as reader,
+    ):
+        file = Path(folder) / asset.target.name
+        start = perf_counter()
+        if "aim" in settings:
+            mixseq.save(file, compressed(reader, settings["aim"], progress))
+        else:
+            mixseq.save(file, mixseq.fit(reader, **fitting, progress=progress, workers=mapped))
+        seconds = perf_counter() - start
+        error = mixseq.compare(reader, Decoded(mixseq.load(file), progress, mapped))
+        size = file.stat().st_size
+        file.replace(asset.target)
+    return {
+        "frames": error.frames,
+        "vertices": error.vertices,
+        "seconds": seconds,
+        "max_error": error.as_dict()["max_error"],
+        "kg_percent": error.as_dict()["kg_percent"],
+        "bytes": size,
+        "bits": 8 * size / (error.frames * error.vertices),
+    }
+
+
+@click.command(
+    "batch",
+    cls=CommandWithSettings,
+    epilog=examples(
+        "mixseq batch shots/*.usdc --out models",
+        "mixseq batch shots --out models --tolerance 0.001",
+        "mixseq batch shots --out small --max-error 0.001",
+        "mixseq batch shots --out models --cluster tcp://host:8786",
+    ),
+)
+@click.argument("caches", nargs=-1, required=True, type=FILE)
+@click.option("--out", required=True, type=FILE, metavar="FOLDER", help="Folder for models and report.")
+@click.option("--force", is_flag=True, help="Encode everything again, also what is done.")
+@aim_options
+@fit_options
+@workers_options
+@reader_options
+@overwrite_option
+@quiet_option
+@click.pass_context
+def command(
+    context: click.Context,
+    caches: tuple[Path, ...],
+    out: Path,
+    force: bool,
+    aim: dict[str, Any],
+    fitting: dict[str, Any],
+    workers: AbstractContextManager[Executor],
+    reading: dict[str, Any],
+    claim: Claim,
+    quiet: bool,
+) -> None:
+    """Turn many sequences into models, with one report.
+
+    CACHES are sequences in any format, or folders of them. Each becomes a model in the folder, is decoded and compared.
+    The report, report.json and report.md there, is up to date after every asset. A failure does not stop the others.
+
+    The same command goes on where it was interrupted, and does again only what failed or has changed. Files in the
+    folder that no batch has made are not replaced unless --overwrite says so, or you on a terminal.
+
+    With --max-error, --kg or --size every model is compressed, each of them so far, see "mixseq encode".
+    """
+    if fitting["exact"] + (fitting["tolerance"] is not None) + (fitting["rank"] is not None) > 1:
+        raise SettingsError("--exact, --tolerance and --rank exclude each other; give one of them")
+    if out.exists() and not out.is_dir():
+        raise OutputError(f"{out} is a file; give the name of a folder")
+    from mixseq.runtime.cluster import Cluster
+
+    read_with = {
+        name: str(value.resolve()) if isinstance(value, Path) else value for name, value in reading.items()
+    }
+    settings = {**({"aim": aim} if aim else fitting), "reading": read_with}
+    earlier = read_report(out).without_lost()
+    names = {source: Path(entry.target).name for source, entry in earlier.entries.items()}
+    assets = plan(find_sources(caches), out, names)
+    for name in reading:
+        if not any(name in options_of(asset.source, reading) for asset in assets):
+            raise SettingsError(f"none of the sequences is read with an option {name!r}")
+    claim.permit(earlier.of_others(assets, out), unasked=False)
+    _make(out)
+    with workers as mapped, progress_bar(quiet) as progress:
+        work = on_cluster(mapped, progress) if isinstance(mapped, Cluster) else in_turn(mapped, progress)
+        report = run(assets, settings, earlier, out.resolve(), work, force)
+    ours = report.of(assets)
+    if not quiet:
+        print_table(rows(ours.entries.values()), HEADING)
+    say(f"wrote {click.format_filename(out / 'report.md')} ({ours.summary()})")
+    if ours.count("done") < len(assets):
+        context.exit(1)
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot make the folder {folder}: {error.strerror}; choose another one") from error

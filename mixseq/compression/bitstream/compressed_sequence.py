@@ -1,0 +1,233 @@
+"""A compressed sequence: the streams and parameters in a file, and decoding them to a model.
+
+Frozen: names and meanings of the parameters are those of the JSON text in files; changing them breaks old files
+(golden: ``tests/formats/golden/compressed-v1.h5``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+from typing import get_args
+
+import numpy as np
+
+from mixseq.choices import OrderName
+from mixseq.compression.bitstream.residual_layer import CodedResidualLayer
+from mixseq.compression.bitstream.signal_graph import SignalGraph, mesh_graph
+from mixseq.compression.bitstream.spatial_basis import (
+    MOST_PARTS,
+    BasisKind,
+    SpatialBasis,
+    assemble_basis,
+    groups_of_parts,
+    read_basis,
+    read_coefficients,
+)
+from mixseq.compression.bitstream.uv_values import LARGEST
+from mixseq.errors import FormatError, SettingsError
+from mixseq.runtime.parallel import one_blas_thread
+from mixseq.sequence.header import SequenceHeader
+from mixseq.signals.curve import Curve
+from mixseq.signals.model import Model
+from mixseq.signals.modes import NEGLIGIBLE_MODE
+from mixseq.signals.pose import straight_modes
+from mixseq.spaces.base import ShapeSpace
+from mixseq.spaces.temporal import Operator, chosen, with_middles
+from mixseq.spaces.vertex import BasisSpace, VertexSpace
+from mixseq.types import Float
+
+SHORTEST, LONGEST = 0.5, 64.0
+"""Range of lengths in files. Frozen: part of the format."""
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Consecutive frames that can be decoded without those of other chunks."""
+
+    first: int  # first frame
+    count: int  # number of frames
+    coefficients: bytes  # the coefficients of the spatial basis at these frames
+    # The residual layer, which brings vertices within the bound; empty if all are.
+    residuals: bytes = b""
+
+
+@dataclass(frozen=True)
+class CodingParameters:
+    """Parameters needed for decoding: numbers and strings, named as in files."""
+
+    factors: BasisKind  # kind of the spatial basis: see mixseq.compression.bitstream.spatial_basis
+    rank: int  # number K of basis vectors that are coded, of all parts together
+    frame_count: int  # number T of frames
+    step: float  # quantisation step, in the units of the sequence
+    diagonal: float  # diagonal of the bounding box of the first frame, in the units of the sequence
+    # Guaranteed largest distance of a vertex from the original at the frames, in diagonals, measured by decoding.
+    max_error: float
+    kg_percent: float  # KG error of all frames, measured
+    # Whether max_error was requested: then it is the requested bound, kept by the residual layer.
+    promised: bool
+    correction: float = 0.0  # unit of the residual layer, in the units of the sequence; zero if there is none
+    ranks: tuple[int, ...] = ()  # number of basis vectors of every part, if the mesh has several
+    # Steps per unit of texture coordinates. None if there are none, or they are not rounded.
+    uv_steps: int | None = None
+    # Guaranteed largest difference of u and of v from the original. None as uv_steps.
+    uv_error: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.factors not in get_args(BasisKind):
+            raise SettingsError(
+                f"factors is {self.factors!r}; {' or '.join(get_args(BasisKind))} is expected"
+            )
+        for name in ("rank", "frame_count"):
+            value = getattr(self, name)
+            if not (isinstance(value, int) and value > 0):
+                raise SettingsError(f"{name} is {value!r}; a whole number above zero is expected")
+        for name in ("step", "diagonal", "max_error", "kg_percent", "correction"):
+            value, positive = getattr(self, name), name in ("step", "diagonal")
+            if not (isinstance(value, int | float) and 0 <= value < inf and (value or not positive)):
+                raise SettingsError(
+                    f"{name} is {value!r}; a {'positive' if positive else 'non-negative'} number is expected"
+                )
+        object.__setattr__(self, "ranks", tuple(self.ranks))
+        if self.ranks and not (len(self.ranks) <= MOST_PARTS and sum(self.ranks) == self.rank):
+            raise SettingsError(
+                f"the parts have {self.ranks} basis vectors, which are not {self.rank} in all"
+            )
+        if self.ranks and self.factors == "shapes":
+            raise SettingsError("shapes are of the whole mesh, not of parts")
+        if any(not (isinstance(rank, int) and rank > 0) for rank in self.ranks):
+            raise SettingsError(f"ranks are {self.ranks}; whole numbers above zero are expected")
+        steps, error = self.uv_steps, self.uv_error
+        if (steps is None) != (error is None):
+            raise SettingsError("uv_steps and uv_error come together")
+        if steps is not None and not (
+            isinstance(steps, int) and not isinstance(steps, bool) and 0 < steps <= LARGEST
+        ):
+            raise SettingsError(f"uv_steps is {steps!r}; a whole number from 1 to {LARGEST} is expected")
+        if error is not None and not (isinstance(error, int | float) and 0 <= error < inf):
+            raise SettingsError(f"uv_error is {error!r}; a non-negative number is expected")
+        if not isinstance(self.promised, bool):
+            raise SettingsError(f"promised is {self.promised!r}; true or false is expected")
+
+
+@dataclass(frozen=True)
+class BetweenFrames:
+    """The prediction of coefficients between frames, as found by `mixseq.spaces.temporal.chosen`."""
+
+    length: float  # length of the covariance, in mean steps between frames: from 0.5 to 64, or infinite
+    # Shares of the usual cubic spline in the first and in the last interval, from 0 to 1.
+    cubic: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        if not (_is_number(self.length) and (SHORTEST <= self.length <= LONGEST or self.length == inf)):
+            raise SettingsError(
+                f"length is {self.length!r}; a number from {SHORTEST:g} to {LONGEST:g} is expected, or infinity"
+            )
+        shares = self.cubic
+        if not (
+            isinstance(shares, tuple)
+            and len(shares) == 2
+            and all(_is_number(share) and 0 <= share <= 1 for share in shares)
+        ):
+            raise SettingsError(f"cubic is {shares!r}; two numbers from 0 to 1 are expected")
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+@dataclass(frozen=True)
+class CompressedSequence:
+    """A compressed sequence as stored in a file."""
+
+    header: SequenceHeader  # mesh and times
+    parameters: CodingParameters  # parameters of the streams
+    # The spatial basis, in groups; each group needs those before it, and makes the sequence more accurate.
+    basis: tuple[bytes, ...]
+    chunks: tuple[Chunk, ...]  # signals over time: all frames, in order
+    # Numbers kept from the original: vertices and polygons, vertices only, or neither. Decoders ignore it.
+    order: OrderName = "keep"
+    # Prediction of coefficients between frames. None if the decoder chooses it.
+    between: BetweenFrames | None = None
+
+
+def to_model(coded: CompressedSequence) -> Model:
+    """Decode a compressed sequence."""
+    return decode(coded)[0]
+
+
+def decode(coded: CompressedSequence) -> tuple[Model, BetweenFrames]:
+    """Decode a compressed sequence as `to_model` does; also return the prediction of coefficients between frames."""
+    parameters, header = coded.parameters, coded.header
+    graph = mesh_graph(header.faces, header.vertex_count)
+    with (
+        one_blas_thread(),
+        np.errstate(divide="ignore", over="ignore", invalid="ignore"),
+    ):  # damaged if not finite
+        basis = decode_basis(coded, graph)
+        coefficients = np.concatenate([decode_coefficients(coded, chunk, basis) for chunk in coded.chunks])
+        if not (np.isfinite(basis.norms).all() and np.isfinite(coefficients).all()):
+            raise FormatError("coded signals are not finite; the file is damaged")
+        space, scores, mean, directions = _affine(basis, coefficients, parameters.diagonal)
+        pose, shapes = straight_modes(scores, mean, directions)
+    residual_layer = None
+    if any(chunk.residuals for chunk in coded.chunks):
+        residual_layer = CodedResidualLayer(
+            header.times,
+            tuple((chunk.count, chunk.residuals) for chunk in coded.chunks),
+            header.faces,
+            header.vertex_count,
+            parameters.correction,
+            graph,
+        )
+    between = coded.between or _chosen(header.times, scores)
+    times = with_middles(header.times)
+    time = Curve(times, Operator(header.times, between.length, between.cubic).at(times).of(scores))
+    placement = Curve(times, np.zeros((len(times), 0)))
+    return Model(header, space, time, pose, shapes, placement, residual_layer=residual_layer), between
+
+
+def _chosen(times: Float, scores: Float) -> BetweenFrames:
+    operator = chosen(times, scores)
+    return BetweenFrames(operator.length, operator.cubic)
+
+
+def decode_basis(coded: CompressedSequence, graph: SignalGraph) -> SpatialBasis:
+    """Return the spatial basis of a compressed sequence."""
+    parameters = coded.parameters
+    ranks = parameters.ranks or (parameters.rank,)
+    most = 3 * min(len(ranks) * parameters.frame_count, graph.size) + len(ranks)
+    if parameters.rank > most:
+        raise FormatError(
+            f"{parameters.rank} basis vectors are more than the {most} that such a sequence can have; "
+            "the file is damaged"
+        )
+    groups = len(groups_of_parts(ranks))
+    if len(coded.basis) != groups:
+        raise FormatError(
+            f"the spatial basis has {len(coded.basis)} groups, {groups} are expected; the file is damaged"
+        )
+    coordinates = 1 if parameters.factors == "trajectories" else 3
+    vectors, parts = read_basis(coded.basis, ranks, coordinates, parameters.step, coded.header.faces, graph)
+    return assemble_basis(parameters.factors, vectors, parts, parameters.frame_count)
+
+
+def decode_coefficients(coded: CompressedSequence, chunk: Chunk, basis: SpatialBasis) -> Float:
+    """Return the coefficients ``(n, K, d)`` of a chunk's frames, for the K varying vectors of the basis."""
+    parameters = coded.parameters
+    return read_coefficients(basis, chunk.coefficients, chunk.count, parameters.step)
+
+
+def _affine(basis: SpatialBasis, coefficients: Float, unit: float) -> tuple[ShapeSpace, Float, Float, Float]:
+    """Return a shape space, and its frames as mean plus scores ``(T, r)`` times directions ``(r, D)``."""
+    if basis.kind == "shapes":
+        vectors = basis.vectors.transpose(0, 2, 1).reshape(len(basis.vectors), -1) / unit
+        mean = vectors[0] / np.sqrt(basis.frame_count)
+        return VertexSpace(basis.vertex_count, unit), coefficients[..., 0], mean, vectors[1:]
+    space = BasisSpace(basis.vectors[:, 0], unit)
+    rows = coefficients.reshape(len(coefficients), -1) / unit
+    mean = rows.mean(axis=0)
+    # PCA: coordinates of the pose space are those of most motion.
+    left, sizes, right = np.linalg.svd((rows - mean) * space.weights, full_matrices=False)
+    kept = sizes > NEGLIGIBLE_MODE * sizes.max(initial=0.0)
+    return space, left[:, kept] * sizes[kept], mean, right[kept] / space.weights

@@ -1,1 +1,0 @@
-"""Quantities of meshes: edge lengths and dihedral angles, rigid motions, rotations."""

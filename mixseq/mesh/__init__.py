@@ -1,0 +1,1 @@
+"""Geometry and topology of one triangle mesh."""

@@ -1,0 +1,216 @@
+r"""The diagonal of a bounding box, the unit of lengths and errors, at any scale.
+
+Squares of lengths below 1e-154 or above 1e154 overflow double precision, so exponents are shifted before squaring.
+Results are bitwise equal wherever squares fit anyway.
+
+Normals of corners, with authored hard edges.
+
+Normals are computed for every frame: the normal ``n_g`` of a group ``g`` of corners sums over its corners ``c`` the
+normals of their polygons, weighted by the polygons' areas,
+
+    n_g = normalised sum over c in g of m_p(c),    m_p = 1/2 sum over the polygon's corners of x_i × x_(i+1),
+
+where ``m_p`` is the vector area of polygon ``p``, of an n-gon too, planar or not. Groups of corners with a common
+normal belong to the surface (`mixseq.mesh.surface.Surface.hard_edges`).
+
+Edge lengths and signed dihedral angles, their gradients, and angles unwrapped along time.
+
+For a hinge with edge ``ab`` and opposite vertices ``c`` (first face) and ``d`` (second face), with
+``e = b - a``, ``n1 = e x (c - a)`` and ``n2 = (d - a) x e``,
+
+.. math:: \theta = \mathrm{atan2}\bigl((n_1 \times n_2) \cdot e / |e|,\; n_1 \cdot n_2\bigr)
+
+in radians in (-pi, pi]: 0 where flat, positive where the surface is convex under the orientation of the first
+face (a -> b -> c counter-clockwise seen from outside).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.mesh.polygons import Polygons
+from mixseq.types import Float, FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class Diagonal:
+    """The diagonal of the bounding box of a frame, ``fraction * 2**exponent``."""
+
+    fraction: float  # from 0.5 to 2, or 0 if all points are one
+    exponent: int  # the power of two
+
+    @classmethod
+    def of(cls, points: FloatArray) -> Diagonal:
+        """Measure the bounding box of points ``(V, 3)``."""
+        low, high = (
+            np.asarray(corner, dtype=np.float64) for corner in (points.min(axis=0), points.max(axis=0))
+        )
+        halved = 1 if max(np.abs(low).max(), np.abs(high).max()) > np.finfo(np.float64).max / 2 else 0
+        extent = np.ldexp(high, -halved) - np.ldexp(low, -halved)
+        if not extent.any():
+            return cls(0.0, 0)
+        _, exponent = np.frexp(extent.max())
+        return cls(float(np.linalg.norm(np.ldexp(extent, -exponent))), int(exponent) + halved)
+
+    @property
+    def length(self) -> float:
+        """Length in the units of the points; infinite on overflow."""
+        with np.errstate(over="ignore"):
+            return float(np.ldexp(self.fraction, self.exponent))
+
+    def shifted(self, lengths: FloatArray) -> Float:
+        """Return lengths divided by ``2**exponent``, which brings those near the diagonal near `fraction`."""
+        with np.errstate(over="ignore", under="ignore"):
+            return np.asarray(np.ldexp(lengths, -self.exponent), dtype=np.float64)
+
+
+def vector_areas(points: FloatArray, polygons: Polygons) -> NDArray[np.float64]:
+    """Return the vector areas ``(T, P, 3)`` of the polygons in frames of points ``(T, V, 3)``."""
+    starts = np.cumsum(polygons.counts) - polygons.counts
+    first = np.repeat(starts, polygons.counts)
+    step = np.arange(polygons.indices.size) - first
+    following = first + (step + 1) % np.repeat(polygons.counts, polygons.counts)
+    # About the polygon's first corner, not the origin: far from it the products would cancel.
+    centre = points[:, polygons.indices[first]].astype(np.float64)
+    here = points[:, polygons.indices] - centre
+    there = points[:, polygons.indices[following]] - centre
+    return np.add.reduceat(np.cross(here, there), starts, axis=1) / 2
+
+
+def shared_normals(
+    points: FloatArray, polygons: Polygons, groups: IntArray | None = None
+) -> NDArray[np.float32]:
+    """Return one normal ``(T, G, 3)`` per group ``(sum of counts,)`` of corners: points ``(T, V, 3)``."""
+    of_corner = polygons.indices if groups is None else groups
+    count = points.shape[1] if groups is None else int(of_corner.max(initial=-1)) + 1
+    areas = (_of_triangles if polygons.only_triangles else vector_areas)(points, polygons)
+    of_polygon = np.repeat(np.arange(len(polygons.counts)), polygons.counts)
+    sums = np.zeros((len(points), count, 3))
+    for frame, total in enumerate(sums):
+        for axis in range(3):
+            total[:, axis] = np.bincount(of_corner, areas[frame, of_polygon, axis], minlength=count)
+    lengths = np.linalg.norm(sums, axis=2, keepdims=True)
+    up = np.array([0.0, 0.0, 1.0])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(lengths > 0, sums / lengths, up).astype(np.float32)
+
+
+def _of_triangles(points: FloatArray, polygons: Polygons) -> NDArray[np.float64]:
+    """Return `vector_areas` of triangles, except for the signs of zeros: of three products two are zero."""
+    a, b, c = polygons.triangles.T
+    origin = points[:, a].astype(np.float64)
+    return np.asarray(np.cross(points[:, b] - origin, points[:, c] - origin) / 2)
+
+
+def hard_edges_of_normals(polygons: Polygons, normals: FloatArray) -> NDArray[np.int32] | None:
+    """Group corners of each vertex by equal authored normals ``(sum of counts, 3)``: groups ``(sum of counts,)``."""
+    # To three digits: exporters recompute normals of one vertex face by face.
+    keys = np.column_stack([polygons.indices, np.rint(normals * 1e3).astype(np.int64)])
+    groups = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
+    if groups.max(initial=-1) + 1 == np.unique(polygons.indices).size:
+        return None
+    return groups.astype(np.int32)
+
+
+_TURN = 2.0 * np.pi
+
+SHORTEST = 1e-6
+"""Least length of an edge, relative to its typical length."""
+
+NO_LENGTH = 1e-12
+"""Length in diagonals below which edges have no direction, and no weight."""
+
+
+def edge_lengths(points: FloatArray, edges: IntArray) -> Float:
+    """Return the lengths ``(..., E)`` of edges ``(E, 2)`` for points ``(..., V, 3)``."""
+    difference = points[..., edges[:, 1], :] - points[..., edges[:, 0], :]
+    return np.asarray(np.sqrt(np.einsum("...i,...i->...", difference, difference)), dtype=np.float64)
+
+
+def length_weights(typical: Float) -> Float:
+    """Return the weights ``(e,)`` of lengths: inverse typical ones, 0 below `NO_LENGTH`."""
+    return np.divide(1.0, typical, out=np.zeros_like(typical), where=typical > NO_LENGTH)
+
+
+def sound_lengths(lengths: Float, weights: Float) -> Float:
+    """Raise lengths to `SHORTEST`: overshooting curves can have lengths of zero or less."""
+    shortest = np.divide(SHORTEST, weights, out=np.zeros_like(weights), where=weights > 0)
+    return np.maximum(lengths, shortest)
+
+
+def dihedral_angles(points: FloatArray, hinges: IntArray) -> Float:
+    """Return the signed dihedral angles ``(..., H)`` of hinges ``(H, 4)`` in radians; 0 at degenerate faces.
+
+    Examples
+    --------
+    A roof whose sides fall away from the ridge ab is convex:
+
+    >>> roof = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, -1], [0, -1, -1]])
+    >>> np.degrees(dihedral_angles(roof, np.array([[0, 1, 2, 3]]))).round(9).tolist()
+    [90.0]
+    """
+    a, b, c, d = (points[..., hinges[:, i], :] for i in range(4))
+    e = b - a
+    n1, n2 = np.cross(e, c - a), np.cross(d - a, e)
+    length = np.sqrt(np.einsum("...i,...i->...", e, e))
+    sine = np.einsum("...i,...i->...", np.cross(n1, n2), e)
+    cosine = np.einsum("...i,...i->...", n1, n2)
+    # Scaling both by |e| instead of dividing keeps an edge of length zero finite.
+    return np.asarray(np.arctan2(sine, cosine * length), dtype=np.float64)
+
+
+def flat_faces(points: FloatArray, faces: IntArray, height: float) -> NDArray[np.bool_]:
+    """Mark the faces ``(..., F)`` that are lower than `height` times their longest side."""
+    corners = points[..., faces, :]
+    sides = np.roll(corners, -1, axis=-2) - corners
+    longest = np.einsum("...ki,...ki->...k", sides, sides).max(axis=-1)
+    double_area = np.linalg.norm(np.cross(sides[..., 0, :], sides[..., 1, :]), axis=-1)
+    return np.asarray(double_area <= height * longest)
+
+
+def length_gradients(points: FloatArray, edges: IntArray) -> Float:
+    """Return the derivative ``(E, 3)`` of each length by its second vertex (by its first: the negative)."""
+    difference = points[edges[:, 1]] - points[edges[:, 0]]
+    length = np.sqrt(np.einsum("ei,ei->e", difference, difference))
+    return np.asarray(difference / np.maximum(length, np.finfo(np.float64).tiny)[:, None], dtype=np.float64)
+
+
+def dihedral_gradients(points: FloatArray, hinges: IntArray) -> Float:
+    """Return the derivatives ``(H, 4, 3)`` of each dihedral angle by its vertices a, b, c, d.
+
+    With ``e = b - a`` and ``tc = (c - a).e / |e|^2`` (``td`` likewise) the gradient of the angle is
+    ``gc = -|e| n1 / |n1|^2``, ``gd = -|e| n2 / |n2|^2``, ``ga = -(1 - tc) gc - (1 - td) gd``,
+    ``gb = -tc gc - td gd``.
+    """
+    a, b, c, d = (points[hinges[:, i]] for i in range(4))
+    e = b - a
+    n1, n2 = np.cross(e, c - a), np.cross(d - a, e)
+    tiny = np.finfo(np.float64).tiny
+    ee = np.maximum(np.einsum("hi,hi->h", e, e), tiny)
+    length = np.sqrt(ee)
+    gc = -(length / np.maximum(np.einsum("hi,hi->h", n1, n1), tiny))[:, None] * n1
+    gd = -(length / np.maximum(np.einsum("hi,hi->h", n2, n2), tiny))[:, None] * n2
+    tc = (np.einsum("hi,hi->h", c - a, e) / ee)[:, None]
+    td = (np.einsum("hi,hi->h", d - a, e) / ee)[:, None]
+    ga = -(1.0 - tc) * gc - (1.0 - td) * gd
+    gb = -tc * gc - td * gd
+    return np.asarray(np.stack([ga, gb, gc, gd], axis=1), dtype=np.float64)
+
+
+def wrap(angles: FloatArray) -> Float:
+    """Map angles to (-pi, pi]."""
+    return np.asarray(np.pi - np.mod(np.pi - angles, _TURN), dtype=np.float64)
+
+
+def unwrap_angles(angles: FloatArray, reference: FloatArray | None = None) -> Float:
+    """Add whole turns to angles ``(T, H)``: each is within half a turn of the frame before, or of the reference."""
+    result = np.array(angles, dtype=np.float64)
+    previous = reference
+    for frame in result:  # one by one, so that a frame is the same in any block
+        if previous is not None:
+            frame -= _TURN * np.round((frame - previous) / _TURN)
+        previous = frame
+    return result

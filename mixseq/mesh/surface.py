@@ -1,0 +1,236 @@
+"""Mesh data besides faces: texture coordinates, colours, hard edges, face sets, and joined objects.
+
+It takes no part in computations, and is carried from file to file with the textures and materials of a character.
+Formats name it differently:
+
+====================  ========================  =====================  ==========================
+here                  USD                       Alembic                glTF
+====================  ========================  =====================  ==========================
+`FaceSet`             GeomSubset                face set               primitive
+`MeshObject`          Mesh                      PolyMesh, SubD         node with a mesh
+`Surface.uvs`         ``primvars:st``           UV parameter           ``TEXCOORD_0``, upside down
+`Surface.colours`     displayColor and Opacity  colour parameter       ``COLOR_0``
+`Surface.hard_edges`  normals, face-varying     normals, face-varying  vertices split by normals
+====================  ========================  =====================  ==========================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mixseq.errors import InvalidSequenceError
+from mixseq.mesh.polygons import Polygons, as_indices, frozen
+from mixseq.types import FloatArray, Index, IntArray
+
+SUBDIVISIONS = ("none", "catmullClark", "loop", "bilinear")
+
+NO_UV = (0.0, 0.0)
+"""Texture coordinates of corners that have none, in meshes where others have some."""
+WHITE = (1.0, 1.0, 1.0, 1.0)
+"""Colour (RGBA) of corners that have none, in meshes where others have one."""
+
+
+@dataclass(frozen=True, eq=False)
+class CornerValues:
+    """Values at the corners of polygons: corner ``c`` has ``values[indices[c]]``."""
+
+    values: FloatArray
+    indices: IntArray
+
+    def __post_init__(self) -> None:
+        with np.errstate(over="ignore"):
+            values = np.ascontiguousarray(self.values, dtype=np.float32)
+        object.__setattr__(self, "values", frozen(values))
+        object.__setattr__(self, "indices", _flat(self.indices, "values of corners"))
+        if values.ndim != 2:
+            raise InvalidSequenceError(f"values of corners have shape {values.shape}; (n, k) is expected")
+
+    @classmethod
+    def of_corners(cls, values: FloatArray) -> CornerValues:
+        """Make them from the values ``(sum of counts, k)`` of all corners; equal values become one row."""
+        rows, indices = np.unique(values, axis=0, return_inverse=True)
+        return cls(rows, indices.reshape(-1))
+
+    @property
+    def at_corners(self) -> FloatArray:
+        """Values ``(sum of counts, k)``, one per corner."""
+        return self.values[self.indices]
+
+    def taken(self, corners: IntArray) -> CornerValues:
+        """Return the values of the given corners, in their order."""
+        return CornerValues(self.values, self.indices[corners])
+
+    def at_vertices(self, vertices: IntArray, count: int, default: Sequence[float]) -> NDArray[np.float32]:
+        """Return the values ``(count, k)`` of vertices at their first corners; vertex of every corner ``(n,)``."""
+        values = np.tile(np.asarray(default, dtype=np.float32), (count, 1))
+        values[vertices[::-1]] = self.at_corners[::-1]
+        return values
+
+    def one_per_vertex(self, vertices: IntArray) -> bool:
+        """Whether all corners of a vertex have the same value, or nan; vertex of every corner ``(n,)``."""
+        default = np.zeros(self.values.shape[1])
+        own = self.at_vertices(vertices, int(vertices.max(initial=-1)) + 1, default.tolist())
+        return np.array_equal(own[vertices], self.at_corners, equal_nan=True)
+
+    def welded(self, vertices: IntArray) -> CornerValues:
+        """Return the values with bitwise equal rows at a vertex merged; vertex of every corner ``(n,)``.
+
+        Rows shared by several vertices stay shared, so the number of rows never grows.
+        """
+        from scipy.sparse import coo_array, csgraph
+
+        bits = self.at_corners.view(np.int32)
+        keys = np.column_stack([vertices, bits])
+        order = np.lexsort(keys.T)
+        equal = (keys[order[1:]] == keys[order[:-1]]).all(axis=1)
+        one, other = (self.indices[some[equal]] for some in (order[:-1], order[1:]))
+        if np.array_equal(one, other):
+            return self
+        rows = len(self.values)
+        pairs = coo_array((np.ones(len(one)), (one, other)), shape=(rows, rows))
+        _, labels = csgraph.connected_components(pairs, directed=False)
+        _, first, row = np.unique(labels, return_index=True, return_inverse=True)
+        kept = np.sort(first)
+        return CornerValues(self.values[kept], np.searchsorted(kept, first[row])[self.indices])
+
+
+@dataclass(frozen=True, eq=False)
+class FaceSet:
+    """A named set of polygons."""
+
+    name: str
+    polygons: IntArray
+    material: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(
+            self, "polygons", frozen(np.unique(_flat(self.polygons, "polygons of a face set")))
+        )
+
+
+@dataclass(frozen=True)
+class MeshObject:
+    """A mesh joined into a sequence: a range of its vertices, and the range of polygons on them."""
+
+    name: str
+    path: str
+    vertex_count: int
+    polygon_count: int
+    subdivision: str | None = None
+
+
+@dataclass(frozen=True)
+class Origin:
+    """The source file of a sequence, into which a writer of the same format may write new points."""
+
+    format: str
+    path: str
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Surface:
+    """Mesh data besides faces."""
+
+    uvs: CornerValues | None = None  # texture coordinates (u, v), v upwards
+    # (red, green, blue, alpha) from 0 to 1, linear in formats with a defined colour space (glTF, USD), else unchanged.
+    colours: CornerValues | None = None
+    # (sum of counts,) int32: corners of equal number at a vertex share a normal; None if all edges are smooth.
+    hard_edges: IntArray | None = None
+    face_sets: tuple[FaceSet, ...] = ()  # named sets of polygons, with their materials
+    objects: tuple[MeshObject, ...] = ()  # joined meshes, in order; empty if unknown
+    subdivision: str = "none"  # scheme of objects without their own: none, catmullClark, loop, bilinear
+    origin: Origin | None = None  # the file it was read from
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "face_sets", tuple(self.face_sets))
+        object.__setattr__(self, "objects", tuple(self.objects))
+        if self.hard_edges is not None:
+            object.__setattr__(self, "hard_edges", _flat(self.hard_edges, "hard edges"))
+        for scheme in {self.subdivision: None} | dict.fromkeys(self.subdivisions):
+            if scheme not in SUBDIVISIONS:
+                raise InvalidSequenceError(
+                    f"subdivision is {scheme!r}; one of {', '.join(SUBDIVISIONS)} is expected"
+                )
+
+    @property
+    def subdivisions(self) -> tuple[str, ...]:
+        """Subdivision schemes of the objects, or of the mesh if it has no objects."""
+        own = tuple(
+            self.subdivision if each.subdivision is None else each.subdivision for each in self.objects
+        )
+        return own or (self.subdivision,)
+
+    def __repr__(self) -> str:
+        held = {
+            "uvs": self.uvs is not None and str(len(self.uvs.values)),
+            "colours": self.colours is not None and str(len(self.colours.values)),
+            "hard_edges": self.hard_edges is not None and "yes",
+            "face_sets": self.face_sets and [each.name for each in self.face_sets],
+            "objects": self.objects and [each.path or each.name for each in self.objects],
+            "subdivision": any(each != "none" for each in self.subdivisions)
+            and ", ".join(map(repr, dict.fromkeys(self.subdivisions))),
+            "origin": self.origin is not None and repr(self.origin.path),
+        }
+        return f"Surface({', '.join(f'{name}={value}' for name, value in held.items() if value)})"
+
+    def check(self, polygons: Polygons, vertex_count: int) -> None:
+        """Raise InvalidSequenceError if the data do not fit the mesh."""
+        corners = polygons.indices.size
+        for what, on, width in (("texture coordinates", self.uvs, 2), ("colours", self.colours, 4)):
+            if on is not None:
+                _check_corners(what, on.indices, corners, len(on.values))
+                if on.values.shape[1] != width:
+                    raise InvalidSequenceError(f"{what} have shape {on.values.shape}, not (n, {width})")
+        if self.hard_edges is not None:
+            _check_corners("hard edges", self.hard_edges, corners, None)
+        for face_set in self.face_sets:
+            outside = face_set.polygons[(face_set.polygons < 0) | (face_set.polygons >= len(polygons.counts))]
+            if outside.size:
+                raise InvalidSequenceError(
+                    f"face set {face_set.name!r} has polygon {outside[0]}, but polygons are 0 to "
+                    f"{len(polygons.counts) - 1}"
+                )
+        if self.objects:
+            _check_objects(self.objects, polygons, vertex_count)
+
+
+def by_first_use(numbers: IntArray) -> Index:
+    """Renumber to 0, 1, 2, ... in the order of first occurrence, as only equality matters in hard edges."""
+    _, first, number = np.unique(numbers, return_index=True, return_inverse=True)
+    rank = np.empty(len(first), dtype=np.int64)
+    rank[np.argsort(first)] = np.arange(len(first))
+    return rank[number.reshape(-1)]
+
+
+def _flat(indices: ArrayLike, what: str) -> IntArray:
+    return frozen(as_indices(indices, what).reshape(-1))
+
+
+def _check_corners(what: str, indices: IntArray, corners: int, limit: int | None) -> None:
+    if indices.size != corners:
+        raise InvalidSequenceError(f"there are {indices.size} {what} for {corners} corners of polygons")
+    if indices.size and (indices.min() < 0 or (limit is not None and indices.max() >= limit)):
+        raise InvalidSequenceError(
+            f"{what} of a corner are number {indices.min()} to {indices.max()} of {limit}"
+        )
+
+
+def _check_objects(objects: tuple[MeshObject, ...], polygons: Polygons, vertex_count: int) -> None:
+    counts = np.array([(each.vertex_count, each.polygon_count) for each in objects])
+    if (counts < 0).any() or counts.sum(axis=0).tolist() != [vertex_count, len(polygons.counts)]:
+        vertices, faces = counts.sum(axis=0).tolist()
+        raise InvalidSequenceError(
+            f"the objects have {vertices} vertices and {faces} polygons, the mesh {vertex_count} and "
+            f"{len(polygons.counts)}"
+        )
+    last = np.cumsum(counts[:, 0])
+    of_polygon = np.repeat(np.arange(len(objects)), counts[:, 1])
+    of_corner = np.repeat(of_polygon, polygons.counts)
+    astray = np.searchsorted(last, polygons.indices, side="right") != of_corner
+    if astray.any():
+        name = objects[of_corner[int(np.argmax(astray))]].name
+        raise InvalidSequenceError(f"a polygon of the object {name!r} uses vertices of another object")

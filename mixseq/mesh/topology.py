@@ -1,0 +1,245 @@
+"""Connectivity of a triangle mesh: edges, hinges, adjacency, components and defects.
+
+All results follow from the faces, independent of vertex positions, and are computed once on first use.
+
+A *hinge* is an edge together with two faces that meet in it. A non-manifold edge with k faces has k - 1 hinges, chained
+in the order of the faces, so that lengths and hinge angles determine the shape of non-manifold meshes too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse import csgraph
+
+from mixseq.runtime.lazy import PickledWithoutCaches
+from mixseq.types import Index, IntArray, Mask
+
+
+@dataclass(frozen=True, eq=False)
+class Topology(PickledWithoutCaches):
+    """Connectivity of a triangle mesh.
+
+    Parameters
+    ----------
+    faces : (F, 3) int
+        Triangles.
+    vertex_count : int
+        Number of vertices V; vertices that no face uses are allowed.
+
+    Examples
+    --------
+    >>> square = Topology(np.array([[0, 1, 2], [0, 2, 3]]), 4)
+    >>> square.edges.tolist()
+    [[0, 1], [0, 2], [0, 3], [1, 2], [2, 3]]
+    >>> square.hinges.tolist(), square.hinge_faces.tolist()
+    ([[2, 0, 1, 3]], [[0, 1]])
+    """
+
+    faces: IntArray
+    vertex_count: int
+
+    @cached_property
+    def _sorted_edges(self) -> tuple[Index, Index]:
+        """Edges ``(E, 2)``, and the edge ``(3F,)`` of every side, face by face."""
+        start, end = self._sides
+        keys = np.minimum(start, end) * np.int64(self.vertex_count) + np.maximum(start, end)
+        order = np.argsort(keys, kind="stable")
+        keys = keys[order]
+        first = np.diff(keys, prepend=-1) != 0
+        edge_of_side = np.empty_like(order)
+        edge_of_side[order] = np.cumsum(first) - 1
+        return np.stack(np.divmod(keys[first], self.vertex_count), axis=1), edge_of_side
+
+    @property
+    def _sides(self) -> tuple[Index, Index]:
+        """Starts and ends ``(3F,)`` of the sides 01, 12 and 20 of every face."""
+        faces = self.faces.astype(np.int64)
+        return faces.reshape(-1), faces[:, [1, 2, 0]].reshape(-1)
+
+    @property
+    def edges(self) -> Index:
+        """Edges ``(E, 2)``, each with its lower vertex first, in lexicographic order."""
+        return self._sorted_edges[0]
+
+    @cached_property
+    def edge_face_counts(self) -> Index:
+        """Number of faces ``(E,)`` at every edge."""
+        return np.bincount(self._sorted_edges[1], minlength=len(self.edges))
+
+    @property
+    def face_edges(self) -> Index:
+        """Edge index ``(F, 3)`` of the sides 01, 12 and 20 of every face."""
+        return self._sorted_edges[1].reshape(-1, 3)
+
+    @cached_property
+    def _hinge_sides(self) -> Index:
+        """Sides ``(H, 2)``, numbered face by face, of every hinge in its two faces."""
+        edge_of_side = self._sorted_edges[1]
+        order = np.argsort(edge_of_side, kind="stable")
+        same, face = np.diff(edge_of_side[order]) == 0, order // 3
+        together = same & (face[1:] != face[:-1])
+        return np.stack([order[:-1][together], order[1:][together]], axis=1)
+
+    @cached_property
+    def hinges(self) -> Index:
+        """Hinges ``(H, 4)`` as vertices a, b, c, d: edge ab, opposite vertices c (first face) and d."""
+        return self.hinges_at(slice(None))
+
+    def hinges_at(self, some: Index | slice) -> Index:
+        """Return some of the `hinges` ``(h, 4)``, to save memory on large meshes."""
+        # The first face gives the direction a -> b, so the angle's sign follows that face's orientation.
+        first, second = self._hinge_sides[some].T
+        corners = first, _next(first), _next(_next(first)), _next(_next(second))
+        return np.stack([self.faces.reshape(-1)[corner] for corner in corners], axis=1, dtype=np.int64)
+
+    @cached_property
+    def hinge_faces(self) -> Index:
+        """First and second face ``(H, 2)`` of every hinge."""
+        return self._hinge_sides // 3
+
+    @cached_property
+    def hinge_edges(self) -> Index:
+        """Edge index ``(H,)`` of every hinge."""
+        return self._sorted_edges[1][self._hinge_sides[:, 0]]
+
+    @cached_property
+    def boundary_edges(self) -> Index:
+        """Indices of edges with one face only."""
+        return np.flatnonzero(self.edge_face_counts == 1)
+
+    @cached_property
+    def non_manifold_edges(self) -> Index:
+        """Indices of edges with more than two faces."""
+        return np.flatnonzero(self.edge_face_counts > 2)
+
+    @cached_property
+    def inconsistent_edges(self) -> Index:
+        """Indices of edges whose two faces have opposite orientations."""
+        start, end = self._sides
+        direction = np.where(start < end, 1, -1)
+        balance = np.bincount(self._sorted_edges[1], weights=direction, minlength=len(self.edges))
+        return np.flatnonzero((self.edge_face_counts == 2) & (balance != 0))
+
+    @cached_property
+    def unused_vertices(self) -> Index:
+        """Vertices that no face uses."""
+        used = np.zeros(self.vertex_count, dtype=bool)
+        used[self.faces] = True
+        return np.flatnonzero(~used)
+
+    @cached_property
+    def vertex_adjacency(self) -> sparse.csr_array:
+        """Symmetric ``(V, V)`` matrix with a one for every edge."""
+        return _symmetric(self.edges, self.vertex_count)
+
+    @cached_property
+    def face_adjacency(self) -> sparse.csr_array:
+        """Symmetric ``(F, F)`` matrix; its entries count the hinges between two faces."""
+        return _symmetric(self.hinge_faces, len(self.faces))
+
+    @cached_property
+    def component_of_vertex(self) -> NDArray[np.int32]:
+        """Connected component ``(V,)`` of every vertex; an unused vertex is a component of its own."""
+        return csgraph.connected_components(self.vertex_adjacency, directed=False)[1]
+
+    @cached_property
+    def component_of_face(self) -> NDArray[np.int32]:
+        """Hinge-connected component ``(F,)`` of every face: faces that reach each other across edges."""
+        return csgraph.connected_components(self.face_adjacency, directed=False)[1]
+
+    @cached_property
+    def component_count(self) -> int:
+        """Number of connected components that have faces."""
+        return int(np.unique(self.component_of_vertex[self.faces[:, 0]]).size)
+
+    def report(self) -> dict[str, int | bool]:
+        """Summarise the connectivity: counts, boundary, non-manifold and inconsistent edges, closedness."""
+        return {
+            "vertices": self.vertex_count,
+            "faces": len(self.faces),
+            "edges": len(self.edges),
+            "hinges": len(self.hinges),
+            "components": self.component_count,
+            "boundary_edges": len(self.boundary_edges),
+            "non_manifold_edges": len(self.non_manifold_edges),
+            "inconsistent_edges": len(self.inconsistent_edges),
+            "unused_vertices": len(self.unused_vertices),
+            "closed": len(self.boundary_edges) == 0,
+        }
+
+
+def _next(sides: Index) -> Index:
+    """Return the next side in the same face, whose first corner is the second one of the side."""
+    return np.where(sides % 3 == 2, sides - 2, sides + 1)
+
+
+def _symmetric(pairs: Index, count: int) -> sparse.csr_array:
+    """Return the symmetric matrix ``(count, count)`` with ones at pairs ``(n, 2)`` and their transposes."""
+    places = (
+        np.concatenate([pairs[:, ::-1], pairs]).astype(np.int32).T
+    )  # of sorted pairs: rows come out sorted
+    return sparse.coo_array((np.ones(2 * len(pairs)), tuple(places)), shape=(count, count)).tocsr()
+
+
+def vertices_of(topology: Topology, faces: Mask) -> Mask:
+    """Mark the vertices ``(V,)`` of the marked faces ``(F,)``."""
+    marked = np.zeros(topology.vertex_count, dtype=bool)
+    marked[topology.faces[faces]] = True
+    return marked
+
+
+def vertices_near(topology: Topology, vertices: Mask, rings: int) -> Mask:
+    """Mark the vertices ``(V,)`` at most `rings` edges from a marked one."""
+    near = vertices.copy()
+    ring = np.flatnonzero(near)
+    for _ in range(rings):
+        beside = topology.vertex_adjacency[ring].indices
+        ring = np.unique(beside[~near[beside]])
+        near[ring] = True
+    return near
+
+
+def hinges_inside(topology: Topology, faces: Mask) -> Index:
+    """Return the indices of hinges between two of the marked faces ``(F,)``, ascending."""
+    first, second = topology.hinge_faces.T
+    return np.flatnonzero(faces[first] & faces[second])
+
+
+def face_patches(topology: Topology, faces: Mask) -> NDArray[np.int64]:
+    """Number the hinge-connected patches ``(F,)`` of the marked faces, in order of their first face; -1 elsewhere."""
+    patch = np.full(len(topology.faces), -1, dtype=np.int64)
+    chosen = np.flatnonzero(faces)
+    pairs = topology.hinge_faces[hinges_inside(topology, faces)]
+    graph = _symmetric(np.searchsorted(chosen, pairs), len(chosen))
+    patch[chosen] = csgraph.connected_components(graph, directed=False)[1]
+    return patch
+
+
+def split_labels(topology: Topology, labels: IntArray) -> NDArray[np.int64]:
+    """Number the hinge-connected patches ``(F,)`` of equal labels 0, 1, ..., label by label."""
+    together = labels[topology.hinge_faces[:, 0]] == labels[topology.hinge_faces[:, 1]]
+    i, j = topology.hinge_faces[together].T
+    graph = sparse.coo_array((np.ones(len(i), dtype=bool), (i, j)), shape=(len(labels), len(labels)))
+    patch = csgraph.connected_components(graph, directed=False)[1]
+    first = np.unique(patch, return_index=True)[1]
+    number = np.empty(len(first), dtype=np.int64)
+    number[np.lexsort((first, labels[first]))] = np.arange(len(first))
+    return number[patch]
+
+
+def spread(topology: Topology, depth: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Propagate values ``(V,)`` over edges with a decrement of one: ``max_b (depth_b - hops(v, b))``, at least 0."""
+    result = np.maximum(depth, 0)
+    for _ in range(int(result.max(initial=0)) - 1):
+        first, second = (result > 1)[topology.edges.T]
+        i, j = topology.edges[first | second].T
+        grown = result.copy()
+        np.maximum.at(grown, i, result[j] - 1)
+        np.maximum.at(grown, j, result[i] - 1)
+        result = grown
+    return result

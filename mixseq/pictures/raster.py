@@ -1,0 +1,267 @@
+"""Rasterization of one mesh: triangles in a depth buffer, lit as on the sheets, above their shadow.
+
+Triangles are drawn with a depth test [1]_. Corners are rounded to 1/256 of a sample and coverage is decided in integers
+[2]_: adjacent triangles leave no gaps, and all machines draw the same samples. A pixel is the mean of 2 x 2 samples.
+
+Renderers of libraries need a graphics card or OpenGL, and draw other pixels on each; matplotlib takes 2.6 times as long
+(0.13 s for the fox of 5,600 vertices in 1280 x 720, instead of 0.05 s) and sorts faces instead of pixels.
+
+References
+----------
+.. [1] E. Catmull: A subdivision algorithm for computer display of curved surfaces. PhD thesis, Utah, 1974.
+.. [2] J. Pineda: A parallel algorithm for polygon rasterization. SIGGRAPH 1988.
+
+Compiled inner loops of `mixseq.pictures.raster`.
+
+They release the interpreter's lock and draw faces in order, so that frames have the same pixels on any number of
+threads.
+
+Shading of a mesh: smooth normals under a key light and a soft fill; and its shadow on the ground.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import gaussian_filter
+
+from mixseq.pictures.colours import CLAY
+from mixseq.pictures.scene import Limits, View
+from mixseq.runtime.jit import compiled
+from mixseq.sequence.sequence import bounding_diagonal
+from mixseq.types import Float, Index, IntArray, Single
+
+Bytes = NDArray[np.uint8]
+
+SUBPIXELS = 256
+"""Steps per pixel of corner positions."""
+
+
+@compiled
+def fill_triangles(
+    places: Index, heights: Single, faces: Index, colours: Single, nearest: Single, samples: Bytes
+) -> None:
+    """Draw triangles into samples with a depth test.
+
+    `places` (V, 2) are columns and rows in `SUBPIXELS`, `heights` (V,) grow towards the camera, `colours` (F, 3, 3) are
+    those of the corners in 0..255; `nearest` (H, W) and `samples` (H, W, 3) are changed.
+    """
+    height, width = nearest.shape
+    half = SUBPIXELS // 2
+    for f in range(len(faces)):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        ax, ay = places[a, 0], places[a, 1]
+        bx, by = places[b, 0], places[b, 1]
+        cx, cy = places[c, 0], places[c, 1]
+        area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+        if area == 0:
+            continue
+        sign = 1 if area > 0 else -1
+        first, last = max(min(ax, bx, cx), 0), min(max(ax, bx, cx), width * SUBPIXELS - 1)
+        top, bottom = max(min(ay, by, cy), 0), min(max(ay, by, cy), height * SUBPIXELS - 1)
+        left, right = (first + half - 1) // SUBPIXELS, (last - half) // SUBPIXELS
+        upper, lower = (top + half - 1) // SUBPIXELS, (bottom - half) // SUBPIXELS
+        # Weights of the corners, times the area, are whole numbers: neighbours leave no gaps between them.
+        step_a, step_b, step_c = sign * (by - cy), sign * (cy - ay), sign * (ay - by)
+        scale = 1.0 / (sign * area)
+        for j in range(upper, lower + 1):
+            y, x = j * SUBPIXELS + half, left * SUBPIXELS + half
+            wa = sign * ((bx - x) * (cy - y) - (cx - x) * (by - y))
+            wb = sign * ((cx - x) * (ay - y) - (ax - x) * (cy - y))
+            wc = sign * ((ax - x) * (by - y) - (bx - x) * (ay - y))
+            for i in range(left, right + 1):
+                if wa >= 0 and wb >= 0 and wc >= 0:
+                    u, v, w = wa * scale, wb * scale, wc * scale
+                    z = np.float32(u * heights[a] + v * heights[b] + w * heights[c])
+                    if z > nearest[j, i]:
+                        nearest[j, i] = z
+                        for k in range(3):
+                            value = u * colours[f, 0, k] + v * colours[f, 1, k] + w * colours[f, 2, k]
+                            samples[j, i, k] = np.uint8(value + 0.5)
+                wa += step_a * SUBPIXELS
+                wb += step_b * SUBPIXELS
+                wc += step_c * SUBPIXELS
+
+
+@compiled
+def average(nearest: Single, samples: Bytes, side: int, picture: Bytes) -> None:
+    """Write means of `side` x `side` samples to a picture (H, W, 3), blended over its contents."""
+    height, width = picture.shape[:2]
+    count = side * side
+    for j in range(height):
+        for i in range(width):
+            covered = red = green = blue = 0
+            for q in range(side * j, side * j + side):
+                for p in range(side * i, side * i + side):
+                    if nearest[q, p] > -np.inf:
+                        covered += 1
+                        red += samples[q, p, 0]
+                        green += samples[q, p, 1]
+                        blue += samples[q, p, 2]
+            if covered > 0:
+                open_ = count - covered
+                picture[j, i, 0] = (red + open_ * picture[j, i, 0] + count // 2) // count
+                picture[j, i, 1] = (green + open_ * picture[j, i, 1] + count // 2) // count
+                picture[j, i, 2] = (blue + open_ * picture[j, i, 2] + count // 2) // count
+
+
+@compiled
+def lay_shadow(alpha: Float, colour: Float, picture: Bytes) -> None:
+    """Darken a picture (H, W, 3) by a shadow (h, w), the lowest row first, stretched over it (bilinear)."""
+    height, width = picture.shape[:2]
+    rows, columns = alpha.shape
+    for j in range(height):
+        y = min(max((height - j - 0.5) / height * rows - 0.5, 0.0), rows - 1.0)
+        below = min(int(y), rows - 2)
+        up = y - below
+        for i in range(width):
+            x = min(max((i + 0.5) / width * columns - 0.5, 0.0), columns - 1.0)
+            left = min(int(x), columns - 2)
+            over = x - left
+            low = (1.0 - over) * alpha[below, left] + over * alpha[below, left + 1]
+            high = (1.0 - over) * alpha[below + 1, left] + over * alpha[below + 1, left + 1]
+            share = (1.0 - up) * low + up * high
+            if share > 0.0:
+                for k in range(3):
+                    mixed = (1.0 - share) * picture[j, i, k] + share * colour[k]
+                    picture[j, i, k] = np.uint8(mixed + 0.5)
+
+
+KEY_LIGHT = np.array([-0.45, 0.62, 0.64])
+COOL = np.array([1.0, 0.6, 0.0])
+"""Fading of red, green and blue in the shade."""
+
+
+def area_normals(points: Float, faces: IntArray) -> Float:
+    """Return normals ``(F, 3)`` whose lengths are twice the faces' areas."""
+    a, b, c = np.moveaxis(points[faces], 1, 0)
+    return np.cross(b - a, c - a)
+
+
+def smooth_normals(normals: Float, faces: IntArray, vertex_count: int) -> Float:
+    """Return unit normals ``(F, 3)``: the mean of the vertex normals, which hides the facets."""
+    return _unit(vertex_normals(normals, faces, vertex_count)[faces].mean(axis=1))
+
+
+def vertex_normals(normals: Float, faces: IntArray, vertex_count: int) -> Float:
+    """Return unit normals ``(V, 3)`` of the vertices: the mean of the faces around them, by area."""
+    sums = [np.bincount(faces.ravel(), np.repeat(column, 3), vertex_count) for column in normals.T]
+    return _unit(np.stack(sums, axis=1, dtype=np.float64))
+
+
+def shade(rgb: Float, normals: Float, contrast: float) -> Float:
+    """Light colours ``(F, 3)`` from the upper left, with a soft fill from above."""
+    light = 0.50 + 0.14 * normals[:, 1] + 0.52 * np.maximum(normals @ KEY_LIGHT, 0) + 0.06 * normals[:, 2]
+    light = 1 + contrast * (light[:, None] - 1)
+    tint = 1 - 0.10 * contrast * np.clip(1 - light, 0, 1) * COOL  # as under an open sky
+    return np.asarray(np.clip(rgb * light * tint, 0, 1))
+
+
+def _unit(vectors: Float) -> Float:
+    """Scale vectors ``(N, 3)`` to length one; zero stays zero."""
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300))
+
+
+PIXELS = 240
+"""Pixels along the longer side of the picture."""
+
+FEATHER = 10
+"""Pixels over which a shadow fades out at the frame, within the usual margin."""
+
+SHADOW = (0.25, 0.24, 0.28)
+
+
+def ground_shadow(world: Float, faces: IntArray, floor: float, view: View, limits: Limits) -> Float:
+    """Paint the shadow ``(rows, columns, 4)`` of a mesh on the ground, darker close to the mesh: world ``(V, 3)``."""
+    left, right, bottom, top = limits
+    sides = np.array([top - bottom, right - left])
+    shape = np.ceil(PIXELS * sides / sides.max()).astype(int)
+    pixel = sides / shape
+
+    size = bounding_diagonal(world) or 1.0
+    centre = world[faces].mean(axis=1)
+    dark = 0.25 + np.exp((floor - centre[:, 1]) / (0.05 * size))
+    area = np.abs(area_normals(world, faces)[:, 1]) / 4  # half of it faces down
+    spot = (centre * [1, 0, 1] + [0, floor, 0]) @ view.rows.T
+    cover = np.histogram2d(
+        spot[:, 1], spot[:, 0], bins=shape, range=[[bottom, top], [left, right]], weights=area * dark
+    )[0]
+
+    squash = max(np.sin(np.radians(view.elevation)), 0.05)  # the ground is seen at a slant
+    blur = 0.019 * size / pixel * [squash, 1]
+    cover = gaussian_filter(cover / (pixel.prod() * squash), np.maximum(blur, 1))
+    alpha = 0.42 * (1 - np.exp(-0.9 * cover)) * np.outer(*map(_feather, shape))
+    return np.concatenate([np.broadcast_to(SHADOW, (*shape, 3)), alpha[..., None]], axis=2)
+
+
+def _feather(count: int) -> Float:
+    """Return a rise from 0 to 1 and a fall to 0, for soft edges of shadows."""
+    index = np.arange(count)
+    return np.clip(np.minimum(index, index[::-1]) / FEATHER, 0, 1)
+
+
+Picture = NDArray[np.uint8]
+
+SIDE = 2
+"""Samples per pixel, in each direction."""
+
+PAPER = 255
+"""Grey of an empty picture."""
+
+
+def blank(width: int, height: int) -> Picture:
+    """Return an empty picture ``(height, width, 3)``."""
+    return np.full((height, width, 3), PAPER, dtype=np.uint8)
+
+
+def render_mesh(
+    picture: Picture,
+    world: Float,
+    faces: IntArray,
+    view: View,
+    limits: Limits,
+    colours: ArrayLike = CLAY,
+    ground: float | None = None,
+    contrast: float = 1.0,
+) -> None:
+    """Draw a mesh and its shadow on a picture ``(rows, columns, 3)`` uint8, as `draw_mesh` on paper.
+
+    `world` ``(V, 3)`` are points, Y up; faces ``(F, 3)`` are seen from both sides; `limits` ``(4,)`` is the screen
+    rectangle of the picture, of its proportions; `colours` ``(3,)``, ``(F, 3)`` or ``(F, 3, 3)`` are RGB in 0..1 of
+    mesh, faces or corners; `ground` is by default the lowest vertex.
+    """
+    rows, columns = picture.shape[:2]
+    floor = float(world[:, 1].min()) if ground is None else ground
+    shadow = ground_shadow(world, faces, floor, view, limits)
+    lay_shadow(np.ascontiguousarray(shadow[..., 3]), 255 * shadow[0, 0, :3], picture)
+
+    screen = _turned(world, view)
+    left, right, bottom, top = limits
+    scale = SIDE * SUBPIXELS * np.array([columns / (right - left), -rows / (top - bottom)])
+    places = np.rint((screen[:, :2] - [left, top]) * scale).astype(np.int64)
+    corners = np.ascontiguousarray(faces, dtype=np.int64)
+    lit = _corner_colours(screen, corners, colours, contrast)
+
+    nearest = np.full((SIDE * rows, SIDE * columns), -np.inf, dtype=np.float32)
+    samples = np.empty((*nearest.shape, 3), dtype=np.uint8)
+    fill_triangles(places, screen[:, 2].astype(np.float32), corners, lit, nearest, samples)
+    average(nearest, samples, SIDE, picture)
+
+
+def _turned(world: Float, view: View) -> Float:
+    """Return points in camera coordinates, summed in a fixed order."""
+    x, y, z = world.T
+    return np.stack([x * row[0] + y * row[1] + z * row[2] for row in view.rows], axis=1)
+
+
+def _corner_colours(
+    screen: Float, faces: NDArray[np.int64], colours: ArrayLike, contrast: float
+) -> NDArray[np.float32]:
+    """Return lit colours of corners ``(F, 3, 3)`` in 0..255."""
+    flat = area_normals(screen, faces)
+    to_camera = np.where(flat[:, 2:] < 0, -1.0, 1.0)
+    normals = vertex_normals(flat, faces, len(screen))[faces] * to_camera[:, None]
+    rgb = np.asarray(colours, dtype=np.float64)
+    rgb = np.broadcast_to(rgb[:, None] if rgb.ndim == 2 else rgb, (len(faces), 3, 3))
+    lit = shade(rgb.reshape(-1, 3), normals.reshape(-1, 3), contrast)
+    return np.asarray(255 * lit, dtype=np.float32).reshape(-1, 3, 3)

@@ -1,0 +1,186 @@
+"""Arrays that may be larger than memory: written by rows, read by rows or columns.
+
+Fitting reads all frames at a few coordinates (the Gram matrix), or all coordinates of a few frames. Small arrays are in
+memory, large ones on disk in tiles, so that both are read in long runs:
+
+>>> array = new_large_array((3, 2))
+>>> array[0:3] = np.arange(6).reshape(3, 2)
+>>> [block.sum(axis=0).tolist() for _, block in column_blocks(array)]
+[[6.0, 9.0]]
+
+Running statistics of streamed values in little memory: root mean square, 99.9th percentile, maximum.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+import weakref
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from mixseq.errors import OutputError
+from mixseq.types import Float
+
+IN_MEMORY = 1 << 28
+"""Size in bytes up to which arrays are in memory."""
+
+_COLUMNS = 1 << 14
+_BLOCK = 1 << 23  # numbers in a block of columns, where there are so many rows that fewer columns must do
+
+
+class DiskArray:
+    """An array ``(T, ...)`` in an unnamed file that is deleted with the object or the process.
+
+    Rows are set by slices, and read by slices or indices; several threads may read at a time.
+    """
+
+    def __init__(self, shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> None:
+        self.shape = shape
+        self.dtype = np.dtype(dtype)
+        self._width = int(np.prod(shape[1:], dtype=np.int64))
+        self._step = _columns_at_once(len(self))
+        try:
+            self._file = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the array
+        except OSError as error:
+            raise OutputError(
+                f"there is no folder for temporary files ({error.strerror}); set TMPDIR to one"
+            ) from error
+        self._lock = threading.Lock()  # a file has one place at which it is read
+        weakref.finalize(self, _close, self._file)
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __setitem__(self, rows: slice, values: NDArray[Any]) -> None:
+        first, last, _ = rows.indices(len(self))
+        flat = values.reshape(last - first, self._width)
+        try:
+            for columns in self._tiles():
+                self._seek(first, columns)
+                self._file.write(np.ascontiguousarray(flat[:, columns], dtype=self.dtype).data)
+            self._file.flush()
+        except OSError as error:
+            size = self.dtype.itemsize * len(self) * self._width
+            raise OutputError(
+                f"cannot write a temporary file of {size / 1e9:.1f} GB in {tempfile.gettempdir()}: {error.strerror}; "
+                "free some space, or set TMPDIR to another folder"
+            ) from error
+
+    def __getitem__(self, rows: slice | NDArray[np.integer]) -> NDArray[Any]:
+        wanted = np.arange(len(self))[rows]
+        flat = np.empty((len(wanted), self._width), dtype=self.dtype)
+        # Runs of rows that follow each other are read at once.
+        ends = np.flatnonzero(np.diff(wanted, prepend=-9, append=-9) != 1)
+        for start, stop in pairwise(ends):
+            for columns in self._tiles():
+                flat[start:stop, columns] = self._read(int(wanted[start]), int(stop - start), columns)
+        return flat.reshape(len(wanted), *self.shape[1:])
+
+    def columns(self) -> Iterator[tuple[slice, NDArray[Any]]]:
+        """Yield column slices of the flattened rows, and blocks ``(T, C)``."""
+        for columns in self._tiles():
+            yield columns, self._read(0, len(self), columns)
+
+    def _tiles(self) -> Iterator[slice]:
+        for start in range(0, self._width, self._step):
+            yield slice(start, min(start + self._step, self._width))
+
+    def _seek(self, row: int, columns: slice) -> None:
+        self._file.seek(
+            self.dtype.itemsize * (len(self) * columns.start + row * (columns.stop - columns.start))
+        )
+
+    def _read(self, first: int, count: int, columns: slice) -> NDArray[Any]:
+        block = np.empty((count, columns.stop - columns.start), dtype=self.dtype)
+        with self._lock:
+            self._seek(first, columns)
+            there = self._file.readinto(block.data.cast("B"))
+        if there < block.nbytes:
+            raise OutputError("a temporary file was cut short; is the disk full?")
+        return block
+
+
+def _close(file: IO[bytes]) -> None:
+    with suppress(OSError):  # a full disk: what could not be written is not wanted any more
+        file.close()
+
+
+LargeArray = NDArray[Any] | DiskArray
+"""An array in memory or on disk."""
+
+
+def new_large_array(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> LargeArray:
+    """Return an empty array ``(T, ...)``, on disk if it is large."""
+    size = np.dtype(dtype).itemsize * int(np.prod(shape, dtype=np.int64))
+    return np.empty(shape, dtype) if size <= IN_MEMORY else DiskArray(shape, dtype)
+
+
+def column_blocks(array: LargeArray) -> Iterator[tuple[slice, NDArray[Any]]]:
+    """Yield column slices and blocks ``(T, C)`` of an array ``(T, W)``, the same in memory and on disk."""
+    if isinstance(array, DiskArray):
+        yield from array.columns()
+        return
+    step = _columns_at_once(len(array))
+    for start in range(0, array.shape[1], step):
+        columns = slice(start, min(start + step, array.shape[1]))
+        yield columns, np.ascontiguousarray(array[:, columns])
+
+
+def _columns_at_once(rows: int) -> int:
+    return min(_COLUMNS, max(_BLOCK // max(rows, 1), 64))
+
+
+PERCENTILE = 0.999
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Statistics of one error over all elements and frames."""
+
+    rms: float  # root mean square
+    p999: float  # 99.9th percentile: the smallest value that 99.9 % do not exceed
+    max: float  # largest value
+    skipped: int  # how many values are not defined and were left out, counted over all frames
+
+
+class RunningStatistics:
+    """Accumulate `Statistics` block by block, from the sum of squares and the largest values."""
+
+    def __init__(self, total: int) -> None:
+        self._total = total
+        self._count = 0
+        self._squares = 0.0
+        self._keep = total - int(PERCENTILE * total) + 1
+        self._largest = np.zeros(0)
+
+    def add(self, values: Float) -> None:
+        """Add non-negative values ``(n,)``; those that are not finite are skipped."""
+        values = values[np.isfinite(values)]
+        self._count += values.size
+        self._squares += float(np.square(values).sum())
+        if len(self._largest) == self._keep:
+            values = values[values > self._largest[0]]
+        largest = np.concatenate([self._largest, values])
+        if len(largest) >= self._keep:
+            # Partitioned so that the smallest of those kept comes first.
+            largest = np.partition(largest, len(largest) - self._keep)[-self._keep :]
+        self._largest = largest
+
+    def result(self) -> Statistics:
+        """Return the statistics of all values; zeros for none."""
+        if not self._count:
+            return Statistics(rms=0.0, p999=0.0, max=0.0, skipped=self._total)
+        above = self._count - int(np.ceil(PERCENTILE * self._count))
+        return Statistics(
+            rms=float(np.sqrt(self._squares / self._count)),
+            p999=float(np.sort(self._largest)[-1 - above]),
+            max=float(self._largest.max()),
+            skipped=self._total - self._count,
+        )

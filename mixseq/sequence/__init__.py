@@ -1,0 +1,1 @@
+"""Mesh sequences: one mesh, new vertex positions every frame."""

@@ -1,0 +1,466 @@
+"""Mesh sequences: one fixed mesh, with new vertex positions in every frame.
+
+`SequenceHeader` is a sequence without its points; `MeshSequence` adds them. Readers stream
+``(header, blocks of points)``; `Frames` is their common interface with `MeshSequence`. Sequences are validated here and
+in their headers only: every `MeshSequence` is valid.
+
+Sequences with random access: in memory, or copied to a temporary array while they are read once.
+
+Files are read sequentially and often slowly, while fitting needs several passes and single frames. Streams are copied
+once; all later work is the same for both.
+
+Limits of double precision: as squared lengths are multiplied, meshes must be between `SMALLEST` and `LARGEST`. Small
+errors vanish beside large coordinates: `digits_end`.
+
+Conversion of sequences to another up axis and another unit of length.
+
+The up axis is turned by a quarter turn about the axis that is neither the old nor the new one: from Y to Z the point
+(x, y, z) becomes (x, -z, y), the usual convention. Coordinates are permuted and change signs without rounding; only a
+change of unit rounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mixseq.errors import InvalidSequenceError, SettingsError
+from mixseq.mesh.measures import Diagonal
+from mixseq.mesh.polygons import Polygons, frozen
+from mixseq.runtime.low_memory import LargeArray, new_large_array
+from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.public import public
+from mixseq.sequence.frame_rates import exact_rate
+from mixseq.sequence.header import DEFAULT_FPS, UP_AXES, SequenceHeader, header_fields
+from mixseq.types import Float, FloatArray
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class MeshSequence(SequenceHeader):
+    """A deforming mesh: fixed polygons, ``(T, V, 3)`` points.
+
+    Make one with `MeshSequence.from_arrays`, or read it from a file with `mixseq.read`.
+
+    Parameters
+    ----------
+    points : (T, V, 3) float32 or float64
+        Vertex positions in the file's units.
+    velocities : (T, V, 3) float32 or float64, optional
+        Velocities of the vertices in the file's units per second, for motion blur.
+    **header
+        The fields of `SequenceHeader`.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If the header is unsound, or points or velocities have another shape or are not finite.
+    """
+
+    points: FloatArray
+    velocities: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "points", frozen(_as_points(self.points)))
+        check_block(self, self.points, first_frame=0)
+        if len(self.points) != self.frame_count:
+            raise InvalidSequenceError(
+                f"{len(self.points)} frames of points but {self.frame_count} times; give one time per frame"
+            )
+        if self.velocities is not None:
+            object.__setattr__(self, "velocities", frozen(_as_points(self.velocities)))
+            _check_velocities(self, self.points, self.velocities)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        points: ArrayLike,
+        faces: ArrayLike | Polygons,
+        times: ArrayLike | None = None,
+        fps: float | None = None,
+        up_axis: str = "Y",
+        metres_per_unit: float = 1.0,
+        name: str = "mesh",
+    ) -> MeshSequence:
+        """Make a sequence of arrays.
+
+        Parameters
+        ----------
+        points : (T, V, 3) array_like
+            Vertex positions of every frame.
+        faces : (F, 3) array_like or Polygons
+            Triangles, or polygons where there are quads or n-gons.
+        times : (T,) array_like, optional
+            Seconds; by default frames follow each other at `fps`.
+        fps : float, optional
+            Frames per second, by default 24; 23.976 means 24000/1001, see `mixseq.sequence.frame_rates`.
+        up_axis, metres_per_unit, name
+            See `SequenceHeader`.
+
+        Examples
+        --------
+        >>> points = np.zeros((2, 3, 3))
+        >>> points[:, 1, 0] = points[:, 2, 1] = 1
+        >>> MeshSequence.from_arrays(points, [[0, 1, 2]], fps=10).times.tolist()
+        [0.0, 0.1]
+        """
+        array = _as_points(points)
+        rate = DEFAULT_FPS if fps is None else float(fps)
+        if not (np.isfinite(rate) and rate > 0):
+            raise InvalidSequenceError(f"fps is {fps}; a positive number is expected")
+        rate = exact_rate(rate) if times is None else _rate_beside(times, rate)
+        return cls(
+            points=array,
+            polygons=faces if isinstance(faces, Polygons) else Polygons.from_triangles(faces),
+            vertex_count=array.shape[1],
+            times=np.arange(len(array)) / rate if times is None else np.asarray(times, dtype=np.float64),
+            fps=rate,
+            up_axis=up_axis,
+            metres_per_unit=metres_per_unit,
+            name=name,
+        )
+
+    @classmethod
+    def from_header(
+        cls, header: SequenceHeader, points: FloatArray, velocities: FloatArray | None = None
+    ) -> MeshSequence:
+        """Make a sequence from a header and points ``(T, V, 3)``."""
+        return cls(points=points, velocities=velocities, **header_fields(header))
+
+    @property
+    def header(self) -> SequenceHeader:
+        """Header of the sequence, without points."""
+        return SequenceHeader(**header_fields(self))
+
+    def with_points(self, points: FloatArray) -> MeshSequence:
+        """Return the same mesh and times with other points, and no velocities."""
+        return replace(self, points=points, velocities=None)
+
+    def blocks(self, size: int = 16) -> Iterator[FloatArray]:
+        """Iterate over the points in blocks ``(B, V, 3)`` of at most `size` frames."""
+        for start in range(0, self.frame_count, size):
+            yield self.points[start : start + size]
+
+    @cached_property
+    def diagonal(self) -> float:
+        """Diagonal of the bounding box of the first frame, the unit of errors."""
+        return bounding_diagonal(self.points[0])
+
+    def __len__(self) -> int:
+        return self.frame_count
+
+
+class Frames(Protocol):
+    """A sequence that streams: a `MeshSequence`, or an open reader (`mixseq.open_sequence`)."""
+
+    @property
+    def header(self) -> SequenceHeader:
+        """Header of the sequence, without points."""
+
+    def blocks(self, size: int = ...) -> Iterator[FloatArray]:
+        """Iterate over the points in blocks ``(B, V, 3)`` of at most `size` frames, from the first one on."""
+
+
+def bounding_diagonal(points: FloatArray) -> float:
+    """Length of the diagonal of the bounding box of ``(V, 3)`` points."""
+    return Diagonal.of(points).length
+
+
+def collect(header: SequenceHeader, blocks: Iterable[FloatArray]) -> MeshSequence:
+    """Join blocks ``(B, V, 3)`` of points to one sequence."""
+    parts = [_as_points(block) for block in blocks]
+    points = np.concatenate(parts) if parts else np.zeros((0, header.vertex_count, 3), dtype=np.float32)
+    return MeshSequence.from_header(header, points)
+
+
+def check_frames(frames: object) -> None:
+    """Raise InvalidSequenceError if the argument is no sequence."""
+    if not isinstance(getattr(frames, "header", None), SequenceHeader):
+        raise InvalidSequenceError(
+            f"a MeshSequence or an open sequence is expected, not {type(frames).__name__}; read files "
+            "with mixseq.read, make sequences of arrays with MeshSequence.from_arrays"
+        )
+
+
+def check_block(header: SequenceHeader, points: FloatArray, first_frame: int) -> None:
+    """Validate a block of points ``(B, V, 3)`` against its header."""
+    if points.ndim != 3 or points.shape[2] != 3:
+        raise InvalidSequenceError(f"points have shape {points.shape}; (frames, vertices, 3) is expected")
+    if points.shape[1] != header.vertex_count:
+        raise InvalidSequenceError(
+            f"{header.frame_name(first_frame)} has {points.shape[1]} vertices, the mesh has {header.vertex_count}; "
+            "every frame needs the same vertices in the same order"
+        )
+    if not np.isfinite(points).all():
+        frame, vertex = (int(i) for i in np.argwhere(~np.isfinite(points))[0][:2])
+        raise InvalidSequenceError(
+            f"{header.frame_name(first_frame + frame)}: vertex {vertex} is {points[frame, vertex].tolist()}; "
+            "coordinates must be finite"
+        )
+
+
+def _check_velocities(header: SequenceHeader, points: FloatArray, velocities: FloatArray) -> None:
+    if velocities.shape != points.shape:
+        raise InvalidSequenceError(
+            f"velocities have shape {velocities.shape}, points {points.shape}; give one velocity per point"
+        )
+    if not np.isfinite(velocities).all():
+        frame, vertex = (int(i) for i in np.argwhere(~np.isfinite(velocities))[0][:2])
+        raise InvalidSequenceError(
+            f"{header.frame_name(frame)}: the velocity of vertex {vertex} is not finite"
+        )
+
+
+def _rate_beside(times: ArrayLike, fps: float) -> float:
+    """Return the typed rate if frame times are multiples of its period, else the exact rate.
+
+    Examples
+    --------
+    >>> _rate_beside(np.arange(1001, 1097) / 23.976, 23.976)
+    23.976
+    >>> _rate_beside(np.arange(1001, 1097) * 1001 / 24000, 23.976) == 24000 / 1001
+    True
+    """
+    frames, exact = np.asarray(times, dtype=np.float64), exact_rate(fps)
+    typed, meant = (
+        float(np.abs(frames * rate - np.rint(frames * rate)).max(initial=0)) for rate in (fps, exact)
+    )
+    return fps if typed < min(meant, 1e-6) else exact
+
+
+def _as_points(points: ArrayLike) -> FloatArray:
+    """Return C-ordered float32 or float64 points of three dimensions; other types become float64."""
+    array = np.asarray(points)
+    if array.dtype not in (np.float32, np.float64):
+        try:
+            array = array.astype(np.float64)
+        except (TypeError, ValueError) as error:
+            raise InvalidSequenceError(f"points are not numbers: {error}") from None
+    if array.ndim != 3 or array.shape[2] != 3:
+        raise InvalidSequenceError(f"points have shape {array.shape}; (frames, vertices, 3) is expected")
+    return np.ascontiguousarray(array)
+
+
+_AT_ONCE = 8, 1 << 20  # frames, and vertices, in a block: at most 24 MB of float64, unless one frame is more
+
+SMALLEST, LARGEST = 1e-60, 1e60
+"""Bounds of the diagonal of the first frame, and of coordinates, in the units of the sequence."""
+
+_LAST_DIGITS = 2.0**-40
+"""Largest relative error of a coordinate in computations without cancellation."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrameStore:
+    """A sequence with random access to its points."""
+
+    header: SequenceHeader  # everything but the points
+    points: LargeArray  # (T, V, 3) the points
+
+
+def frame_store(frames: Frames, progress: Progress = silent) -> FrameStore:
+    """Return a sequence with random access to its points, a copy unless it is in memory."""
+    store = (
+        FrameStore(frames.header, frames.points)
+        if isinstance(frames, MeshSequence)
+        else _copied(frames, progress)
+    )
+    _check_lengths(store)
+    return store
+
+
+def _copied(frames: Frames, progress: Progress) -> FrameStore:
+    header = frames.header
+    count, done = header.frame_count, 0
+    array: LargeArray | None = None
+    for block in frames.blocks(block_size(header.vertex_count)):
+        check_block(header, block, done)
+        if array is None:
+            array = new_large_array((count, header.vertex_count, 3), block.dtype)
+        if done + len(block) > count:
+            raise InvalidSequenceError(
+                f"there are more frames than the {count} times; give one time per frame"
+            )
+        array[done : done + len(block)] = block
+        done += len(block)
+        progress(done, count, "reading frames")
+    if array is None or done < count:
+        raise InvalidSequenceError(f"{done} frames of points but {count} times; give one time per frame")
+    return FrameStore(header, array)
+
+
+def _check_lengths(store: FrameStore) -> None:
+    name, points = store.header.name, store.points
+    diagonal = bounding_diagonal(points[:1][0])
+    cure = f"from {SMALLEST:g} to {LARGEST:g} is expected; scale it, in the program it comes from"
+    if diagonal and not SMALLEST <= diagonal <= LARGEST:
+        raise InvalidSequenceError(
+            f"{name!r}: the mesh is {diagonal:.3g} units across in its first frame, and squares of such lengths do "
+            f"not fit into double precision; {cure}"
+        )
+    largest = largest_coordinate(points)
+    if largest > LARGEST:
+        raise InvalidSequenceError(
+            f"{name!r}: coordinates are up to {largest:.3g} units, and their squares do not fit into double "
+            f"precision; {cure}"
+        )
+
+
+def largest_coordinate(points: LargeArray) -> float:
+    """Return the largest absolute value of a coordinate of points ``(T, V, 3)``."""
+    return max(float(np.abs(block).max(initial=0.0)) for block in blocks_of(points))
+
+
+def farthest(points: LargeArray) -> float:
+    """Return the largest distance along an axis of points ``(T, V, 3)`` from the middle of the first frame."""
+    first = points[:1][0].astype(np.float64)
+    middle = (first.min(axis=0) + first.max(axis=0)) / 2
+    return max(float(np.abs(block - middle).max(initial=0.0)) for block in blocks_of(points))
+
+
+def digits_end(coordinate: float) -> float:
+    """Return the smallest error bound that is computable beside a coordinate, in its units."""
+    return coordinate * _LAST_DIGITS
+
+
+def block_size(vertex_count: int) -> int:
+    """Return the number of frames per block; it depends on the mesh only, so results are reproducible."""
+    most, vertices = _AT_ONCE
+    return max(1, min(most, vertices // vertex_count))
+
+
+def blocks_of(points: LargeArray) -> Iterator[FloatArray]:
+    """Yield points ``(T, V, 3)`` in blocks of `block_size` frames."""
+    size = block_size(points.shape[1])
+    for start in range(0, len(points), size):
+        yield points[start : start + size]
+
+
+UNITS = {"mm": 0.001, "cm": 0.01, "m": 1.0, "km": 1000.0, "in": 0.0254, "ft": 0.3048, "yd": 0.9144}
+"""Units of length by name, in metres."""
+
+_UNITS_NOT_TOLD = ("Alembic",)
+"""Formats without units in their files, whose writers cannot detect another unit."""
+
+
+@dataclass(frozen=True, eq=False)
+class UnitConversion:
+    """A turn to another up axis and a scale to another unit."""
+
+    up_axis: str
+    metres_per_unit: float
+    turn: Float
+    scale: float
+
+    @classmethod
+    def of(
+        cls, header: SequenceHeader, up_axis: str | None = None, units: str | float | None = None
+    ) -> UnitConversion:
+        """Make the conversion of a sequence; parameters and errors as of `convert_units`."""
+        up = header.up_axis if up_axis is None else up_axis
+        if up not in UP_AXES:
+            raise SettingsError(f"up_axis is {up!r}; one of {', '.join(UP_AXES)} is expected")
+        metres = header.metres_per_unit if units is None else metres_of(units)
+        return cls(up, metres, _turn(header.up_axis, up), header.metres_per_unit / metres)
+
+    @property
+    def changes(self) -> bool:
+        """Whether the turn or the scale is not the identity."""
+        return self.scale != 1.0 or not np.array_equal(self.turn, np.eye(3))
+
+    def header(self, header: SequenceHeader) -> SequenceHeader:
+        """Return a header with the new up axis and unit."""
+        surface, origin = header.surface, header.surface.origin
+        if self.changes and origin is not None and origin.format in _UNITS_NOT_TOLD:
+            surface = replace(surface, origin=None)
+        return replace(header, up_axis=self.up_axis, metres_per_unit=self.metres_per_unit, surface=surface)
+
+    def values(self, values: FloatArray) -> FloatArray:
+        """Turn and scale points, or velocities, ``(..., 3)``, in their precision."""
+        if not self.changes:
+            return values
+        axes = np.abs(self.turn).argmax(axis=1)
+        signs = self.turn.sum(axis=1).astype(values.dtype)
+        turned: FloatArray = values[..., axes] * signs + values.dtype.type(0)  # no negative zeros in text
+        if self.scale == 1.0:
+            return turned
+        with np.errstate(over="ignore", under="ignore"):  # what is too large is told with its vertex
+            scaled: FloatArray = (turned.astype(np.float64) * self.scale).astype(values.dtype)
+        return scaled
+
+    def blocks(self, blocks: Iterable[FloatArray]) -> Iterator[FloatArray]:
+        """Turn and scale streamed blocks ``(B, V, 3)``."""
+        return map(self.values, blocks)
+
+
+@public
+def convert_units(
+    sequence: MeshSequence, up_axis: str | None = None, units: str | float | None = None
+) -> MeshSequence:
+    """Return a sequence turned so that an axis points up, and scaled to a unit of length.
+
+    Points and velocities change, so that size and orientation in the world stay. To set metadata that a file lacks,
+    give `up_axis` and `metres_per_unit` to `mixseq.read` instead.
+
+    Parameters
+    ----------
+    sequence : MeshSequence
+        The sequence.
+    up_axis : {"X", "Y", "Z"}, optional
+        New up axis, by default that of the sequence.
+    units : str or float, optional
+        New unit of length: a name of `UNITS`, such as "cm", or metres; by default that of the sequence.
+
+    Returns
+    -------
+    MeshSequence
+        The same frames in other coordinates, of the same precision. The origin in an Alembic file is dropped, as that
+        has no units.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such axis or unit.
+
+    Examples
+    --------
+    >>> one = MeshSequence.from_arrays([[[0.0, 0, 0], [1, 2, 3], [1, 0, 0]]], [[0, 1, 2]], metres_per_unit=0.01)
+    >>> convert_units(one, up_axis="Z", units="mm").points[0, 1].tolist()
+    [10.0, -30.0, 20.0]
+    """
+    conversion = UnitConversion.of(sequence.header, up_axis, units)
+    velocities = sequence.velocities
+    return MeshSequence.from_header(
+        conversion.header(sequence.header),
+        conversion.values(sequence.points),
+        None if velocities is None else conversion.values(velocities),
+    )
+
+
+def metres_of(units: str | float) -> float:
+    """Return the length of a unit in metres, by name or as a positive number or text; else SettingsError."""
+    if units in UNITS:
+        return UNITS[str(units)]
+    try:
+        metres = float(units)
+    except (TypeError, ValueError):
+        metres = np.nan
+    if not (np.isfinite(metres) and metres > 0):
+        raise SettingsError(
+            f"the unit is {units!r}; one of {', '.join(UNITS)} is expected, or its length in metres"
+        )
+    return metres
+
+
+def _turn(old: str, new: str) -> Float:
+    """Return the quarter turn ``(3, 3)`` from one up axis to another, or the identity."""
+    turn = np.eye(3)
+    if old != new:
+        first, second = UP_AXES.index(old), UP_AXES.index(new)
+        turn[:, [first, second]] = turn[:, [second, first]] * [1.0, -1.0]
+    return turn

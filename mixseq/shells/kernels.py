@@ -1,0 +1,448 @@
+"""Compiled inner loops of `mixseq.shells.shell`: lengths, angles, their energy, and gradients.
+
+Formulas are those of `mixseq.mesh.measures`; tests compare both.
+
+Compiled inner loops of `mixseq.shells.fitting`: residuals, normal equations, conjugate gradients.
+
+They release the interpreter's lock and add in a fixed order: results are the same bits on any number of threads.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mixseq.runtime.jit import compiled, inlined
+from mixseq.types import Float, Index
+
+Vector = tuple[float, float, float]
+
+TINY = 2.2250738585072014e-308
+TURN = 2.0 * math.pi
+
+
+@inlined
+def side(x: Float, a: int, b: int) -> Vector:
+    """Return the vector from vertex a to vertex b."""
+    return x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
+
+
+@inlined
+def _cross(p: Vector, q: Vector) -> Vector:
+    """Return the cross product of p and q."""
+    return p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
+
+
+@inlined
+def _dot(p: Vector, q: Vector) -> float:
+    """Return the scalar product of p and q."""
+    return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
+
+
+@inlined
+def length(x: Float, a: int, b: int) -> float:
+    """Return the length of the edge ab."""
+    e = side(x, a, b)
+    return math.sqrt(_dot(e, e))
+
+
+@inlined
+def length_gradient(x: Float, a: int, b: int, scale: float, g: Float) -> None:
+    """Write the gradient of the length of the edge ab by its two vertices, times `scale`, to ``g[:2]``."""
+    e = side(x, a, b)
+    w = scale / max(math.sqrt(_dot(e, e)), TINY)
+    g[1, 0], g[1, 1], g[1, 2] = w * e[0], w * e[1], w * e[2]
+    g[0, 0], g[0, 1], g[0, 2] = -g[1, 0], -g[1, 1], -g[1, 2]
+
+
+@inlined
+def _sides_and_normals(
+    x: Float, a: int, b: int, c: int, d: int
+) -> tuple[Vector, Vector, Vector, Vector, Vector]:
+    """Return the sides ab, ac and ad of the hinge abcd, and the normals of its faces."""
+    e, p, q = side(x, a, b), side(x, a, c), side(x, a, d)
+    return e, p, q, _cross(e, p), _cross(q, e)
+
+
+@inlined
+def _opening(e: Vector, n: Vector, m: Vector) -> tuple[float, float]:
+    """Return cosine and sine of the angle between the normals n and m about e, times the lengths of all three."""
+    return _dot(n, m) * math.sqrt(_dot(e, e)), _dot(_cross(n, m), e)
+
+
+@inlined
+def angle(x: Float, a: int, b: int, c: int, d: int) -> float:
+    """Return the dihedral angle of the hinge abcd."""
+    e, _, _, n, m = _sides_and_normals(x, a, b, c, d)
+    cosine, sine = _opening(e, n, m)
+    return math.atan2(sine, cosine)
+
+
+@inlined
+def wrapped(off: float) -> float:
+    """Return an angle wrapped to (-pi, pi]."""
+    return off - TURN * math.ceil((off - math.pi) / TURN)
+
+
+@inlined
+def _write_gradient(
+    e: Vector, p: Vector, q: Vector, n: Vector, m: Vector, scale: float, near: float, far: float, g: Float
+) -> None:
+    """Write the gradient of an angle, times `scale`, as `angle_gradient` does."""
+    square = max(_dot(e, e), TINY)
+    size = scale * math.sqrt(square)
+    first, second = -size / max(_dot(n, n), near, TINY), -size / max(_dot(m, m), far, TINY)
+    g[2, 0], g[2, 1], g[2, 2] = first * n[0], first * n[1], first * n[2]
+    g[3, 0], g[3, 1], g[3, 2] = second * m[0], second * m[1], second * m[2]
+    tc, td = _dot(p, e) / square, _dot(q, e) / square  # where c and d stand along the edge
+    for i in range(3):
+        g[0, i] = -(1.0 - tc) * g[2, i] - (1.0 - td) * g[3, i]
+        g[1, i] = -tc * g[2, i] - td * g[3, i]
+
+
+@inlined
+def angle_gradient(
+    x: Float, a: int, b: int, c: int, d: int, scale: float, near: float, far: float, g: Float
+) -> None:
+    """Write the gradient ``(4, 3)`` of the angle of the hinge abcd by its vertices, times `scale`, in radians per unit.
+
+    `near` and `far` are least squares of its two normals, in the fourth power of the unit of points.
+    """
+    e, p, q, n, m = _sides_and_normals(x, a, b, c, d)
+    _write_gradient(e, p, q, n, m, scale, near, far, g)
+
+
+@inlined
+def misfit(
+    x: Float,
+    a: int,
+    b: int,
+    c: int,
+    d: int,
+    cosine: float,
+    sine: float,
+    scale: float,
+    near: float,
+    far: float,
+    g: Float,
+) -> float:
+    """Return 1 - cos of the error of the angle of the hinge abcd, and write its gradient as `angle_gradient` does.
+
+    `cosine` and `sine` are of the target angle. Hinges of triangles without area have no error.
+    """
+    e, p, q, n, m = _sides_and_normals(x, a, b, c, d)
+    along, across = _opening(e, n, m)
+    size = max(math.sqrt(across * across + along * along), TINY)
+    off, even = (across * cosine - along * sine) / size, (along * cosine + across * sine) / size
+    _write_gradient(e, p, q, n, m, scale * off, near, far, g)
+    if size == TINY:
+        return 0.0
+    return off * off / (1.0 + even) if even > 0.0 else 1.0 - even
+
+
+@compiled
+def lengths_and_angles(x: Float, edges: Index, hinges: Index) -> tuple[Float, Float]:
+    """Return lengths ``(e,)`` in the unit of points ``(n, 3)``, and angles ``(h,)`` in radians."""
+    lengths, angles = np.empty(len(edges)), np.empty(len(hinges))
+    for k in range(len(edges)):
+        lengths[k] = length(x, edges[k, 0], edges[k, 1])
+    for k in range(len(hinges)):
+        angles[k] = angle(x, hinges[k, 0], hinges[k, 1], hinges[k, 2], hinges[k, 3])
+    return lengths, angles
+
+
+@compiled
+def energy(
+    x: Float,
+    edges: Index,
+    hinges: Index,
+    lengths: Float,
+    turns: Float,
+    stretch: Float,
+    bend: Float,
+    smallest: Float,
+    gradient: Float,
+) -> float:
+    """Return half the sum of squared residuals ``stretch (l - l*)`` and ``2 bend sin((theta - theta*) / 2)``.
+
+    Vertices ``(V, 3)`` and lengths ``(E,)`` are in diagonals; turns ``(H, 2)`` are cosines and sines of target angles;
+    weights ``(E,), (H,)`` per diagonal and radian; `smallest` ``(H, 2)`` least squares of normals. Writes the gradient.
+    """
+    total = 0.0
+    gradient[:] = 0.0
+    g = np.empty((4, 3))
+    for k in range(len(edges)):
+        w = stretch[k]
+        if w == 0.0:
+            continue
+        r = w * (length(x, edges[k, 0], edges[k, 1]) - lengths[k])
+        total += r * r
+        length_gradient(x, edges[k, 0], edges[k, 1], w * r, g)
+        for p in range(2):
+            for i in range(3):
+                gradient[edges[k, p], i] += g[p, i]
+    for k in range(len(hinges)):
+        w = bend[k]
+        if w == 0.0:
+            continue
+        a, b, c, d = hinges[k, 0], hinges[k, 1], hinges[k, 2], hinges[k, 3]
+        w *= w
+        cosine, sine, near, far = turns[k, 0], turns[k, 1], smallest[k, 0], smallest[k, 1]
+        total += 2.0 * w * misfit(x, a, b, c, d, cosine, sine, w, near, far, g)
+        for p in range(4):
+            for i in range(3):
+                gradient[hinges[k, p], i] += g[p, i]
+    return 0.5 * total
+
+
+@compiled
+def nearness(x: Float, hinges: Index, turns: Float) -> Float:
+    """Return ``cos^2`` of half the error of hinges ``(H,)``: 1 without an error, 0 at half a turn."""
+    near, g = np.empty(len(hinges)), np.empty((4, 3))
+    for k in range(len(hinges)):
+        a, b, c, d = hinges[k, 0], hinges[k, 1], hinges[k, 2], hinges[k, 3]
+        near[k] = 1.0 - 0.5 * misfit(x, a, b, c, d, turns[k, 0], turns[k, 1], 0.0, 1.0, 1.0, g)
+    return near
+
+
+@compiled
+def gathered(faces: Index, weights: Float, sides: Float, right: Float) -> None:
+    """Add the weighted sides ``(F, 3, 3)`` of faces to the right-hand side ``(V, 3)`` of a Poisson system."""
+    for f in range(len(faces)):
+        for k in range(3):
+            a, b, w = faces[f, k], faces[f, (k + 1) % 3], weights[f, k]
+            for i in range(3):
+                step = w * sides[f, k, i]
+                right[b, i] += step
+                right[a, i] -= step
+
+
+@compiled
+def shell_residuals(
+    x: Float,
+    edges: Index,
+    hinges: Index,
+    lengths: Float,
+    angles: Float,
+    weights: Float,
+    bending: float,
+    free: Index,
+    positions: Float,
+    soft_weights: Float,
+    residuals: Float,
+) -> float:
+    """Write the residuals ``(e' + h' + 3f,)`` of lengths, angles, soft constraints; return the sum of their squares.
+
+    Vertices ``(n, 3)`` and lengths ``(e',)`` are in diagonals, angles ``(h',)`` in radians, weights ``(e',)`` per
+    diagonal, `bending` per radian. Soft weights ``(f,)`` are empty without constraints.
+    """
+    energy = 0.0
+    for k in range(len(edges)):
+        r = weights[k] * (length(x, edges[k, 0], edges[k, 1]) - lengths[k])
+        residuals[k] = r
+        energy += r * r
+    first = len(edges)
+    for k in range(len(hinges)):
+        a, b, c, d = hinges[k, 0], hinges[k, 1], hinges[k, 2], hinges[k, 3]
+        r = bending * wrapped(angle(x, a, b, c, d) - angles[k])
+        residuals[first + k] = r
+        energy += r * r
+    first += len(hinges)
+    for k in range(len(soft_weights)):
+        for i in range(3):
+            r = soft_weights[k] * (x[free[k], i] - positions[k, i])
+            residuals[first + 3 * k + i] = r
+            energy += r * r
+    return energy
+
+
+@inlined
+def _couple(values: Float, places: Index, block: int, g: Float, p: int, o: int) -> None:
+    """Add the product of gradient p (rows) and gradient o (columns) to a block below the diagonal."""
+    for j in range(3):
+        at, factor = places[block, j], g[o, j]
+        values[at] += g[p, 0] * factor
+        values[at + 1] += g[p, 1] * factor
+        values[at + 2] += g[p, 2] * factor
+
+
+@inlined
+def _fold(values: Float, places: Index, block: int, g: Float, p: int, o: int) -> None:
+    """Add the products of two gradients of one vertex, as of a hinge whose faces have the same vertices."""
+    for j in range(3):
+        for i in range(j, 3):
+            values[places[block, j] + i] += g[p, i] * g[o, j] + g[o, i] * g[p, j]
+
+
+@inlined
+def _square(values: Float, places: Index, block: int, g: Float, p: int) -> None:
+    """Add the product of gradient p with itself to a diagonal block."""
+    for j in range(3):
+        for i in range(j, 3):
+            values[places[block, j] + i] += g[p, i] * g[p, j]
+
+
+@compiled
+def shell_equations(
+    x: Float,
+    edges: Index,
+    hinges: Index,
+    weights: Float,
+    bending: float,
+    soft_weights: Float,
+    residuals: Float,
+    number: Index,
+    edge_blocks: Index,
+    hinge_blocks: Index,
+    places: Index,
+    values: Float,
+    gradient: Float,
+) -> None:
+    """Write the lower triangle ``(N,)`` of ``J^T J`` and the gradient ``J^T r`` ``(3f,)`` of half the energy.
+
+    `number` ``(n,)`` is the place of every vertex among the free ones, -1 if fixed; blocks ``(e',), (h', 6)`` are as in
+    `NormalEquations`, places ``(f + m, 3)`` as in `BlockSparsePattern`.
+    """
+    values[:] = 0.0
+    gradient[:] = 0.0
+    g = np.empty((4, 3))
+    for k in range(len(edges)):
+        length_gradient(x, edges[k, 0], edges[k, 1], weights[k], g)
+        for p in range(2):
+            v = number[edges[k, p]]
+            if v >= 0:
+                for i in range(3):
+                    gradient[3 * v + i] += residuals[k] * g[p, i]
+                _square(values, places, v, g, p)
+        if edge_blocks[k] >= 0:  # both gradients are the same but for the sign, whichever is the row
+            _couple(values, places, edge_blocks[k], g, 1, 0)
+    first = len(edges)
+    for k in range(len(hinges)):
+        a, b, c, d = hinges[k, 0], hinges[k, 1], hinges[k, 2], hinges[k, 3]
+        angle_gradient(x, a, b, c, d, bending, 0.0, 0.0, g)
+        r = residuals[first + k]
+        pair = 0
+        for p in range(4):
+            v = number[hinges[k, p]]
+            if v >= 0:
+                for i in range(3):
+                    gradient[3 * v + i] += r * g[p, i]
+                _square(values, places, v, g, p)
+            for o in range(p):
+                block = hinge_blocks[k, pair]
+                pair += 1
+                if block >= 0:
+                    other = number[hinges[k, o]]
+                    if v > other:
+                        _couple(values, places, block, g, p, o)
+                    elif v < other:
+                        _couple(values, places, block, g, o, p)
+                    else:
+                        _fold(values, places, block, g, p, o)
+    first += len(hinges)
+    for k in range(len(soft_weights)):
+        for i in range(3):
+            gradient[3 * k + i] += soft_weights[k] * residuals[first + 3 * k + i]
+            values[places[k, i] + i] += soft_weights[k] * soft_weights[k]
+
+
+@compiled
+def conjugate_gradients(
+    starts: Index,
+    rows: Index,
+    places: Index,
+    values: Float,
+    right: Float,
+    tolerance: float,
+    most: int,
+    solution: Float,
+) -> int:
+    """Solve with the inverse diagonal blocks as preconditioner, into `solution` ``(n,)``; return the number of steps.
+
+    Returns -1 after `most` steps, or where rounding makes the matrix or the preconditioner indefinite. The tolerance is
+    relative to the residual of zero, in the norm of the preconditioner.
+    """
+    size = len(right)
+    inverse = np.empty((size // 3, 6))
+    if not _invert_blocks(places, values, inverse):
+        return -1
+    r, z, q, p = right.copy(), np.empty(size), np.empty(size), np.zeros(size)
+    solution[:] = 0.0
+    before = first = 0.0
+    for step in range(most + 1):
+        for v in range(0, size, 3):
+            block = inverse[v // 3]
+            z[v] = block[0] * r[v] + block[1] * r[v + 1] + block[2] * r[v + 2]
+            z[v + 1] = block[1] * r[v] + block[3] * r[v + 1] + block[4] * r[v + 2]
+            z[v + 2] = block[2] * r[v] + block[4] * r[v + 1] + block[5] * r[v + 2]
+        now = 0.0
+        for i in range(size):
+            now += r[i] * z[i]
+        if step == 0:
+            first = now
+        if now < 0.0:
+            return -1
+        if now <= tolerance * tolerance * first:
+            return step
+        ratio = now / before if step > 0 else 0.0
+        before = now
+        for i in range(size):
+            p[i] = z[i] + ratio * p[i]
+        _multiply(starts, rows, values, p, q)
+        curvature = 0.0
+        for i in range(size):
+            curvature += p[i] * q[i]
+        if not curvature > 0.0:
+            return -1
+        length = now / curvature
+        for i in range(size):
+            solution[i] += length * p[i]
+            r[i] -= length * q[i]
+    return -1
+
+
+@inlined
+def _multiply(starts: Index, rows: Index, values: Float, p: Float, q: Float) -> None:
+    """Write the matrix times p to q, three columns and all their blocks at a time."""
+    q[:] = 0.0
+    for v in range(0, len(p), 3):
+        a, b, c, end = starts[v], starts[v + 1], starts[v + 2], starts[v + 1]
+        p0, p1, p2 = p[v], p[v + 1], p[v + 2]
+        q0 = values[a] * p0 + values[a + 1] * p1 + values[a + 2] * p2
+        q1 = values[a + 1] * p0 + values[b] * p1 + values[b + 1] * p2
+        q2 = values[a + 2] * p0 + values[b + 1] * p1 + values[c] * p2
+        a, b, c = a + 3, b + 2, c + 1
+        while a < end:
+            i = rows[a]
+            x0, x1, x2 = p[i], p[i + 1], p[i + 2]
+            a0, a1, a2 = values[a], values[a + 1], values[a + 2]
+            b0, b1, b2 = values[b], values[b + 1], values[b + 2]
+            c0, c1, c2 = values[c], values[c + 1], values[c + 2]
+            q[i] += a0 * p0 + b0 * p1 + c0 * p2
+            q[i + 1] += a1 * p0 + b1 * p1 + c1 * p2
+            q[i + 2] += a2 * p0 + b2 * p1 + c2 * p2
+            q0 += a0 * x0 + a1 * x1 + a2 * x2
+            q1 += b0 * x0 + b1 * x1 + b2 * x2
+            q2 += c0 * x0 + c1 * x1 + c2 * x2
+            a, b, c = a + 3, b + 3, c + 3
+        q[v] += q0
+        q[v + 1] += q1
+        q[v + 2] += q2
+
+
+@inlined
+def _invert_blocks(places: Index, values: Float, inverse: Float) -> bool:
+    """Write upper triangles ``(n, 6)``, by rows, of inverse diagonal blocks; return whether all are definite."""
+    for v in range(len(inverse)):
+        a, b, c = values[places[v, 0]], values[places[v, 0] + 1], values[places[v, 0] + 2]
+        d, e, f = values[places[v, 1] + 1], values[places[v, 1] + 2], values[places[v, 2] + 2]
+        first, second, third = d * f - e * e, c * e - b * f, b * e - d * c
+        determinant = a * first + b * second + c * third
+        if not (a > 0.0 and a * d > b * b and determinant > 0.0):
+            return False
+        scale = 1.0 / determinant
+        inverse[v, 0], inverse[v, 1], inverse[v, 2] = scale * first, scale * second, scale * third
+        inverse[v, 3], inverse[v, 4] = scale * (a * f - c * c), scale * (b * c - a * e)
+        inverse[v, 5] = scale * (a * d - b * b)
+    return True

@@ -1,0 +1,548 @@
+r"""Derivatives of analytic functions by a complex step, exact to rounding (Squire and Trapp 1998).
+
+.. math:: f'(x)\, \dot x = \mathrm{Im}\, f(x + i h \dot x) / h + O(h^2)
+
+Without a difference, h can be so small that the error is far below rounding.
+
+Compiled inner loops of `joint_projection`: frames of joint faces from lengths and angles.
+
+Rotations are unit quaternions (w, x, y, z), lengths in diagonals. Arrays are real or complex, for derivatives by a
+complex step (`complex_step`).
+
+The projection P_m at the joints: move posed vertices so that joints have the target lengths and angles.
+
+Joint faces, and one ring of faces around them, move; all else stays posed. Lengths and angles go a *share* of the way
+from those of the posed mesh to the targets; a share of 0 leaves the posed mesh.
+
+1. *Faces.* The frames of the posed faces are rotated to the differences across hinges that follow from lengths and
+   angles, by rotation averaging (`mixseq.shells.face_frames`): two rounds with one constant matrix.
+2. *Vertices*, from the changes of sides of faces, by one back-substitution with a constant matrix,
+
+   .. math:: \min_d \sum_f \sum_{ab} w_{ab}\, |d_b - d_a - (s'_{ab} - s_{ab})|^2 + \eta\, w \sum_v |d_v|^2 .
+
+Everything is a difference against the posed mesh, so frames of the sequence, with the lengths and angles of the posed
+mesh, are exact. Posed triangles with hardly any area keep their shapes and angles, which are noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.mesh.measures import edge_lengths, wrap
+from mixseq.mesh.topology import Topology
+from mixseq.runtime.jit import compiled, inlined
+from mixseq.runtime.lazy import PickledWithoutCaches
+from mixseq.shells.face_frames import Hinges
+from mixseq.shells.kernels import lengths_and_angles
+from mixseq.shells.shell import Shell
+from mixseq.shells.solvers import Factor, factored_laplacian
+from mixseq.types import Float, Index, Mask
+
+STEP = 2.0**-400
+"""Step h; its square is below rounding, and products with it are normal numbers."""
+
+Numbers = NDArray[Any]
+"""Real numbers, or complex ones whose imaginary parts are rates times `STEP`."""
+
+
+def with_rates(values: Float, rates: Float) -> Numbers:
+    """Return complex numbers with values and rates."""
+    return np.asarray(values + 1j * (STEP * rates))
+
+
+def values_and_rates(numbers: Numbers) -> tuple[Float, Float]:
+    """Return values and rates of numbers; the inverse of `with_rates`."""
+    return np.ascontiguousarray(numbers.real), numbers.imag / STEP
+
+
+def solve(factor: Factor, right: Numbers) -> Numbers:
+    """Solve a real system for real or complex right-hand sides ``(n, k)``."""
+    if not np.iscomplexobj(right):
+        return np.asarray(factor.solve(right))
+    columns = right.shape[1]
+    both = factor.solve(np.concatenate(values_and_rates(right), axis=1))
+    return with_rates(both[:, :columns], both[:, columns:])
+
+
+MIN_SIDE = 1e-12
+"""Least length of sides, in diagonals: side 01 defines the frame of a triangle."""
+
+MIN_HEIGHT_RATIO = 1e-12
+"""Least height over side of triangles; lower ones have no area, and the unit quaternion as their frame."""
+
+SLIVER_AREA_RATIO = 1e-4
+"""Area over squared sides at which lengths and angles of a triangle have half their weight; slivers are noise."""
+
+
+@compiled
+def lengths_of(x: Float, edges: Index) -> Float:
+    """Return the lengths ``(e,)`` of edges ``(e, 2)``."""
+    lengths = np.empty(len(edges), x.dtype)
+    for k in range(len(edges)):
+        a, b = edges[k, 0], edges[k, 1]
+        p, q, r = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
+        square = p * p + q * q + r * r
+        lengths[k] = np.sqrt(square) if square.real > 0.0 else 0.0 * square
+    return lengths
+
+
+@compiled
+def flatten(lengths: Float, face_edges: Index) -> Float:
+    """Lay triangles into the plane: length of side 01, and place of corner 2 ``(m, 3)``."""
+    flat = np.empty((len(face_edges), 3), lengths.dtype)
+    for f in range(len(face_edges)):
+        a, b, c = lengths[face_edges[f, 0]], lengths[face_edges[f, 1]], lengths[face_edges[f, 2]]
+        if a.real < MIN_SIDE:
+            a = a - a.real + MIN_SIDE
+        if c.real < MIN_SIDE:
+            c = c - c.real + MIN_SIDE
+        x = (a * a + c * c - b * b) / (2.0 * a)
+        square = c * c - x * x
+        if square.real <= 0.0:  # no such triangle: it is laid on a line
+            x = c if x.real > 0.0 else -c
+            flat[f, 2] = 0.0
+        else:
+            flat[f, 2] = np.sqrt(square)
+        flat[f, 0], flat[f, 1] = a, x
+    return flat
+
+
+@compiled
+def soundness(flat: Float) -> Float:
+    """Return the weights ``(m,)`` of lengths and angles of triangles, from 0 without area to 1."""
+    sound = np.empty(len(flat), flat.dtype)
+    for f in range(len(flat)):
+        u, v, h = flat[f, 0], flat[f, 1], flat[f, 2]
+        area = u * h / (u * u + v * v + (v - u) * (v - u) + 2.0 * h * h)
+        power = area * area * area * area
+        sound[f] = power / (power + SLIVER_AREA_RATIO**4)
+    return sound
+
+
+@compiled
+def frames_of(x: Float, faces: Index) -> Float:
+    """Return the frames ``(m, 4)`` of triangles: axes along side 01, across it in the plane, along the normal."""
+    frames = np.empty((len(faces), 4), x.dtype)
+    for f in range(len(faces)):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        ux, uy, uz = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
+        vx, vy, vz = x[c, 0] - x[a, 0], x[c, 1] - x[a, 1], x[c, 2] - x[a, 2]
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        u2, v2, n2 = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, nx * nx + ny * ny + nz * nz
+        if not n2.real > MIN_HEIGHT_RATIO**2 * (u2 * v2).real:
+            frames[f, 0] = 1.0
+            frames[f, 1] = frames[f, 2] = frames[f, 3] = 0.0
+            continue
+        scale = 1.0 / np.sqrt(u2)
+        ux, uy, uz = ux * scale, uy * scale, uz * scale
+        scale = 1.0 / np.sqrt(n2)
+        nx, ny, nz = nx * scale, ny * scale, nz * scale
+        mx, my, mz = ny * uz - nz * uy, nz * ux - nx * uz, nx * uy - ny * ux
+        # From the largest component (Shepperd 1978).
+        trace = ux + my + nz
+        if trace.real >= max(ux.real, my.real, nz.real):
+            p, q, r, s = 1.0 + trace, mz - ny, nx - uz, uy - mx
+        elif ux.real >= my.real and ux.real >= nz.real:
+            p, q, r, s = mz - ny, 1.0 + 2.0 * ux - trace, uy + mx, nx + uz
+        elif my.real >= nz.real:
+            p, q, r, s = nx - uz, uy + mx, 1.0 + 2.0 * my - trace, mz + ny
+        else:
+            p, q, r, s = uy - mx, nx + uz, mz + ny, 1.0 + 2.0 * nz - trace
+        scale = 1.0 / np.sqrt(p * p + q * q + r * r + s * s)
+        frames[f, 0], frames[f, 1], frames[f, 2], frames[f, 3] = p * scale, q * scale, r * scale, s * scale
+    return frames
+
+
+@inlined
+def _half_direction(flat: Float, f: int, side: int, back: bool) -> tuple[float, float]:
+    """Return cosine and sine, of either sign, of half the angle from side 01 to another side of a flat triangle."""
+    if side == 0:
+        u, v = flat[f, 0], 0.0 * flat[f, 0]
+    elif side == 1:
+        u, v = flat[f, 1] - flat[f, 0], flat[f, 2]
+    else:
+        u, v = -flat[f, 1], -flat[f, 2]
+    square = u * u + v * v
+    length = np.sqrt(square) if square.real > 0.0 else square
+    if u.real > 0.0:
+        p, q = length + u, v
+    else:
+        p, q = v, length - u
+    square = p * p + q * q
+    if not square.real > 0.0:
+        p, q, square = 1.0 + 0.0 * u, 0.0 * u, 1.0 + 0.0 * u
+    scale = 1.0 / np.sqrt(square)
+    p, q = p * scale, q * scale
+    if back:
+        return -q, p
+    return p, q
+
+
+@compiled
+def target_turns(
+    frames: Float,
+    pairs: Index,
+    flat: Float,
+    target_flat: Float,
+    sound: Float,
+    sides: Index,
+    backward: Index,
+    reversed_normals: Float,
+    known: Index,
+    angles: Float,
+    share: float,
+) -> Float:
+    """Return target rotations ``(h, 4)`` of the second face of each hinge relative to the first.
+
+    Frames ``(m, 4)``, flat triangles ``(m, 3)``, weights ``(m,)``: of posed faces. Sides, backward ``(h, 2)``: the edge
+    in both faces. Known ``(h,)``: index of the target angle ``(k,)`` in radians, -1 for none.
+    """
+    turns = np.empty((len(pairs), 4), frames.dtype)
+    for k in range(len(pairs)):
+        i, j = pairs[k, 0], pairs[k, 1]
+        f, g = frames[i], frames[j]
+        w = f[0] * g[0] + f[1] * g[1] + f[2] * g[2] + f[3] * g[3]
+        x = f[0] * g[1] - f[1] * g[0] - f[2] * g[3] + f[3] * g[2]
+        y = f[0] * g[2] + f[1] * g[3] - f[2] * g[0] - f[3] * g[1]
+        z = f[0] * g[3] - f[1] * g[2] + f[2] * g[1] - f[3] * g[0]
+        # Half the posed angle: the turn as seen along the edge, which leaves a rotation about it.
+        ci, si = _half_direction(flat, i, sides[k, 0], backward[k, 0] != 0)
+        cj, sj = _half_direction(flat, j, sides[k, 1], backward[k, 1] != 0)
+        ca, sa, cb, sb = ci * cj + si * sj, si * cj - ci * sj, ci * cj - si * sj, si * cj + ci * sj
+        c, s = w * ca + z * sa, x * cb + y * sb
+        square = c * c + s * s
+        if not square.real > 0.0:
+            turns[k, 0], turns[k, 1], turns[k, 2], turns[k, 3] = w, x, y, z
+            continue
+        scale = 1.0 / np.sqrt(square)
+        c, s = c * scale, s * scale
+        p0, p1, p2, p3 = c * ca, s * cb, s * sb, c * sa
+        if known[k] >= 0:
+            half = 0.5 * (angles[known[k]] + reversed_normals[k])
+            ct, st = np.cos(half), np.sin(half)
+            cd, sd = c * ct + s * st, c * st - s * ct
+            if cd.real < 0.0:
+                cd, sd = -cd, -sd
+            cd, sd = 1.0 - share + share * cd, share * sd
+            scale = 1.0 / np.sqrt(cd * cd + sd * sd)
+            c, s = (c * cd - s * sd) * scale, (s * cd + c * sd) * scale
+        ci, si = _half_direction(target_flat, i, sides[k, 0], backward[k, 0] != 0)
+        cj, sj = _half_direction(target_flat, j, sides[k, 1], backward[k, 1] != 0)
+        q0, q1, q2, q3 = (
+            c * (ci * cj + si * sj),
+            s * (ci * cj - si * sj),
+            s * (si * cj + ci * sj),
+            c * (si * cj - ci * sj),
+        )
+        # The posed turn, times what the target differs by: at frames of the sequence that is exactly nothing.
+        a, b = p0 * q0 + p1 * q1 + p2 * q2 + p3 * q3, p0 * q1 - p1 * q0 - p2 * q3 + p3 * q2
+        d, e = p0 * q2 + p1 * q3 - p2 * q0 - p3 * q1, p0 * q3 - p1 * q2 + p2 * q1 - p3 * q0
+        part = sound[i] * sound[j]
+        if a.real < 0.0:
+            a, b, d, e = -a, -b, -d, -e
+        a, b, d, e = 1.0 - part + part * a, part * b, part * d, part * e
+        scale = 1.0 / np.sqrt(a * a + b * b + d * d + e * e)
+        a, b, d, e = a * scale, b * scale, d * scale, e * scale
+        turns[k, 0] = w * a - x * b - y * d - z * e
+        turns[k, 1] = w * b + x * a + y * e - z * d
+        turns[k, 2] = w * d - x * e + y * a + z * b
+        turns[k, 3] = w * e + x * d - y * b + z * a
+    return turns
+
+
+@compiled
+def misfits(frames: Float, pairs: Index, turns: Float, weights: Float, count: int) -> Float:
+    """Return the right-hand side ``(count, 3)`` of rotation averaging: weighted axes of misfits by their sines."""
+    right = np.zeros((count, 3), frames.dtype)
+    for k in range(len(pairs)):
+        i, j = pairs[k, 0], pairs[k, 1]
+        f, g, t = frames[i], frames[j], turns[k]
+        w = f[0] * t[0] - f[1] * t[1] - f[2] * t[2] - f[3] * t[3]
+        x = f[0] * t[1] + f[1] * t[0] + f[2] * t[3] - f[3] * t[2]
+        y = f[0] * t[2] - f[1] * t[3] + f[2] * t[0] + f[3] * t[1]
+        z = f[0] * t[3] + f[1] * t[2] - f[2] * t[1] + f[3] * t[0]
+        scale = 2.0 * weights[k] * (w * g[0] + x * g[1] + y * g[2] + z * g[3])
+        a = scale * (-w * g[1] + x * g[0] - y * g[3] + z * g[2])
+        b = scale * (-w * g[2] + x * g[3] + y * g[0] - z * g[1])
+        c = scale * (-w * g[3] - x * g[2] + y * g[1] + z * g[0])
+        if j < count:
+            right[j, 0] += a
+            right[j, 1] += b
+            right[j, 2] += c
+        if i < count:
+            right[i, 0] -= a
+            right[i, 1] -= b
+            right[i, 2] -= c
+    return right
+
+
+@compiled
+def turn_on(frames: Float, steps: Float) -> Float:
+    """Return frames ``(m, 4)`` with the first n rotated by small rotation vectors ``(n, 3)``."""
+    turned = frames.copy()
+    for f in range(len(steps)):
+        a, b, c = 0.5 * steps[f, 0], 0.5 * steps[f, 1], 0.5 * steps[f, 2]
+        w, x, y, z = frames[f, 0], frames[f, 1], frames[f, 2], frames[f, 3]
+        p, q, r, s = (
+            w - a * x - b * y - c * z,
+            x + a * w + b * z - c * y,
+            y - a * z + b * w + c * x,
+            z + a * y - b * x + c * w,
+        )
+        scale = 1.0 / np.sqrt(p * p + q * q + r * r + s * s)
+        turned[f, 0], turned[f, 1], turned[f, 2], turned[f, 3] = p * scale, q * scale, r * scale, s * scale
+    return turned
+
+
+@inlined
+def _corner(frames: Float, f: int, u: float, v: float) -> tuple[float, float, float]:
+    """Rotate a point (u, v) of a flat triangle by the frame of the triangle."""
+    w, x, y, z = frames[f, 0], frames[f, 1], frames[f, 2], frames[f, 3]
+    return (
+        (1.0 - 2.0 * (y * y + z * z)) * u + 2.0 * (x * y - w * z) * v,
+        2.0 * (x * y + w * z) * u + (1.0 - 2.0 * (x * x + z * z)) * v,
+        2.0 * (x * z - w * y) * u + 2.0 * (y * z + w * x) * v,
+    )
+
+
+@compiled
+def side_changes(
+    frames: Float,
+    flat: Float,
+    target_frames: Float,
+    target_flat: Float,
+    faces: Index,
+    weights: Float,
+    numbers: Index,
+    count: int,
+) -> Float:
+    """Return the right-hand side ``(count, 3)`` of displacements, from weighted changes of sides of faces.
+
+    Frames ``(m, 4)``, flat triangles ``(m, 3)``: posed and target ones. Weights ``(n, 3)``: of sides 01, 12, 20, zero
+    without area. Numbers ``(V,)``: places among the moving vertices, -1 for others.
+    """
+    right = np.zeros((count, 3), frames.dtype)
+    for f in range(len(faces)):
+        p0, p1, p2 = _corner(target_frames, f, target_flat[f, 0], 0.0 * target_flat[f, 0])
+        q0, q1, q2 = _corner(frames, f, flat[f, 0], 0.0 * flat[f, 0])
+        a0, a1, a2 = p0 - q0, p1 - q1, p2 - q2
+        p0, p1, p2 = _corner(target_frames, f, target_flat[f, 1], target_flat[f, 2])
+        q0, q1, q2 = _corner(frames, f, flat[f, 1], flat[f, 2])
+        b0, b1, b2 = p0 - q0, p1 - q1, p2 - q2
+        for side in range(3):
+            w = weights[f, side]
+            if side == 0:
+                s0, s1, s2 = w * a0, w * a1, w * a2
+            elif side == 1:
+                s0, s1, s2 = w * (b0 - a0), w * (b1 - a1), w * (b2 - a2)
+            else:
+                s0, s1, s2 = -w * b0, -w * b1, -w * b2
+            p, q = numbers[faces[f, side]], numbers[faces[f, (side + 1) % 3]]
+            if q >= 0:
+                right[q, 0] += s0
+                right[q, 1] += s1
+                right[q, 2] += s2
+            if p >= 0:
+                right[p, 0] -= s0
+                right[p, 1] -= s1
+                right[p, 2] -= s2
+    return right
+
+
+AVERAGING_ROUNDS = 2
+"""Rounds of rotation averaging over faces."""
+
+MOVING_RINGS = 1
+"""Rings of faces around joint faces that move with them; without them joints are too stiff."""
+
+BENDING_WEIGHT = 0.25
+"""Weight of an angle in radians against a relative length."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointProjection(PickledWithoutCaches):
+    """The projection at the joints of one mesh."""
+
+    topology: Topology  # the mesh
+    reference: Float  # (V, 3) its reference frame, in diagonals, which the weights are of
+    joint_faces: Mask  # (F,) faces whose lengths and angles have targets
+    hold: float  # weight of posed vertices and frames against sides and hinges
+
+    def constants(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.constants`."""
+        return self.frame_factor, self.vertex_factor
+
+    @cached_property
+    def edge_ids(self) -> Index:
+        """Edges ``(E',)`` with a target length: those of joint faces, ascending."""
+        return np.unique(self.topology.face_edges[self.joint_faces]).astype(np.int64)
+
+    @cached_property
+    def hinge_ids(self) -> Index:
+        """Hinges ``(H',)`` with a target angle: those of joint faces, ascending."""
+        return np.flatnonzero(self.joint_faces[self.topology.hinge_faces].any(axis=1))
+
+    @cached_property
+    def shell(self) -> Shell:
+        """The mesh as a shell, for the weights of sides and hinges."""
+        lengths = edge_lengths(self.reference, self.topology.edges)
+        held = np.full(self.topology.vertex_count, self.hold)
+        return Shell(
+            self.topology, self.reference, lengths, np.zeros((0, 2), dtype=np.int64), held, BENDING_WEIGHT
+        )
+
+    @cached_property
+    def _moving_faces(self) -> Index:
+        moving, faces = self.joint_faces, self.topology.faces
+        for _ in range(MOVING_RINGS):
+            near = np.zeros(self.topology.vertex_count, dtype=bool)
+            near[faces[moving]] = True
+            moving = np.asarray(near[faces].any(axis=1))
+        return np.flatnonzero(moving)
+
+    @cached_property
+    def _hinges(self) -> Index:
+        """Hinges of moving faces with area."""
+        moving = np.zeros(len(self.topology.faces), dtype=bool)
+        moving[self._moving_faces] = True
+        return np.flatnonzero(moving[self.topology.hinge_faces].any(axis=1) & self.shell.sound)
+
+    @cached_property
+    def _face_ids(self) -> Index:
+        """Moving faces, then their fixed neighbours."""
+        both = np.unique(self.topology.hinge_faces[self._hinges])
+        return np.concatenate([self._moving_faces, np.setdiff1d(both, self._moving_faces)]).astype(np.int64)
+
+    @cached_property
+    def _faces(self) -> Index:
+        return self.topology.faces[self._face_ids].astype(np.int64)
+
+    @cached_property
+    def _edge_table(self) -> tuple[Index, Index, Index]:
+        """Edges of the faces ``(e,)``, sides ``(m, 3)`` of faces among these, and those with a target length."""
+        sides = self.topology.face_edges[self._face_ids]
+        edges, local = np.unique(sides, return_inverse=True)
+        known = np.searchsorted(edges, self.edge_ids)
+        return edges, local.reshape(sides.shape).astype(np.int64), known.astype(np.int64)
+
+    @cached_property
+    def _edges(self) -> Index:
+        return self.topology.edges[self._edge_table[0]].astype(np.int64)
+
+    @cached_property
+    def _pairs(self) -> Index:
+        """The two faces ``(h, 2)`` of every hinge, by their places among the faces."""
+        place = np.empty(len(self.topology.faces), dtype=np.int64)
+        place[self._face_ids] = np.arange(len(self._face_ids))
+        return place[self.topology.hinge_faces[self._hinges]]
+
+    @cached_property
+    def _hinge_tables(self) -> tuple[Index, Index, Float, Index]:
+        """Sides of hinges in their faces, and their target angles; see `target_turns`."""
+        seen = Hinges(self._faces, self.topology.hinges[self._hinges].astype(np.int64), self._pairs)
+        number = np.full(len(self.topology.hinge_faces), -1, dtype=np.int64)
+        number[self.hinge_ids] = np.arange(len(self.hinge_ids))
+        return seen.sides, seen.backward.astype(np.int64), seen.reversed_normals, number[self._hinges]
+
+    @cached_property
+    def _bend(self) -> Float:
+        return np.ascontiguousarray(self.shell.bend[self._hinges])
+
+    @cached_property
+    def frame_factor(self) -> Factor | None:
+        """Factor of the matrix of rotation averaging over the moving faces; None if nothing moves."""
+        count = len(self._moving_faces)
+        if not count:
+            return None
+        inside = self._pairs < count
+        both, held = inside.all(axis=1), np.full(count, self.hold)
+        for first in (0, 1):
+            border = inside[:, first] & ~inside[:, 1 - first]
+            np.add.at(held, self._pairs[border, first], self._bend[border])
+        return factored_laplacian(self._pairs[both], self._bend[both], held)
+
+    @cached_property
+    def vertices(self) -> Index:
+        """Moving vertices ``(n,)``: those of moving faces only."""
+        still = np.ones(len(self.topology.faces), dtype=bool)
+        still[self._moving_faces] = False
+        free = np.zeros(self.topology.vertex_count, dtype=bool)
+        free[self.topology.faces[self._moving_faces]] = True
+        free[self.topology.faces[still]] = False
+        return np.flatnonzero(free)
+
+    @cached_property
+    def _numbers(self) -> Index:
+        numbers = np.full(self.topology.vertex_count, -1, dtype=np.int64)
+        numbers[self.vertices] = np.arange(len(self.vertices))
+        return numbers
+
+    @cached_property
+    def _side_weights(self) -> Float:
+        """Weights ``(n, 3)`` of the sides of moving faces; zero for those without area."""
+        weights = self.shell.side_weights[self._moving_faces]
+        weights[np.isin(self._moving_faces, self.shell.thin)] = 0.0
+        return weights
+
+    @cached_property
+    def vertex_factor(self) -> Factor | None:
+        """Factor of the matrix of displacements; None if nothing moves."""
+        if not len(self.vertices):
+            return None
+        corners = self._faces[: len(self._moving_faces)]
+        ends = self._numbers[np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2)]
+        weights, inside = self._side_weights.reshape(-1), ends >= 0
+        both = inside.all(axis=1)
+        held = np.full(len(self.vertices), self.hold * self.shell.tie_weight)
+        for first in (0, 1):
+            border = inside[:, first] & ~inside[:, 1 - first]
+            np.add.at(held, ends[border, first], weights[border])
+        return factored_laplacian(ends[both], weights[both], held)
+
+    def targets(self, x: Float, lengths: Float, angles: Float) -> tuple[Float, Float]:
+        """Return lengths ``(E,)`` and angles ``(H,)`` of the whole mesh: targets at joints, else of posed vertices."""
+        topology = self.topology
+        all_lengths, all_angles = lengths_and_angles(x, topology.edges, topology.hinges)
+        sound = soundness(flatten(all_lengths, topology.face_edges.astype(np.int64)))
+        part = sound[topology.hinge_faces[self.hinge_ids]].prod(axis=1)
+        all_angles[self.hinge_ids] += part * wrap(angles - all_angles[self.hinge_ids])
+        all_lengths[self.edge_ids] = np.maximum(lengths, 0.0)
+        return all_lengths, all_angles
+
+    def project(self, x: Numbers, lengths: Numbers, angles: Numbers, share: float) -> Numbers:
+        """Move posed vertices ``(V, 3)`` of joints to lengths ``(E',)`` and angles ``(H',)``."""
+        if not share or self.frame_factor is None or self.vertex_factor is None:
+            return x
+        _, face_edges, known = self._edge_table
+        posed = lengths_of(x, self._edges)
+        wanted = posed.copy()
+        wanted[known] += share * (np.where(lengths.real > 0.0, lengths, 0.0) - posed[known])
+        flat = flatten(posed, face_edges)
+        sound = soundness(flat)
+        target_flat = flat + sound[:, None] * (flatten(wanted, face_edges) - flat)
+        frames = frames_of(x, self._faces)
+        turns = target_turns(
+            frames, self._pairs, flat, target_flat, sound, *self._hinge_tables, angles, share
+        )
+        target_frames, moving = frames, len(self._moving_faces)
+        for _ in range(AVERAGING_ROUNDS):
+            right = misfits(target_frames, self._pairs, turns, self._bend, moving)
+            target_frames = turn_on(target_frames, solve(self.frame_factor, right))
+        right = side_changes(
+            frames,
+            flat,
+            target_frames,
+            target_flat,
+            self._faces[:moving],
+            self._side_weights,
+            self._numbers,
+            len(self.vertices),
+        )
+        moved = x.copy()
+        moved[self.vertices] += solve(self.vertex_factor, right)
+        return moved

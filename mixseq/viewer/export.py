@@ -1,0 +1,253 @@
+"""Meshes as a single self-contained page that plays without network or server.
+
+Meshes are compressed as by `mixseq.compress`, and decoded by `mixseq.web`. Poses are shown at their times since each
+mesh's first one, and restart after the period, as in films (`mixseq.pictures.scene`).
+
+Scripts and styles of the pages, which are part of the package, and their assembly into one self-contained page.
+
+A page is a small document that unpacks itself: its first stream, deflated, has style, body, decoder, scripts and
+description, separated by NUL; the others belong to the meshes. `mixseq.viewer.export_data` encodes them as text.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mixseq.errors import SettingsError
+from mixseq.runtime.parallel import Executor
+from mixseq.runtime.progress import Progress, Stages, silent
+from mixseq.sequence.frame_rates import exact_rate
+from mixseq.sequence.header import SequenceHeader
+from mixseq.types import Float
+from mixseq.version import __version__
+from mixseq.viewer.export_data import (
+    BYTE_ORDER_MARK,
+    ENCODING,
+    Gathered,
+    PageItem,
+    PageItemReport,
+    as_text,
+    gather,
+    page_mesh,
+)
+from mixseq.web import bundled, stripped
+
+CHART_SCRIPTS = (
+    "frame_numbers.js",
+    "chart_pane.js",
+    "chart_axes.js",
+    "chart_marks.js",
+    "chart_layout.js",
+    "chart_coefficients.js",
+    "charts.js",
+)
+"""Scripts of charts, in loading order."""
+
+EDITING_SCRIPTS = ("chart_retiming.js",)
+"""Additional scripts of editable charts."""
+
+PLAYER_SCRIPTS = (
+    "clock.js",
+    "camera.js",
+    "shaders.js",
+    "programs.js",
+    "topology.js",
+    "mesh.js",
+    "stage.js",
+    "pose_source.js",
+    "player.js",
+)
+"""Scripts of the player of meshes."""
+
+POSE_SCRIPTS = ("normals.js", "topology.js", "measures.js", "poses.js")
+"""Scripts that decode streams to poses, with the decoder."""
+
+
+@cache
+def script(name: str) -> str:
+    """Return a file of the folder ``page`` as text, such as ``"charts.js"``."""
+    return files("mixseq.viewer").joinpath("page", name).read_text(encoding="utf-8")
+
+
+def chart_scripts() -> str:
+    """Return all scripts of editable charts as one text, for one script element."""
+    return "\n".join(map(script, (*CHART_SCRIPTS, *EDITING_SCRIPTS)))
+
+
+def page_text(description: Mapping[str, Any], data: Sequence[bytes]) -> bytes:
+    """Return a page as bytes."""
+    charts = any(item["signals"] for item in description["items"])
+    parts = (
+        _plain(script("player.css")),
+        _plain(script("player.html")),
+        decoder_script(),
+        page_scripts(charts),
+        json.dumps(description, ensure_ascii=False, allow_nan=False, separators=(",", ":")),
+    )
+    code = zlib.compress("\0".join(parts).encode(), 9)
+    title, loader = escape(description["title"]), stripped(script("loader.js"))
+    shell = _plain(script("page.html")).replace("<title>mixseq</title>", f"<title>{title}</title>")
+    before, after = shell.replace('<script src="loader.js"></script>', f"<script>{loader}</script>").split(
+        _DATA
+    )
+    elements = [_element(each) for each in (code, *data)]
+    return BYTE_ORDER_MARK + b"".join([before.encode(ENCODING), *elements, after.encode(ENCODING)])
+
+
+@cache
+def decoder_script() -> str:
+    """Return the script that decodes streams to poses, for a worker or a script element."""
+    decoder = re.sub(r"^export const ?{.*}=(\w+);$", r"return \1;", bundled(), flags=re.MULTILINE)
+    return f"var mixseqDecoder = (() => {{\n{decoder}}})();\n" + "".join(
+        stripped(script(name)) for name in POSE_SCRIPTS
+    )
+
+
+@cache
+def page_scripts(charts: bool) -> str:
+    """Return the scripts of a page, with charts or without."""
+    names = (*CHART_SCRIPTS[: None if charts else 1], *PLAYER_SCRIPTS)
+    return "".join(stripped(script(name)) for name in names)
+
+
+_DATA = "<!-- data -->"
+
+
+def _plain(text: str) -> str:
+    """Return HTML or CSS without indentation and comments, except for the place of the data."""
+    return re.sub(r"\n\s*", "\n", re.sub(r"<!--(?! data).*?-->|/\*.*?\*/", "", text))
+
+
+def _element(data: bytes) -> bytes:
+    opened, closed = f'<script type="text/plain" data-size="{len(data)}">', "</script>\n"
+    return opened.encode(ENCODING) + as_text(data) + closed.encode(ENCODING)
+
+
+def script_json(value: Any) -> str:
+    """Return JSON without ``<``, which could end its script element."""
+    return json.dumps(value, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
+
+
+MOST_FRAMES = 20_000
+"""Largest number of frames, to catch wrong rates."""
+
+
+@dataclass(frozen=True)
+class ExportSettings:
+    """The settings of a page."""
+
+    fps: float | None = None  # poses per second, by default those of the meshes
+    every: int = 1  # step between stored poses; the page interpolates linearly
+    # Bound of vertex errors, in diagonals of the first pose; compressed meshes keep their own.
+    max_error: float = 1e-3
+    overlaid: bool = False  # whether the meshes initially stand in one place, instead of side by side
+    title: str | None = None  # title of the page, by default the names
+    camera: tuple[float, float] | None = None  # initial view, see `mixseq.pictures.scene.seen_from`
+    following: bool = False  # whether bodies that travel initially stay in the middle
+
+    def __post_init__(self) -> None:
+        for name, value in (("fps", self.fps), ("max_error", self.max_error)):
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise SettingsError(f"{name} is {value}; a positive number is expected")
+        if self.every < 1:
+            raise SettingsError(
+                f"every {self.every} frames are wanted; give 1 for all of them, 2 for every other one"
+            )
+
+
+@dataclass(frozen=True)
+class ExportReport:
+    """Report on a page."""
+
+    size: int  # bytes of the file
+    items: tuple[PageItemReport, ...]  # its meshes
+
+
+def export_page(
+    target: Path,
+    items: Sequence[PageItem],
+    settings: ExportSettings | None = None,
+    progress: Progress = silent,
+    workers: Executor | None = None,
+) -> ExportReport:
+    """Write a page that plays meshes; equal input gives equal bytes, and poses are read once into a temporary array."""
+    chosen = settings or ExportSettings()
+    if not items:
+        raise SettingsError("there is nothing to show; give a sequence or a model")
+    times = [_times(item, chosen) for item in items]
+    tops = _tops(items)
+    stages = Stages(progress, 2 * len(items), 100)
+    first: tuple[SequenceHeader, Gathered] | None = None
+    meshes = []
+    for number, (each, elapsed) in enumerate(zip(items, times, strict=True)):
+        gathered = gather(each.mesh, elapsed, first, stages.at(2 * number), workers, chosen.camera)
+        first = first or (each.mesh.header, gathered)
+        compressing = stages.at(2 * number + 1)
+        meshes.append(page_mesh(each, elapsed, gathered, tops, chosen.max_error, compressing))
+        compressing(1, 1, "compressing")
+    description = {
+        "title": chosen.title or ", ".join(each.mesh.name for each in items),
+        "version": __version__,
+        "overlaid": chosen.overlaid,
+        "following": chosen.following,
+        "period": _period(items, times),
+        "items": [mesh.description for mesh in meshes],
+    }
+    text = page_text(description, [data for mesh in meshes for data in mesh.data])
+    target.write_bytes(text)
+    return ExportReport(len(text), tuple(mesh.report for mesh in meshes))
+
+
+def _times(item: PageItem, settings: ExportSettings) -> Float:
+    """Return the times ``(n,)`` of stored poses."""
+    elapsed = np.asarray(item.mesh.elapsed, dtype=np.float64).reshape(-1)
+    if not (elapsed.size and np.isfinite(elapsed).all() and elapsed[0] >= 0 and (np.diff(elapsed) > 0).all()):
+        raise SettingsError(f"the times of {item.mesh.name} are not numbers from zero on that increase")
+    if not item.colourings:
+        raise SettingsError(f"{item.mesh.name} has no colours; clay at least is needed")
+    if settings.fps is not None:
+        rate = exact_rate(settings.fps)
+        # the last one may be missed by what rounding does to times
+        count = np.floor(elapsed[-1] * rate + 1e-6) + 1
+        _check_count(item, count)
+        elapsed = np.minimum(np.arange(int(count)) / rate, elapsed[-1])
+    chosen = elapsed[:: settings.every]
+    _check_count(item, len(chosen))
+    return np.asarray(chosen)
+
+
+def _check_count(item: PageItem, count: float) -> None:
+    if count > MOST_FRAMES:
+        raise SettingsError(
+            f"{item.mesh.name} would have {count:,.0f} frames, a page has at most {MOST_FRAMES:,}; give a lower "
+            "--fps, or --every 2"
+        )
+
+
+def _period(items: Sequence[PageItem], times: Sequence[Float]) -> float:
+    """Return the period in seconds: that of the longest mesh, and one frame; 0 if nothing moves."""
+    return max(
+        float(each.mesh.elapsed[-1]) + 1 / each.mesh.header.fps if len(elapsed) > 1 else 0.0
+        for each, elapsed in zip(items, times, strict=True)
+    )
+
+
+def _tops(items: Sequence[PageItem]) -> dict[str, float]:
+    """Return the end of the scale of each colouring, common to all meshes."""
+    tops: dict[str, float] = {}
+    for item in items:
+        for name, colouring in item.colourings.items():
+            if not colouring.constant:
+                tops[name] = max(tops.get(name, 0.0), colouring.top)
+    return tops

@@ -1,4 +1,0 @@
-// Frame numbers as mixseq/frame_numbers.py writes them.
-"use strict";
-
-var mixseqFrame = (number) => String(Number(number.toFixed(Math.abs(number - Math.round(number)) < 1e-3 ? 0 : 3))).replace("-", "\u2212");

@@ -1,0 +1,54 @@
+"""Candidates are compared on a coarse mesh, which tells about what the whole one would."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mixseq.compression.bitstream.signal_graph import mesh_graph
+from mixseq.compression.encoder import search
+from mixseq.compression.encoder.components import trajectories
+from mixseq.compression.encoder.search import KINDS, Ways, coarse_mesh, step_of
+from mixseq.compression.encoder.trial import try_step
+from mixseq.sequence.sequence import frame_store
+from tests.meshes import bar, grid, joined, torus
+
+MESHES = {"torus": torus(40, 30), "grid": grid(30, 20), "two bodies": joined(torus(20, 12), grid(15, 15))}
+
+
+@pytest.mark.parametrize("mesh", MESHES)
+def test_coarse_meshes_are_what_is_coded_first(mesh: str) -> None:
+    points, faces = MESHES[mesh]
+    vertices, edges = coarse_mesh(faces, len(points), 200)
+    assert 50 < len(vertices) <= 200
+    whole, coarse = mesh_graph(faces, len(points)), mesh_graph(edges, len(vertices))
+    assert set(vertices) == set(whole.order[: len(vertices)])
+    assert coarse.counts.mean() == pytest.approx(whole.counts[: len(vertices)].mean(), rel=0.1)
+
+
+def test_stray_vertices_stay() -> None:
+    points, faces = torus(20, 12)
+    vertices, _ = coarse_mesh(faces, len(points) + 5, 100)
+    assert set(range(len(points), len(points) + 5)) <= set(vertices)
+
+
+@pytest.mark.parametrize("way", [("trajectories", 1), ("trajectories", 6), ("shapes", 1)])
+def test_a_coarse_mesh_tells_about_the_same(way: search.Way, monkeypatch: pytest.MonkeyPatch) -> None:
+    sequence = frame_store(bar(sides=24, rings=120, frames=9))
+    graph = mesh_graph(sequence.header.faces, sequence.header.vertex_count)
+    monkeypatch.setattr(search, "NODES", 1200)
+    ways = Ways(sequence, graph, trajectories(sequence, 1e-3), 1e-3, 1.0)
+    whole, coarse = ways.whole(way), ways.coarse(way)
+    assert 0.2 < coarse.share < 0.5 < whole.share == 1
+    assert step_of(coarse, 1.0) == pytest.approx(step_of(whole, 1.0), rel=0.1)
+    trials = [try_step(sequence, one, step_of(whole, 1.0)) for one in (whole, coarse)]
+    assert trials[1].error == pytest.approx(trials[0].error, rel=0.3)
+    assert 0.6 < trials[1].size / trials[0].size < 2.0
+
+
+def test_small_meshes_are_not_made_coarser() -> None:
+    sequence = frame_store(bar(sides=6, rings=20, frames=5))
+    graph = mesh_graph(sequence.header.faces, sequence.header.vertex_count)
+    ways = Ways(sequence, graph, trajectories(sequence, 1e-3), 1e-3, 0.1)
+    assert ways.numbers[0] == 1
+    np.testing.assert_array_equal(ways.coarse((KINDS[0], 1)).graph.order, graph.order)

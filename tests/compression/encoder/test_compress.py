@@ -1,0 +1,411 @@
+"""What was asked for is kept: by every sequence, in every process, or it is refused."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import mixseq
+from mixseq.compression.bitstream import signal_coder, spatial_basis
+from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, to_model
+from mixseq.compression.encoder import parts, trial
+from mixseq.compression.encoder.compress import compress
+from mixseq.compression.encoder.search import CLOSE
+from mixseq.errors import SettingsError
+from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import Float, FloatArray
+from tests.meshes import SEQUENCES, bar, grid, joined, seeds, tetrahedron, torus, tube
+
+pytestmark = pytest.mark.slow
+
+
+def size_of(coded: CompressedSequence) -> int:
+    return sum(map(len, coded.basis)) + sum(len(c.coefficients) + len(c.residuals) for c in coded.chunks)
+
+
+def largest(sequence: MeshSequence, points: FloatArray) -> float:
+    """Largest distance of a vertex, in diagonals of the first frame, or units if it has none."""
+    original = sequence.points.astype(np.float64)
+    diagonal = float(np.linalg.norm(np.ptp(original[0], axis=0)))
+    return float(np.linalg.norm(points - original, axis=2).max()) / (diagonal or 1.0)
+
+
+def kg_of(sequence: MeshSequence, points: FloatArray) -> float:
+    return mixseq.compare(sequence, sequence.with_points(np.asarray(points, dtype=np.float64))).kg_percent
+
+
+def check(sequence: MeshSequence, coded: CompressedSequence) -> Float:
+    """Check what a compressed sequence says about itself, and return its points."""
+    points = np.asarray(to_model(coded).sample().points)
+    assert np.isfinite(points).all()
+    assert points.shape == sequence.points.shape
+    error = largest(sequence, points)
+    if coded.parameters.promised:
+        assert error <= coded.parameters.max_error
+    else:
+        assert error == pytest.approx(coded.parameters.max_error, rel=1e-9, abs=1e-15)
+    assert sum(chunk.count for chunk in coded.chunks) == coded.parameters.frame_count == sequence.frame_count
+    return np.asarray(points, dtype=np.float64)
+
+
+# What is kept -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", SEQUENCES)
+def test_kg_errors_are_kept(name: str) -> None:
+    sequence = SEQUENCES[name]()
+    coded = compress(sequence, kg=0.3)
+    found = kg_of(sequence, check(sequence, coded))
+    assert found <= 0.3
+    assert found == pytest.approx(coded.parameters.kg_percent, rel=1e-6)
+    assert not coded.parameters.promised
+    assert not any(chunk.residuals for chunk in coded.chunks)
+
+
+@pytest.mark.parametrize("name", SEQUENCES)
+def test_bounds_are_kept(name: str) -> None:
+    sequence = SEQUENCES[name]()
+    coded = compress(sequence, max_error=2e-3)
+    check(sequence, coded)
+    assert coded.parameters.promised
+    assert coded.parameters.max_error == 2e-3
+
+
+@pytest.mark.parametrize("name", ["bar", "several components", "still", "one frame"])
+def test_sizes_are_kept(name: str) -> None:
+    sequence = SEQUENCES[name]()
+    coded = compress(sequence, size=500)
+    check(sequence, coded)
+    assert 0.8 * 500 < size_of(coded) <= 500
+
+
+@pytest.mark.parametrize("bound", [1e-2, 1e-3, 1e-4, 1e-5, 1e-8])
+def test_bounds_of_all_sizes_are_kept(bound: float) -> None:
+    sequence = bar(sides=5, rings=9)
+    assert largest(sequence, check(sequence, compress(sequence, max_error=bound))) > 0.5 * bound
+
+
+@pytest.mark.parametrize("kg", [5.0, 0.5, 0.05, 1e-4])
+def test_kg_errors_are_nearly_used_up(kg: float) -> None:
+    sequence = bar(sides=6, rings=15, frames=8)
+    found = kg_of(sequence, check(sequence, compress(sequence, kg=kg)))
+    assert (1 - 3 * CLOSE) * kg < found <= kg
+
+
+def test_more_bytes_are_more_accurate() -> None:
+    sequence = bar()
+    errors = [compress(sequence, size=size).parameters.kg_percent for size in (300, 600, 1200, 2400)]
+    assert (np.diff(errors) < 0).all()
+    sizes = [size_of(compress(sequence, max_error=bound)) for bound in (1e-2, 1e-3, 1e-4)]
+    assert (np.diff(sizes) > 0).all()
+
+
+@pytest.mark.parametrize("chunk", [16, 50])
+def test_chunks_are_as_long_as_was_asked_for(chunk: int) -> None:
+    sequence = bar(sides=5, rings=9, frames=100)
+    coded = compress(sequence, kg=0.5, chunk=chunk)
+    assert len(coded.chunks) == round(100 / chunk)
+    assert kg_of(sequence, check(sequence, coded)) <= 0.5
+
+
+@pytest.mark.parametrize("size", [300, 3000, 30_000])
+def test_sizes_far_from_the_first_guess_are_used_up(size: int) -> None:
+    rng = np.random.default_rng(5)
+    body = bar(sides=10, rings=30, frames=20)
+    sequence = body.with_points(body.points + rng.normal(scale=1e-3, size=body.points.shape))
+    coded = compress(sequence, size=size)
+    check(sequence, coded)
+    assert 0.93 * size < size_of(coded) <= size
+
+
+def test_smooth_motion_takes_few_bits() -> None:
+    """A bar that bends: a hundred frames for half a bit per vertex and frame."""
+    sequence = bar(sides=12, rings=40, frames=100)
+    coded = compress(sequence, kg=0.5)
+    assert 8 * size_of(coded) < 0.5 * sequence.points[..., 0].size
+
+
+# Awkward sequences ------------------------------------------------------------------------------------------
+
+
+RNG = np.random.default_rng(7)
+TRIANGLES = [[0, 1, 2], [2, 3, 4]]
+
+
+def mirrored() -> MeshSequence:
+    """A mean that is zero, but for one frame."""
+    points, faces = tube(6, 9)
+    return MeshSequence.from_arrays(points * np.array([1.0, -1, 2, -2])[:, None, None], faces)
+
+
+AWKWARD = {
+    "three vertices": MeshSequence.from_arrays(np.cumsum(RNG.normal(size=(9, 3, 3)), axis=0), [[0, 1, 2]]),
+    "one frame of three vertices": MeshSequence.from_arrays(RNG.normal(size=(1, 3, 3)), [[0, 1, 2]]),
+    "two frames": bar(sides=4, rings=5, frames=2),
+    "starts in one place": MeshSequence.from_arrays(
+        RNG.normal(size=(4, 5, 3)) * np.arange(4)[:, None, None], TRIANGLES
+    ),
+    "four vertices, many frames": MeshSequence.from_arrays(RNG.normal(size=(200, 4, 3)), tetrahedron()[1]),
+    "noise": MeshSequence.from_arrays(RNG.normal(size=(12, 22, 3)), tube(4, 5)[1]),
+    "mirrored": mirrored(),
+    "far away": bar(sides=5, rings=9).with_points(0.1 * bar(sides=5, rings=9).points + 1000.0),
+}
+
+
+@pytest.mark.parametrize("name", AWKWARD)
+def test_awkward_sequences(name: str) -> None:
+    sequence = AWKWARD[name]
+    check(sequence, compress(sequence, max_error=1e-4))
+    assert kg_of(sequence, check(sequence, compress(sequence, kg=0.01))) <= 0.01
+    coded = compress(sequence, size=150)
+    check(sequence, coded)
+    assert size_of(coded) <= 150
+
+
+@pytest.mark.parametrize("place", [0.0, 1.0, 1e4])
+def test_all_vertices_in_one_place(place: float) -> None:
+    points = np.repeat(place * RNG.normal(size=(4, 1, 3)), 5, axis=1)
+    sequence = MeshSequence.from_arrays(points, TRIANGLES)
+    check(sequence, compress(sequence, max_error=1e-3))
+    with pytest.raises(SettingsError, match=r"give max_error|larger one"):
+        compress(sequence, kg=1)
+
+
+def test_single_precision_far_from_the_origin() -> None:
+    """Coordinates of 1000 have steps of 6e-5: the bound also holds for what is written as float32."""
+    near = bar(sides=5, rings=9)
+    sequence = near.with_points((0.1 * near.points + 1000).astype(np.float32))
+    coded = compress(sequence, max_error=1e-3)
+    points = check(sequence, coded)
+    assert largest(sequence, points.astype(np.float32).astype(np.float64)) <= 1e-3
+
+
+def test_frames_that_are_left_out_of_the_factors(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of long sequences only some frames make the components; residuals see to errors that are too small."""
+    monkeypatch.setattr("mixseq.compression.encoder.components.MOST", 30)
+    body = bar(6, 40, 40)
+    noise = np.random.default_rng(3).normal(scale=0.05, size=body.points.shape)
+    sequence = body.with_points(body.points + noise)
+    coded = compress(sequence, kg=0.05)
+    assert coded.parameters.correction > 0
+    assert not coded.parameters.promised
+    assert kg_of(sequence, check(sequence, coded)) <= 0.05
+
+
+def test_very_many_steps_are_no_harm() -> None:
+    """More bytes than rounding errors are worth: the sequence comes back to rounding."""
+    sequence = AWKWARD["far away"]
+    points = check(sequence, compress(sequence, size=100_000))
+    assert np.abs(points - sequence.points).max() < 1e-8
+
+
+# What is refused --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ({}, "nothing is given; give one of max_error, kg and size"),
+        ({"kg": 1, "size": 100}, "kg and size is given; give one"),
+        ({"max_error": 1e-3, "kg": 1, "size": 100}, "give one of"),
+        ({"kg": 0}, "kg is 0"),
+        ({"kg": -1}, "a positive number is expected"),
+        ({"kg": np.nan}, "kg is nan"),
+        ({"max_error": np.inf}, "max_error is inf"),
+        ({"size": 0}, "size is 0"),
+        ({"kg": 1, "chunk": 15}, "chunk is 15; 16 frames or more"),
+        ({"size": 3}, "do not fit into 3 bytes; give more"),
+        ({"max_error": 1e-14}, "beyond the digits of coordinates.*give at least"),
+    ],
+)
+def test_refusals(asked: dict[str, float], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        compress(bar(sides=3, rings=4), **asked)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("scale", "cure"), [((1, 1), True), ((1, 1e13), False)])
+def test_only_what_is_far_away_is_to_be_moved(scale: tuple[float, float], cure: bool) -> None:
+    still = bar(sides=3, rings=4, frames=2)
+    points = still.points * np.array(scale)[:, None, None] + (1e13 if cure else 0)
+    with pytest.raises(SettingsError, match="beyond the digits") as refused:
+        compress(MeshSequence.from_arrays(points, still.faces), max_error=1e-3)
+    assert ("move the sequence to the origin" in str(refused.value)) == cure
+
+
+# The same everywhere ----------------------------------------------------------------------------------------
+
+
+def digest(sequence: MeshSequence) -> str:
+    """Of all bytes, and of the points that come of them."""
+    hashed = hashlib.sha256()
+    for asked in ({"kg": 0.2}, {"max_error": 1e-3}):
+        coded = compress(sequence, **asked)  # type: ignore[arg-type]
+        for stream in (*coded.basis, *(part for c in coded.chunks for part in (c.coefficients, c.residuals))):
+            hashed.update(stream)
+        hashed.update(to_model(coded).sample().points.tobytes())
+        hashed.update(repr(coded.parameters).encode())
+    return hashed.hexdigest()
+
+
+_SCRIPT = """
+from tests.compression.encoder.test_compress import digest
+from tests.meshes import bar
+print(digest(bar(sides=14, rings=25, frames=9)))
+"""
+
+
+def test_bytes_are_the_same_in_every_process_on_any_number_of_threads() -> None:
+    folder = Path(__file__).parents[2]
+    found = []
+    for threads in ("1", "2", "3"):
+        names = [f"{each}_NUM_THREADS" for each in ("OMP", "OPENBLAS", "MKL", "NUMBA")] + ["MIXSEQ_THREADS"]
+        environment = {**os.environ, **dict.fromkeys(names, threads), "PYTHONHASHSEED": threads}
+        run = subprocess.run(
+            [sys.executable, "-c", _SCRIPT],
+            cwd=folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        found.append(run.stdout.strip())
+    here = digest(bar(sides=14, rings=25, frames=9))
+    assert found == [here, here, here]
+
+
+@pytest.mark.parametrize("threads", ["1", "2", "3"])
+def test_bytes_are_the_same_however_much_is_done_at_once(
+    threads: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sequence = bar(sides=14, rings=25, frames=9)
+    expected = digest(sequence)
+    monkeypatch.setenv("MIXSEQ_THREADS", threads)
+    monkeypatch.setattr(signal_coder, "_MANY", 1)
+    assert digest(sequence) == expected
+
+
+@pytest.mark.parametrize(
+    ("module", "name"), [(parts, "_lengths"), (trial, "_components_of"), (spatial_basis, "_part")]
+)
+def test_more_than_two_cores_take_no_more_memory(
+    module: ModuleType, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Parts are worked on two at a time: on each thread arrays are as long as the whole mesh."""
+    original, lock, under_way, most = getattr(module, name), threading.Lock(), 0, 0
+
+    def counted(shared: Any, item: Any) -> Any:
+        nonlocal under_way, most
+        with lock:
+            under_way += 1
+            most = max(most, under_way)
+        time.sleep(0.005)
+        try:
+            return original(shared, item)
+        finally:
+            with lock:
+                under_way -= 1
+
+    monkeypatch.setenv("MIXSEQ_THREADS", "16")
+    monkeypatch.setattr(module, name, counted)
+    compress(bar(sides=14, rings=25, frames=9), max_error=1e-3)
+    assert most == 2
+
+
+@dataclass(frozen=True)
+class _Streamed:
+    """A sequence that can be read once, from its first frame to its last."""
+
+    sequence: MeshSequence
+
+    @property
+    def header(self) -> SequenceHeader:
+        return self.sequence.header
+
+    def blocks(self, size: int = 4) -> Iterator[FloatArray]:
+        return self.sequence.blocks(size)
+
+
+def test_a_sequence_that_streams_is_the_same() -> None:
+    sequence = bar(sides=5, rings=9)
+    assert compress(_Streamed(sequence), kg=0.5).basis == compress(sequence, kg=0.5).basis
+
+
+def test_progress_only_grows() -> None:
+    told: list[float] = []
+
+    def progress(done: int, total: int, stage: str) -> None:
+        assert stage
+        told.append(done / total)
+
+    compress(bar(sides=5, rings=9), max_error=1e-3, progress=progress)
+    assert told == sorted(told)
+    assert len(told) > 3
+    assert told[-1] <= 1
+
+
+# Any sequence -----------------------------------------------------------------------------------------------
+
+MESHES = (tetrahedron(), grid(3, 2), tube(4, 4), torus(5, 4), joined(tetrahedron(), tube(3, 3), grid(1, 1)))
+
+
+@st.composite
+def sequences(draw: st.DrawFn) -> MeshSequence:
+    """Smooth motion and noise, each of any size, maybe isolated vertices, maybe far away, maybe in single precision."""
+    points, faces = draw(st.sampled_from(MESHES))
+    rng = np.random.default_rng(draw(seeds))
+    stray = rng.normal(size=(draw(st.integers(0, 3)), 3))
+    points = np.concatenate([points, stray])
+    times = np.linspace(0, 1, draw(st.integers(1, 12)))[:, None, None]
+    waves = sum(rng.normal(size=(1, *points.shape)) * np.sin(k * times + rng.normal()) for k in (1, 3))
+    moving = points + draw(st.sampled_from([0.0, 1e-3, 1.0, 30.0])) * np.asarray(waves)
+    moving = moving + draw(st.sampled_from([0.0, 1e-9, 1e-2, 1.0])) * rng.normal(size=moving.shape)
+    moving = draw(st.sampled_from([1.0, 1e-4, 1e5])) * (moving + draw(st.sampled_from([0.0, 50.0])))
+    return MeshSequence.from_arrays(moving.astype(draw(st.sampled_from([np.float32, np.float64]))), faces)
+
+
+@settings(max_examples=30, deadline=None)
+@given(sequence=sequences(), bound=st.floats(-5, -0.5).map(lambda power: float(10.0**power)))
+def test_no_bound_is_exceeded(sequence: MeshSequence, bound: float) -> None:
+    check(sequence, compress(sequence, max_error=bound))
+
+
+@settings(max_examples=15, deadline=None)
+@given(sequence=sequences(), kg=st.floats(-3, 1.5).map(lambda power: float(10.0**power)))
+def test_no_kg_error_is_exceeded(sequence: MeshSequence, kg: float) -> None:
+    assert kg_of(sequence, check(sequence, compress(sequence, kg=kg))) <= kg * (1 + 1e-9)
+
+
+# Animations -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("name", ["q_wolf_gallop", "fox_run"])
+def test_animations_take_few_bits(data: Path, name: str) -> None:
+    """At a KG error of 0.5 %: 1.71 and 1.79 bits per vertex and frame were measured."""
+    sequence = mixseq.read(data / "npz" / f"{name}.npz")
+    coded = compress(sequence, kg=0.5)
+    assert kg_of(sequence, check(sequence, coded)) <= 0.5
+    assert 8 * size_of(coded) < 1.9 * sequence.points[..., 0].size
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("bound", [1e-2, 1e-4])
+@pytest.mark.parametrize("name", ["q_wolf_gallop", "fox_run"])
+def test_bounds_of_animations_are_kept(data: Path, name: str, bound: float) -> None:
+    sequence = mixseq.read(data / "npz" / f"{name}.npz")
+    check(sequence, compress(sequence, max_error=bound))

@@ -1,0 +1,75 @@
+"""Polygons of one mesh among those of another."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mixseq.errors import InvalidSequenceError
+from mixseq.mesh.polygons import Polygons, difference, match_triangles, matched
+
+NAMES = ("A", "B")
+
+
+def of(*rows: list[int]) -> Polygons:
+    return Polygons(np.array([len(row) for row in rows]), np.concatenate(rows))
+
+
+OURS = of([0, 1, 2, 3], [3, 2, 4], [4, 2, 5], [5, 2, 1, 6, 7])
+SHUFFLED = of([2, 5, 4], [6, 7, 5, 2, 1], [2, 3, 0, 1], [3, 2, 4])
+
+
+def test_polygons_in_another_order() -> None:
+    found = matched(OURS, SHUFFLED)
+    assert found is not None
+    assert found.polygons.tolist() == [2, 3, 0, 1]
+    np.testing.assert_array_equal(SHUFFLED.indices[found.corners], OURS.indices)
+    of_corner = np.repeat(np.arange(4), SHUFFLED.counts)
+    np.testing.assert_array_equal(of_corner[found.corners], np.repeat(found.polygons, OURS.counts))
+
+
+def test_there_and_back() -> None:
+    there, back = matched(OURS, SHUFFLED), matched(SHUFFLED, OURS)
+    assert there is not None and back is not None
+    assert there.corners[back.corners].tolist() == list(range(OURS.indices.size))
+
+
+def test_the_same_polygon_twice_and_a_vertex_twice() -> None:
+    ours, theirs = of([0, 1, 2], [0, 3, 0, 1], [1, 2, 0]), of([0, 1, 0, 3], [2, 0, 1], [0, 1, 2])
+    found = matched(ours, theirs)
+    assert found is not None
+    np.testing.assert_array_equal(theirs.indices[found.corners], ours.indices)
+    assert sorted(found.polygons.tolist()) == [0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("theirs", "message"),
+    [
+        (of([0, 2, 1, 3], [3, 2, 4]), "polygon 0 of A (vertices 0 1 2 3) is not in B"),
+        (of([0, 1, 2, 3], [2, 3, 4]), "polygon 1 of A (vertices 3 2 4) is the other way round in B"),
+        (of([0, 1, 2, 3], [3, 2, 4], [3, 2, 4]), "polygon 2 of B (vertices 3 2 4) is not in A"),
+        (of([0, 1, 2, 3]), "polygon 1 of A (vertices 3 2 4) is not in B"),
+    ],
+    ids=["other", "turned", "more", "fewer"],
+)
+def test_what_differs_first_is_named(theirs: Polygons, message: str) -> None:
+    ours = of([0, 1, 2, 3], [3, 2, 4])
+    assert matched(ours, theirs) is None
+    assert difference(ours, theirs, NAMES) == message
+    with pytest.raises(InvalidSequenceError) as caught:
+        match_triangles(ours, theirs, NAMES)
+    assert str(caught.value) == message
+
+
+@pytest.mark.parametrize(
+    "theirs",
+    [OURS, SHUFFLED, of(*OURS.triangles.tolist()), of(*np.roll(OURS.triangles, 1, axis=1)[::-1].tolist())],
+    ids=["same", "shuffled", "cut", "cut and shuffled"],
+)
+def test_triangles(theirs: Polygons) -> None:
+    """Each has one of the polygon that it was cut from: there are no two with three common vertices."""
+    found = match_triangles(OURS, theirs, NAMES)
+    assert sorted(found.tolist()) == list(range(len(OURS.triangles)))
+    for own, other in zip(OURS.triangles, theirs.triangles[found], strict=True):
+        polygons = [set(row.tolist()) for row in np.split(OURS.indices, np.cumsum(OURS.counts)[:-1])]
+        assert any({*own.tolist(), *other.tolist()} <= each for each in polygons)

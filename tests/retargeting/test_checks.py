@@ -1,0 +1,329 @@
+"""Markers that cannot be meant, and meshes inside out, are named; those that are right are left alone."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mixseq
+from mixseq.errors import MixseqWarning, SettingsError
+from mixseq.mesh.topology import Topology
+from mixseq.retargeting.checks import Bending, check_facing, check_markers, check_orientation, orientation
+from mixseq.retargeting.markers import Markers
+from mixseq.types import Float, Index
+from mixseq_io.text.markers import read_markers
+from tests.meshes import grid, joined, rotation, tetrahedron, torus, tube
+
+pytestmark = pytest.mark.slow
+
+LEGS = ((-0.5, -2.0), (0.5, -2.0), (-0.5, 2.0), (0.5, 2.0))
+"""Where the four legs of `creature` stand: x (left is negative) and z."""
+
+
+def creature() -> Float:
+    """A body along z from the side to the side, and under it four legs of four points each: (28, 3)."""
+    body = [[x, 2 + 0.3 * (z > 1), z] for z in (-2.5, -0.9, 0.8, 2.6) for x in (-0.6, 0.0, 0.7)]
+    legs = [[x * (1 + 0.1 * y), y, z + 0.2 * y] for x, z in LEGS for y in (0.0, 0.5, 1.0, 1.5)]
+    return np.array(body + legs)
+
+
+def ring() -> tuple[Float, Index]:
+    """A torus whose triangles are counter-clockwise from outside."""
+    points, faces = torus(9, 6)
+    return points, faces[:, ::-1]
+
+
+def leg(number: int) -> Index:
+    return np.arange(12 + 4 * number, 16 + 4 * number)
+
+
+def other(points: Float) -> Float:
+    """Another creature in another place: longer, with longer legs, bent a little."""
+    x, y, z = points.T
+    shaped = np.stack([1.3 * x, y + 0.4 * np.minimum(y - 1, 0), 1.2 * z + 0.1 * y**2], axis=1)
+    return np.asarray(3 * shaped @ rotation((0.3, 1.0, -0.2)).T + [5, 0, 2])
+
+
+def markers(targets: Index | None = None) -> Markers:
+    """All points of the creature: itself, or others of the target."""
+    source = np.arange(28)
+    return Markers(source, source if targets is None else targets, tuple(f"<{n}>" for n in source))
+
+
+def exchanged(*pairs: tuple[int, int]) -> Index:
+    order = np.arange(28)
+    for i, j in pairs:
+        order[[i, j]] = order[[j, i]]
+    return order
+
+
+def warned(given: Markers, source: Float, target: Float) -> list[str]:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        check_markers(given, source, target)
+    assert all(warning.category is MixseqWarning for warning in caught)
+    return [str(warning.message) for warning in caught]
+
+
+def named(messages: list[str]) -> set[int]:
+    return {int(number) for number in re.findall(r"<(\d+)>", " ".join(messages))}
+
+
+# Splines ---------------------------------------------------------------------------------------------------
+
+
+def test_affine_maps_do_not_bend() -> None:
+    points = creature()
+    affine = points @ np.random.default_rng(1).normal(size=(3, 3)) + [1, 2, 3]
+    bending = Bending.of(points)
+    assert np.abs(bending.matrix @ affine).max() < 1e-12
+    assert bending.left_out(affine)[0].max() < 1e-10
+
+
+def test_leaving_out_is_what_fitting_the_others_gives() -> None:
+    source, target = creature(), other(creature())
+    distances, _ = Bending.of(source).left_out(target)
+    rest = np.arange(1, 28)
+    # The spline through the others, with the same slack, by its own equations.
+    kernel = -np.linalg.norm(source[rest][:, None] - source[rest], axis=2) + 0.05 * np.eye(27)
+    affine = np.column_stack([np.ones(27), source[rest]])
+    system = np.block([[kernel, affine], [affine.T, np.zeros((4, 4))]])
+    solved = np.linalg.solve(system, np.concatenate([target[rest], np.zeros((4, 3))]))
+    there = np.concatenate([-np.linalg.norm(source[rest] - source[0], axis=1), [1], source[0]]) @ solved
+    assert distances[0] == pytest.approx(np.linalg.norm(target[0] - there), rel=1e-9)
+
+
+# Markers that are right, exchanged, or wrong ------------------------------------------------------------------
+
+
+def test_right_markers_are_left_alone() -> None:
+    assert warned(markers(), creature(), other(creature())) == []
+    assert warned(markers(), creature(), creature()) == []
+
+
+def test_the_same_pair_twice_is_no_harm() -> None:
+    twice = np.concatenate([np.arange(28), np.arange(28)])
+    assert warned(Markers(twice, twice), creature(), other(creature())) == []
+
+
+@pytest.mark.parametrize("pair", [(12, 16), (13, 17), (20, 24), (14, 19), (13, 26)])
+def test_two_exchanged_markers_are_named(pair: tuple[int, int]) -> None:
+    messages = warned(markers(exchanged(pair)), creature(), other(creature()))
+    assert named(messages) == set(pair)
+    assert "seem exchanged" in messages[0]
+
+
+def test_two_pairs_of_exchanged_markers_are_named() -> None:
+    messages = warned(markers(exchanged((12, 16), (21, 25))), creature(), other(creature()))
+    assert named(messages) == {12, 16, 21, 25}
+
+
+@pytest.mark.parametrize("first", [0, 2])
+def test_a_left_leg_taken_for_the_right_is_told(first: int) -> None:
+    left, right = leg(first), leg(first + 1)
+    order = exchanged(*zip(left.tolist(), right.tolist(), strict=True))
+    messages = warned(markers(order), creature(), other(creature()))
+    assert messages
+    found = named(messages)
+    assert len(found & {*left.tolist(), *right.tolist()}) >= 4
+    assert len(found - {*left.tolist(), *right.tolist()}) <= 1
+
+
+def test_a_marker_far_away_is_named() -> None:
+    points, target = creature(), other(creature())
+    away = target[:12].mean(axis=0) + np.array([0.0, 9, 0])
+    target = np.concatenate([target, away[None]])
+    order = np.arange(28)
+    order[17] = 28
+    messages = warned(markers(order), points, target)
+    assert named(messages) == {17}
+    assert "seems wrong" in messages[0]
+    assert "% of the diagonal" in messages[0]
+
+
+# Markers that cannot be used ----------------------------------------------------------------------------------
+
+
+def test_a_mirrored_target_is_refused() -> None:
+    with pytest.raises(
+        SettingsError, match=r"left and right are exchanged in all markers, or one mesh is mirrored"
+    ):
+        check_markers(markers(), creature(), other(creature()) * [-1, 1, 1])
+
+
+def test_markers_that_exchange_left_and_right_throughout_are_refused() -> None:
+    sides_of_body = [(number, number + 2) for number in range(0, 12, 3)]
+    legs = [*zip(leg(0), leg(1), strict=True), *zip(leg(2), leg(3), strict=True)]
+    with pytest.raises(SettingsError, match="left and right are exchanged"):
+        check_markers(markers(exchanged(*sides_of_body, *legs)), creature(), other(creature()))
+
+
+def test_a_flat_sheet_may_be_turned_over() -> None:
+    """Rotations and reflections of a plane are the same to its points; nothing is said of a sheet."""
+    sheet = grid(3, 3)[0]
+    every = np.arange(len(sheet))
+    assert warned(Markers(every, every), sheet, sheet * [-1, 1, 1]) == []
+
+
+@pytest.mark.parametrize(
+    ("pairs", "message"),
+    [
+        ([[0, 0], [1, 1], [2, 2]], "there are 3 markers; at least 4"),
+        ([[0, 0], [1, 1], [2, 2], [28, 3]], r"marker 4 \(28 -> 3\): the source has 28 vertices, 0 to 27"),
+        ([[1, 1], [2, 2], [3, 3], [28, 4]], "subtract 1 from all: the file may count from 1"),
+        ([[0, 0], [1, 1], [2, 2], [3, 99]], r"the target has 28 vertices.* are not exchanged$"),
+        ([[0, 0], [1, 1], [2, 2], [3, -1]], "the target has 28 vertices"),
+        (
+            [[0, 0], [1, 1], [2, 2], [0, 3]],
+            r"markers 1 \(0 -> 0\) and 4 \(0 -> 3\) give vertex 0 of the source two",
+        ),
+        (
+            [[0, 0], [1, 1], [2, 2], [3, 1]],
+            r"markers 2 \(1 -> 1\) and 4 \(3 -> 1\) give vertex 1 of the target two",
+        ),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(pairs: list[list[int]], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        check_markers(Markers.of(pairs), creature(), other(creature()))
+
+
+def test_markers_on_a_line_are_refused() -> None:
+    points = creature()
+    points[:5] = np.linspace(0, 1, 5)[:, None] * [1, 2, 3]
+    with pytest.raises(SettingsError, match="all markers of the source are on one line"):
+        check_markers(Markers.of([[k, k] for k in range(5)]), points, other(creature()))
+
+
+def test_markers_on_a_plane_are_told() -> None:
+    points = creature()
+    points[:6] = [[x, y, 0.0] for x in (-0.5, 0.5) for y in (0.0, 1.0, 2.0)]
+    with pytest.warns(MixseqWarning, match="all markers of the source are on one plane"):
+        check_markers(Markers.of([[k, k] for k in range(6)]), points, points + np.eye(28, 3))
+
+
+def test_markers_on_vertices_without_triangles_are_refused() -> None:
+    unused = Topology(np.array([[1, 2, 3]]), 28)
+    with pytest.raises(SettingsError, match=r"marker 1 \(0 -> 0\): no triangle of the source uses"):
+        check_markers(Markers.of([[0, 0], [1, 1], [2, 2], [3, 3]]), creature(), creature(), unused)
+
+
+def test_the_same_marker_twice_is_one() -> None:
+    pairs = [[0, 0], [1, 1], [2, 2], [1, 1]]
+    with pytest.raises(SettingsError, match="3 markers that differ, of 4; at least 4"):
+        check_markers(Markers.of(pairs), creature(), other(creature()))
+
+
+def test_a_flat_mesh_may_have_strays() -> None:
+    """What no triangle uses is not beside the plane of the markers."""
+    points, faces = grid(4, 4)
+    points = np.concatenate([points, [[1.0, 1.0, 7.0]]])
+    topology = Topology(faces, len(points))
+    pairs = [[k, k] for k in (0, 4, 12, 20, 24)]
+    check_markers(Markers.of(pairs), points, 2 * points, topology, topology)
+
+
+# Inside out ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mesh", [tetrahedron(), ring(), tube(7, 5)])
+def test_closed_components_have_an_outside(mesh: tuple[Float, Index]) -> None:
+    points, faces = mesh
+    assert orientation(points + 100, faces).signs.tolist() == [1]
+    assert orientation(points, faces[:, ::-1]).signs.tolist() == [-1]
+
+
+def test_open_surfaces_have_none() -> None:
+    assert orientation(*grid(3, 4)).signs.tolist() == [0]
+    points, faces = ring()
+    assert orientation(points, faces[1:]).signs.tolist() == [1]  # a small hole does not matter
+
+
+def test_an_inside_out_mesh_is_refused_by_name() -> None:
+    points, faces = ring()
+    check_orientation(points, faces, 2 * points, faces)
+    check_orientation(points, faces[:, ::-1], 2 * points, faces[:, ::-1])
+    with pytest.raises(SettingsError, match=r"the target is inside out.*turn its triangles over"):
+        check_orientation(points, faces, 2 * points, faces[:, ::-1])
+    with pytest.raises(SettingsError, match="the source is inside out"):
+        check_orientation(points, faces[:, ::-1], 2 * points, faces)
+
+
+def test_single_components_inside_out_are_told() -> None:
+    points, faces = joined(ring(), (tetrahedron()[0] / 4 + 9, tetrahedron()[1]))
+    faces[-4:] = faces[-4:, ::-1]
+    with pytest.warns(MixseqWarning, match=rf"1 of 2 components .*that of triangle {len(faces) - 4}\)"):
+        check_orientation(*ring(), points, faces)
+
+
+def test_open_surfaces_are_told_by_a_registration() -> None:
+    points, faces = grid(4, 4)
+    check_orientation(points, faces, points, faces[:, ::-1])
+    check_facing(points, faces, points, faces)
+    with pytest.raises(SettingsError, match=r"100 % of the target's area faces away"):
+        check_facing(points, faces, points, faces[:, ::-1])
+
+
+# Markers that people set --------------------------------------------------------------------------------------
+
+Case = tuple[Markers, Float, Float]
+
+
+def horse_camel(file: str) -> Callable[[Path], Case]:
+    return lambda data: _case(data, data / "markers" / file, "horse_poses", "camel_poses")
+
+
+def ours(file: str, source: str, target: str) -> Callable[[Path], Case]:
+    folder = Path(__file__).parents[2] / "scripts" / "benchmarks" / "markers"
+    return lambda data: _case(data, folder / file, source, target)
+
+
+CASES = {
+    "cons": horse_camel("golevka_horse_camel.cons"),
+    "corr": horse_camel("kylegh_horse_camel_vert.corr"),
+    "yml": horse_camel("markers-horse-camel.yml"),
+    "cat": lambda data: _case(data, data / "markers" / "markers-cat-lion.yml", "cat_poses", "lion_poses"),
+    "wolf": ours("wolf_horse.txt", "q_wolf_gallop", "q_horse_gallop"),
+    "man": ours("man_woman.txt", "q_man_run", "q_woman_run"),
+}
+
+
+def _case(data: Path, file: Path, source: str, target: str) -> Case:
+    points = [mixseq.read(data / "npz" / f"{name}.npz").points[0].astype(float) for name in (source, target)]
+    found = read_markers(file)
+    return (
+        Markers(found.source, found.target, tuple(f"<{n}>" for n in range(len(found)))),
+        points[0],
+        points[1],
+    )
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("name", CASES)
+def test_no_false_alarm(data: Path, name: str) -> None:
+    assert warned(*CASES[name](data)) == []
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("name", ["cons", "corr", "yml", "cat"])
+def test_exchanged_legs_are_named(data: Path, name: str) -> None:
+    given, source, target = CASES[name](data)
+    places = source[given.source]
+    low, high = source.min(axis=0), source.max(axis=0)
+    across = (places[:, 0] - (low + high)[0] / 2) / (high - low)[0]
+    on_leg = places[:, 1] < (low + high)[1] / 2
+    pairs = [
+        (i, j)
+        for i in np.flatnonzero(on_leg & (across < -0.05))
+        for j in np.flatnonzero(on_leg & (across > 0.05))
+    ]
+    chosen = np.random.default_rng(0).permutation(len(pairs))[:5]
+    for i, j in (pairs[number] for number in chosen):
+        targets = given.target.copy()
+        targets[[i, j]] = targets[[j, i]]
+        assert named(warned(Markers(given.source, targets, given.names), source, target)) == {i, j}

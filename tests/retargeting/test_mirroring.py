@@ -1,0 +1,77 @@
+"""Partners on the other side: exact where a body is symmetric, on the right bone where it walks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mixseq.mesh.topology import Topology
+from mixseq.retargeting.mirroring import Mirror
+from tests.meshes import joined, topology_of, torus, tube
+from tests.retargeting.foxes import on_bones, short, tall
+
+pytestmark = pytest.mark.slow
+
+PAIRED = ("ear", "cheek", "forepaw", "forearm", "shank", "hindpaw")
+"""Bones beside the middle."""
+
+
+def test_a_walking_fox() -> None:
+    for fox in (short(), tall()):
+        mirror = Mirror.of(fox.points, fox.topology)
+        assert mirror is not None
+        for side, other in ("lr", "rl"):
+            for bone, vertex in zip(
+                PAIRED, on_bones(fox, *(f"{each}.{side}" for each in PAIRED)), strict=True
+            ):
+                partner = mirror.partner(int(vertex))
+                if partner is not None:
+                    assert fox.bones[partner].endswith(f".{other}"), bone
+                    assert fox.bones[partner].split(".")[0] in (bone, *neighbours(bone))
+        assert (
+            sum(mirror.partner(int(v)) is not None for v in on_bones(fox, "ear.l", "forepaw.l", "hindpaw.l"))
+            == 3
+        )
+
+
+def neighbours(bone: str) -> tuple[str, ...]:
+    """Bones that begin where this one ends; joints are nobody's."""
+    chains = (("arm", "forearm", "forepastern", "forepaw"), ("thigh", "shank", "hindpastern", "hindpaw"))
+    for chain in chains:
+        if bone in chain:
+            place = chain.index(bone)
+            return chain[max(place - 1, 0) : place + 2]
+    return ("head",)
+
+
+def test_the_middle_has_no_partner() -> None:
+    fox = short()
+    mirror = Mirror.of(fox.points, fox.topology)
+    assert mirror is not None
+    assert mirror.partner(int(on_bones(fox, "nose")[0])) is None
+    assert mirror.partner(int(on_bones(fox, "tail4")[0])) is None
+
+
+def test_partners_do_not_depend_on_place_and_unit() -> None:
+    fox = short()
+    one, other = Mirror.of(fox.points, fox.topology), Mirror.of(50 * fox.points + 3, fox.topology)
+    assert one is not None
+    assert other is not None
+    vertices = range(0, len(fox.points), 40)
+    assert [one.partner(v) for v in vertices] == [other.partner(v) for v in vertices]
+
+
+def test_other_components_have_none() -> None:
+    fox, hat = short(), tube(8, 4)
+    points, faces = joined(
+        (fox.points, fox.mesh.faces.astype(np.int64)), (0.05 * hat[0] + [0.3, 1.1, 0], hat[1])
+    )
+    mirror = Mirror.of(points, Topology(faces, len(points)))
+    assert mirror is not None
+    assert mirror.partner(len(fox.points) + 3) is None
+
+
+@pytest.mark.parametrize("mesh", [torus(20, 12), tube(12, 30)])
+def test_bodies_without_limbs_have_no_sides(mesh: tuple[np.ndarray, np.ndarray]) -> None:
+    mirror = Mirror.of(mesh[0], topology_of(mesh))
+    assert mirror is None

@@ -1,0 +1,172 @@
+"""Non-rigid registration: what is reached exactly, what closely, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mixseq.errors import SettingsError
+from mixseq.mesh.nearest import Nearest
+from mixseq.mesh.triangle_mesh import TriangleMesh
+from mixseq.retargeting.markers import Markers, fit_similarity, pair_components
+from mixseq.retargeting.registration import (
+    Energy,
+    Registration,
+    RegistrationSettings,
+    SoftConstraints,
+    nearest_similarities,
+    register,
+)
+from mixseq.types import Float
+from tests.meshes import Mesh, bent, joined, rotation, topology_of, torus, tube
+
+pytestmark = pytest.mark.slow
+
+TUBE = tube(10, 25)
+MARKED = np.array([0, 5, 62, 67, 120, 125, 182, 187, 243, 248, 250, 251])
+
+
+def surface(mesh: Mesh) -> TriangleMesh:
+    return TriangleMesh(mesh[0], topology_of(mesh))
+
+
+def registered(source: Mesh, target: Mesh, marked: NDArray[np.int64] = MARKED) -> Registration:
+    """Register meshes of which equal vertices are marked."""
+    markers = Markers(marked, marked)
+    start, goal = surface(source), surface(target)
+    return register(start, goal, pair_components(start.topology, goal.topology, markers), markers)
+
+
+def diagonal(points: Float) -> float:
+    return float(np.linalg.norm(np.ptp(points, axis=0)))
+
+
+def test_a_mesh_is_already_on_itself() -> None:
+    result = registered(TUBE, TUBE)
+    np.testing.assert_allclose(result.points, TUBE[0], atol=1e-9)
+    assert result.residuals.max() < 1e-9
+
+
+def test_a_similarity_is_undone() -> None:
+    points = 40.0 * TUBE[0] @ rotation((0.3, -1.2, 2.0)).T + [300.0, 20.0, -70.0]
+    result = registered(TUBE, (points, TUBE[1]))
+    assert result.similarity.scale == pytest.approx(40.0)
+    np.testing.assert_allclose(result.points, points, atol=1e-9 * diagonal(points))
+
+
+def test_a_mirrored_set_of_points_gets_a_rotation_all_the_same() -> None:
+    points = np.random.default_rng(0).normal(size=(9, 3))
+    found = fit_similarity(points, points * [1.0, 1.0, -1.0])
+    assert np.linalg.det(found.rotation) == pytest.approx(1.0)
+
+
+def test_a_smooth_warp_is_found() -> None:
+    """A tube that widens and winds: no vertex is further from where it went than a third of an edge."""
+    z = TUBE[0][:, 2:]
+    points = TUBE[0] * [1.0, 1.0, 1.1] * (1 + 0.1 * z * [1, 1, 0])
+    points[:, 0] += 0.3 * np.sin(z[:, 0])
+    result = registered(TUBE, (points, TUBE[1]))
+    error = np.linalg.norm(result.points - points, axis=1) / diagonal(points)
+    assert error.mean() < 0.003
+    assert error.max() < 0.013
+    assert result.residuals[-1] < 0.05 * result.residuals[0]
+
+
+def test_a_sharp_bend_is_covered() -> None:
+    """Where a featureless tube bends between markers, vertices may slide along it, but not off it."""
+    points = bent(TUBE[0], 1.2)
+    result = registered(TUBE, (points, TUBE[1]))
+    distances = Nearest.of(result.points, TUBE[1]).query(points).distances / diagonal(points)
+    assert distances.max() < 0.02
+    error = np.linalg.norm(result.points - points, axis=1) / diagonal(points)
+    assert error.max() < 0.08  # two edges
+
+
+def test_the_energy_does_not_see_similarities() -> None:
+    mesh = torus(12, 8)
+    energy = Energy(surface(mesh), 0.1, 0.1)
+    turned = 1.7 * rotation((1.0, 2.0, 0.5))
+    goals = mesh[0] @ turned.T + [1.0, 2, 3]
+    marked = np.array([[0], [30], [60], [77]])
+    pull = SoftConstraints(marked, np.ones((4, 1)), goals[marked[:, 0]], np.full(4, 1e3))
+    points, maps = energy.minimise(1.0, np.broadcast_to(turned, (len(goals), 3, 3)), [pull])
+    np.testing.assert_allclose(points, goals, atol=1e-8)
+    np.testing.assert_allclose(maps, np.broadcast_to(turned, maps.shape), atol=1e-8)
+
+
+def test_a_pull_on_a_triangle_is_a_pull_on_its_point() -> None:
+    """Four points that all go the same way take the mesh along."""
+    mesh = torus(12, 8)
+    energy = Energy(surface(mesh), 0.1, 0.1)
+    corners, weights = mesh[1][[3, 40, 90, 150]], np.array([[0.2, 0.3, 0.5]] * 4)
+    moved = mesh[0] + np.array([0.5, 0.0, -1.0])
+    goals = np.einsum("nk,nkc->nc", weights, moved[corners])
+    identity = np.broadcast_to(np.eye(3), (len(mesh[0]), 3, 3))
+    points, _ = energy.minimise(1.0, identity, [SoftConstraints(corners, weights, goals, np.ones(4))])
+    np.testing.assert_allclose(points, moved, atol=1e-8)
+
+
+def test_nearest_similarities_do_not_mirror() -> None:
+    maps = np.stack([np.diag([2.0, 2.0, 2.0]), np.diag([1.0, 2.0, 3.0]), np.diag([-1.0, 1.0, 1.0])])
+    found = nearest_similarities(maps)
+    np.testing.assert_allclose(found[:2], np.stack([2 * np.eye(3), 2 * np.eye(3)]), atol=1e-12)
+    assert np.linalg.det(found[2]) >= 0
+
+
+def test_a_component_without_a_marker_goes_with_its_neighbour() -> None:
+    small = tube(5, 4, length=0.3, radius=0.1)
+    at = np.array([0.8, 0.0, 3.7])
+    source = joined(TUBE, (small[0] + at, small[1]))
+    points = 2.0 * TUBE[0] + [5.0, 0, 0]
+    result = registered(source, (points, TUBE[1]))
+    np.testing.assert_allclose(result.points[len(TUBE[0]) :], 2.0 * (small[0] + at) + [5.0, 0, 0], atol=1e-7)
+
+
+def test_components_are_drawn_to_their_own() -> None:
+    """Two concentric tubes change their radii so that each ends nearer to where the other began."""
+    inner, outer = tube(10, 25, radius=0.5), tube(10, 25, radius=0.7)
+    source = joined(inner, outer)
+    target = joined(tube(10, 25, radius=0.62), tube(10, 25, radius=0.8))
+    marked = np.concatenate([MARKED, MARKED + len(inner[0])])
+    result = registered(source, target, marked)
+    np.testing.assert_allclose(result.points, target[0], atol=0.01)
+
+
+def test_it_repeats() -> None:
+    target = bent(TUBE[0], 1.0), TUBE[1]
+    first, second = registered(TUBE, target), registered(TUBE, target)
+    assert np.array_equal(first.points, second.points)
+
+
+def test_progress_is_told() -> None:
+    told: list[tuple[int, int, str]] = []
+    markers = Markers(MARKED, MARKED)
+    mesh = surface(TUBE)
+    pairings = pair_components(mesh.topology, mesh.topology, markers)
+    settings = RegistrationSettings(steps=2, rounds=2)
+    result = register(mesh, mesh, pairings, markers, settings, lambda *step: told.append(step))
+    assert [done for done, _, _ in told] == list(range(8))  # three rounds with markers alone, and four
+    assert {total for _, total, _ in told} == {7}
+    assert len(result.residuals) == 4
+
+
+def test_markers_in_one_place_are_refused() -> None:
+    with pytest.raises(SettingsError, match="in one place"):
+        fit_similarity(np.zeros((5, 3)), np.random.default_rng(0).normal(size=(5, 3)))
+
+
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [
+        ({"softest": 0.0}, "softest"),
+        ({"steps": 0}, "steps"),
+        ({"softest": 2.0}, "stiffest"),
+        ({"last_distance": 0.5}, "largest_distance"),
+        ({"largest_angle": 200.0}, "degrees"),
+        ({"markers": float("nan")}, "markers"),
+    ],
+)
+def test_settings_are_checked(bad: dict[str, float], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        RegistrationSettings(**bad)  # type: ignore[arg-type]

@@ -1,0 +1,116 @@
+"""Tables that may be larger than memory are tables."""
+
+from __future__ import annotations
+
+import gc
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from mixseq.errors import OutputError
+from mixseq.runtime import low_memory
+from mixseq.runtime.low_memory import DiskArray, column_blocks, new_large_array
+from mixseq.runtime.parallel import on_threads
+
+
+def on_disk(values: NDArray[Any], step: int = 3) -> DiskArray:
+    """The same numbers on disk, written in blocks of rows."""
+    made = DiskArray(values.shape, values.dtype)
+    for start in range(0, len(values), step):
+        made[start : start + step] = values[start : start + step]
+    return made
+
+
+@given(
+    rows=st.integers(1, 9),
+    width=st.integers(1, 9),
+    columns=st.integers(1, 10),
+    picked=st.data(),
+    step=st.integers(1, 4),
+)
+def test_rows_and_columns_are_those_of_an_array(
+    rows: int, width: int, columns: int, picked: st.DataObject, step: int
+) -> None:
+    values = np.arange(rows * width, dtype=np.float64).reshape(rows, width)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(low_memory, "_COLUMNS", columns)
+        made = on_disk(values, step)
+        chosen = np.array(picked.draw(st.lists(st.integers(0, rows - 1))), dtype=np.int64)
+        np.testing.assert_array_equal(made[chosen], values[chosen])
+        np.testing.assert_array_equal(made[1:], values[1:])
+        blocks = list(column_blocks(made))
+        for (one, ours), (other, theirs) in zip(blocks, column_blocks(values), strict=True):
+            assert one == other
+            assert ours.shape == (rows, one.stop - one.start)
+            np.testing.assert_array_equal(ours, theirs)
+    assert len(made) == rows
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_rows_have_any_shape_and_precision(dtype: type) -> None:
+    points: NDArray[Any] = np.random.default_rng(0).standard_normal((5, 7, 3)).astype(dtype)
+    made = on_disk(points)
+    assert (made.shape, made.dtype) == (points.shape, points.dtype)
+    np.testing.assert_array_equal(made[np.array([4, 0, 1])], points[[4, 0, 1]])
+    np.testing.assert_array_equal(made[:0], points[:0])
+
+
+def test_small_tables_are_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert isinstance(new_large_array((4, 8)), np.ndarray)
+    monkeypatch.setattr(low_memory, "IN_MEMORY", 4 * 8 * 8 - 1)
+    assert isinstance(new_large_array((4, 8)), DiskArray)
+    assert isinstance(new_large_array((4, 8), np.float32), np.ndarray)
+
+
+def test_many_rows_come_in_narrow_blocks() -> None:
+    wide = next(column_blocks(np.zeros((2, 20_000))))[1]
+    narrow = next(column_blocks(np.zeros((100_000, 200))))[1]
+    assert wide.shape == (2, 1 << 14)
+    assert narrow.shape == (100_000, 83)
+
+
+def test_files_vanish_with_their_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    made = on_disk(np.ones((3, 4)))
+    number = made._file.fileno()
+    if os.name == "posix":
+        assert not list(tmp_path.iterdir()), "it has no name even while it is used"
+    del made
+    gc.collect()
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(number)
+    assert not list(tmp_path.iterdir())
+
+
+def test_threads_read_what_was_written() -> None:
+    array = DiskArray((400, 3000))
+    array[0:400] = np.tile(np.arange(400.0)[:, None], (1, 3000))
+
+    def row(_: None, number: int) -> bool:
+        return bool((array[number : number + 1] == number).all())
+
+    assert all(on_threads(8)(row, None, [*range(400)] * 4))
+
+
+def test_a_full_disk_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Full:
+        def seek(self, place: int) -> None:
+            pass
+
+        def write(self, data: object) -> None:
+            raise OSError(28, "No space left on device")
+
+        def close(self) -> None:
+            pass
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", Full)
+    made = DiskArray((1000, 500_000))
+    with pytest.raises(OutputError, match=r"temporary file of 4\.0 GB in .*No space left.*set TMPDIR"):
+        made[0:1] = np.zeros((1, 500_000))

@@ -1,0 +1,270 @@
+"""The one place where sequences are validated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import FrozenInstanceError
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mixseq.errors import InvalidSequenceError
+from mixseq.mesh.polygons import Polygons
+from mixseq.sequence.header import SequenceHeader, header_fields
+from mixseq.sequence.sequence import MeshSequence, bounding_diagonal, check_block, check_frames, collect
+
+
+def points(frames: int = 3, vertices: int = 4) -> Any:
+    return np.random.default_rng(0).normal(size=(frames, vertices, 3))
+
+
+FACES = [[0, 1, 2], [0, 2, 3]]
+
+
+def spoilt(value: float, frame: int = 1, vertex: int = 2) -> Any:
+    result = points()
+    result[frame, vertex, 1] = value
+    return result
+
+
+BAD: dict[str, tuple[Callable[[], object], str]] = {
+    "two dimensions": (
+        lambda: MeshSequence.from_arrays(np.zeros((4, 3)), FACES),
+        r"points have shape \(4, 3\); \(frames, vertices, 3\) is expected",
+    ),
+    "plane": (
+        lambda: MeshSequence.from_arrays(np.zeros((2, 4, 2)), FACES),
+        r"points have shape \(2, 4, 2\)",
+    ),
+    "text": (lambda: MeshSequence.from_arrays([[["a", "b", "c"]] * 3], FACES), "points are not numbers"),
+    "nan": (
+        lambda: MeshSequence.from_arrays(spoilt(np.nan), FACES),
+        r"frame 1: vertex 2 is \[.*nan.*\]; coordinates must be finite",
+    ),
+    "inf": (lambda: MeshSequence.from_arrays(spoilt(-np.inf, 0, 3), FACES), r"frame 0: vertex 3 is \[.*-inf"),
+    "no frames": (lambda: MeshSequence.from_arrays(points(0), FACES), "the sequence has no frames"),
+    "two vertices": (
+        lambda: MeshSequence.from_arrays(points(2, 2), [[0, 1, 1]]),
+        "the mesh has 2 vertices; at least 3 are needed",
+    ),
+    "no faces": (
+        lambda: MeshSequence.from_arrays(points(), np.zeros((0, 3), dtype=int)),
+        "the mesh has no faces; a triangle mesh is needed",
+    ),
+    "quads as faces": (
+        lambda: MeshSequence.from_arrays(points(), [[0, 1, 2, 3]]),
+        r"faces have shape \(1, 4\); \(F, 3\) is expected",
+    ),
+    "fractions": (
+        lambda: MeshSequence.from_arrays(points(), [[0.0, 1.0, 2.0]]),
+        "faces have type float64; integers are expected",
+    ),
+    "beyond": (
+        lambda: MeshSequence.from_arrays(points(), [[0, 1, 2], [1, 2, 4]]),
+        "face 1 uses vertex 4, but vertices are 0 to 3",
+    ),
+    "below": (lambda: MeshSequence.from_arrays(points(), [[0, 1, -1]]), "face 0 uses vertex -1"),
+    "beyond in polygons": (
+        lambda: MeshSequence.from_arrays(
+            points(), Polygons(np.array([4, 3]), np.array([0, 1, 2, 3, 0, 1, 9]))
+        ),
+        "face 1 uses vertex 9",
+    ),
+    "huge indices": (
+        lambda: MeshSequence.from_arrays(points(), [[0, 1, 2**31]]),
+        "faces do not fit into 32 bits",
+    ),
+    "lines": (
+        lambda: Polygons(np.array([3, 2]), np.array([0, 1, 2, 0, 1])),
+        "polygon 1 has 2 corners; a face needs at least 3",
+    ),
+    "corners missing": (
+        lambda: Polygons(np.array([3, 3]), np.array([0, 1, 2, 0, 1])),
+        "add up to 6 but 5 corners are given",
+    ),
+    "too few times": (
+        lambda: MeshSequence.from_arrays(points(), FACES, [0.0, 1.0]),
+        "3 frames of points but 2 times",
+    ),
+    "times stand still": (
+        lambda: MeshSequence.from_arrays(points(), FACES, [0.0, 1.0, 1.0]),
+        "frame 2 is at 1 s, not after frame 1 at 1 s; times must increase",
+    ),
+    "times run back": (
+        lambda: MeshSequence.from_arrays(points(), FACES, [0.0, -1.0, 1.0]),
+        "frame 1 is at -1 s",
+    ),
+    "no time": (
+        lambda: MeshSequence.from_arrays(points(), FACES, [0.0, np.nan, 1.0]),
+        "frame 1: its time is not finite",
+    ),
+    "fps 0": (lambda: MeshSequence.from_arrays(points(), FACES, fps=0.0), "fps is 0.0; a positive number"),
+    "fps nan": (
+        lambda: MeshSequence.from_arrays(points(), FACES, [0, 1, 2], fps=np.nan),
+        "fps is nan; a positive number",
+    ),
+    "no size": (
+        lambda: MeshSequence.from_arrays(points(), FACES, metres_per_unit=-1),
+        "metres_per_unit is -1.0; a positive number",
+    ),
+    "axis": (
+        lambda: MeshSequence.from_arrays(points(), FACES, up_axis="z"),
+        "up axis is 'z'; one of X, Y, Z is expected",
+    ),
+    "name": (
+        lambda: MeshSequence.from_arrays(points(), FACES, name="a\0b"),
+        "has characters that no file can hold",
+    ),
+    "half a letter": (lambda: MeshSequence.from_arrays(points(), FACES, name="\ud800"), "no file can hold"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_what_is_not_a_sequence_is_refused(name: str) -> None:
+    make, message = BAD[name]
+    with pytest.raises(InvalidSequenceError, match=message):
+        make()
+
+
+def test_defaults() -> None:
+    sequence = MeshSequence.from_arrays(points(), FACES)
+    np.testing.assert_allclose(sequence.times, [0, 1 / 24, 2 / 24])
+    assert (sequence.fps, sequence.up_axis, sequence.metres_per_unit, sequence.name) == (24, "Y", 1, "mesh")
+    assert (len(sequence), sequence.frame_count, sequence.vertex_count) == (3, 3, 4)
+    assert repr(sequence) == "MeshSequence('mesh': 3 frames, 4 vertices, 2 faces, 24 fps)"
+
+
+@pytest.mark.parametrize(
+    ("dtype", "kept"),
+    [(np.float32, np.float32), (np.float64, np.float64), (np.int16, np.float64), (np.float16, np.float64)],
+)
+def test_points_keep_single_and_double_precision(dtype: type, kept: type) -> None:
+    array: NDArray[Any] = np.arange(36).reshape(3, 4, 3).astype(dtype)
+    sequence = MeshSequence.from_arrays(array, FACES)
+    assert sequence.points.dtype == kept
+    np.testing.assert_array_equal(sequence.points, array)
+
+
+def test_polygons_are_fanned_about_their_first_corners() -> None:
+    polygons = Polygons(np.array([5, 3, 4]), np.array([4, 0, 1, 2, 3, 7, 8, 9, 5, 6, 1, 0]))
+    assert polygons.triangles.tolist() == [
+        [4, 0, 1],
+        [4, 1, 2],
+        [4, 2, 3],
+        [7, 8, 9],
+        [5, 6, 1],
+        [5, 1, 0],
+    ]
+    assert polygons.triangles.dtype == np.int32
+    assert not polygons.only_triangles
+    assert Polygons.from_triangles(FACES).only_triangles
+    assert Polygons.from_triangles(FACES).triangles.tolist() == FACES
+
+
+def test_the_triangulation_does_not_depend_on_the_pose() -> None:
+    """A quad that is folded along one diagonal or the other has the same triangles."""
+    quad = Polygons(np.array([4]), np.array([0, 1, 2, 3]))
+    flat = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    for corner in range(4):
+        folded = flat.copy()
+        folded[corner, 2] = 0.9
+        sequence = MeshSequence.from_arrays(folded[None], quad)
+        assert sequence.faces.tolist() == [[0, 1, 2], [0, 2, 3]]
+
+
+def test_polygons_are_compared_corner_by_corner() -> None:
+    quad = Polygons(np.array([4]), np.array([0, 1, 2, 3]))
+    assert quad.same_as(Polygons(np.array([4]), np.array([0, 1, 2, 3])))
+    assert not quad.same_as(Polygons(np.array([4]), np.array([1, 2, 3, 0])))
+    assert not quad.same_as(Polygons.from_triangles(FACES))
+
+
+def whole() -> MeshSequence:
+    return MeshSequence.from_arrays(
+        points(), Polygons(np.array([4]), np.arange(4)), [0.5, 0.75, 2.0], 30, "Z", 0.01, "läufer"
+    )
+
+
+def test_a_sequence_is_its_header_and_its_points() -> None:
+    sequence = whole()
+    header = sequence.header
+    assert type(header) is SequenceHeader
+    again = MeshSequence.from_header(header, sequence.points)
+    assert header_fields(again).keys() == header_fields(sequence).keys()
+    for name, value in header_fields(sequence).items():
+        assert getattr(again, name) is value or np.array_equal(getattr(again, name), value), name
+    np.testing.assert_array_equal(again.points, sequence.points)
+    assert (header.vertex_count, header.frame_count, header.fps, header.up_axis) == (4, 3, 30, "Z")
+
+
+def test_other_times_and_other_points() -> None:
+    sequence = whole()
+    header = sequence.header.with_times([1, 2], fps=5)
+    assert (header.times.tolist(), header.fps, header.name) == ([1.0, 2.0], 5, "läufer")
+    assert header.polygons is sequence.polygons
+    assert sequence.header.with_times([0.0]).fps == 30
+    doubled = sequence.with_points(2 * sequence.points)
+    np.testing.assert_array_equal(doubled.points, 2 * sequence.points)
+    np.testing.assert_array_equal(doubled.times, sequence.times)
+    with pytest.raises(InvalidSequenceError, match=r"frame 15 \(index 0\) has 5 vertices, the mesh has 4"):
+        sequence.with_points(points(3, 5))
+
+
+def test_sequences_do_not_change() -> None:
+    sequence = whole()
+    for array in (
+        sequence.points,
+        sequence.times,
+        sequence.polygons.counts,
+        sequence.polygons.indices,
+        sequence.faces,
+    ):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
+    with pytest.raises(FrozenInstanceError):
+        sequence.fps = 12.0  # type: ignore[misc]
+    with pytest.raises(FrozenInstanceError):
+        sequence.points = points()  # type: ignore[misc]
+
+
+def test_the_callers_array_stays_writeable() -> None:
+    mine = points()
+    MeshSequence.from_arrays(mine, FACES)
+    mine[0] = 0.0
+
+
+def test_diagonal() -> None:
+    box = np.array([[[0.0, 0, 0], [1, 2, 2], [0.5, 1, 1]]] * 2)
+    box[1] *= 10
+    assert MeshSequence.from_arrays(box, [[0, 1, 2]]).diagonal == pytest.approx(3)
+    assert bounding_diagonal(box[1]) == pytest.approx(30)
+    assert bounding_diagonal(np.full((3, 3), 3e38, dtype=np.float32)) == 0
+    wide = np.array([[-3e38, 0, 0], [3e38, 0, 0]], dtype=np.float32)
+    assert bounding_diagonal(wide) == pytest.approx(6e38)  # more than float32 holds
+
+
+def test_blocks_are_collected() -> None:
+    sequence = whole()
+    gathered = collect(sequence.header, iter([sequence.points[:1], sequence.points[1:]]))
+    np.testing.assert_array_equal(gathered.points, sequence.points)
+    with pytest.raises(InvalidSequenceError, match="0 frames of points but 3 times"):
+        collect(sequence.header, iter([]))
+
+
+def test_blocks_are_checked_by_the_frames_they_hold() -> None:
+    header = whole().header
+    check_block(header, points(2), first_frame=100)
+    with pytest.raises(InvalidSequenceError, match="frame 101: vertex 2 is"):
+        check_block(header, spoilt(np.nan), first_frame=100)
+    with pytest.raises(InvalidSequenceError, match="frame 100 has 7 vertices, the mesh has 4"):
+        check_block(header, points(2, 7), first_frame=100)
+    with pytest.raises(InvalidSequenceError, match=r"points have shape \(4, 3\)"):
+        check_block(header, points()[0], first_frame=0)
+
+
+@pytest.mark.parametrize("wrong", ["walk.npz", np.zeros((2, 3, 3)), None])
+def test_what_is_no_sequence_is_refused(wrong: object) -> None:
+    with pytest.raises(InvalidSequenceError, match="a MeshSequence or an open sequence is expected, not"):
+        check_frames(wrong)

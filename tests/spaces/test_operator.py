@@ -1,0 +1,276 @@
+"""Weights of frames at any time: splines in the limit, exact for lines, chosen by leaving frames out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.interpolate import CubicSpline
+
+from mixseq.spaces import temporal as module
+from mixseq.spaces.temporal import LEFT_OUT, LENGTHS, WINDOW, Operator, Rows, chosen, with_middles
+from mixseq.types import Float
+from tests.meshes import seeds
+
+UNEVEN = np.array([0.0, 0.3, 0.4, 1.1, 1.5, 1.6, 2.4, 3.0])
+NATURAL = (0.0, 0.0)
+OPERATORS = [
+    Operator(UNEVEN, length, cubic)
+    for length in (np.inf, 4.0, 1.0)
+    for cubic in (NATURAL, (0.5, 0.5), (1.0, 0.2))
+]
+
+
+def full(rows: Rows) -> Float:
+    """The weights of all frames, ``(N, T)``."""
+    return rows.of(np.eye(rows.count))
+
+
+@pytest.mark.parametrize("operator", OPERATORS)
+def test_weights_add_up_to_one(operator: Operator) -> None:
+    rows = operator.at(np.linspace(0, 3, 41))
+    np.testing.assert_allclose(rows.weights.sum(axis=1), 1.0, atol=1e-12)
+    assert (np.diff(rows.frames, axis=1) == 1).all()
+
+
+@pytest.mark.parametrize("operator", OPERATORS)
+def test_at_a_frame_it_has_the_weight_one(operator: Operator) -> None:
+    np.testing.assert_array_equal(full(operator.at(UNEVEN)), np.eye(len(UNEVEN)))
+    both = full(operator.at(with_middles(UNEVEN)))
+    np.testing.assert_array_equal(both[::2], np.eye(len(UNEVEN)))
+    np.testing.assert_array_equal(both[1::2], full(operator.at((UNEVEN[:-1] + UNEVEN[1:]) / 2)))
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=seeds, length=st.sampled_from(LENGTHS), share=st.floats(0, 1), frames=st.integers(1, 60))
+def test_lines_stay_lines_and_frames_are_passed(seed: int, length: float, share: float, frames: int) -> None:
+    rng = np.random.default_rng(seed)
+    times = rng.normal() + np.cumsum(rng.uniform(0.2, 1.8, frames)) * 10.0 ** rng.integers(-3, 3)
+    operator = Operator(times, length, (share, 1 - share))
+    span = np.ptp(times) or 1.0
+    between = np.sort(rng.uniform(times[0], times[-1], 30))
+    line, expected = (np.stack([np.ones(len(t)), (t - times[0]) / span], axis=1) for t in (times, between))
+    np.testing.assert_allclose(operator.at(between).of(line), expected, atol=1e-10)
+    values = rng.normal(size=(frames, 2, 3))
+    np.testing.assert_array_equal(operator.at(times).of(values), values)
+
+
+def test_infinite_lengths_are_natural_splines() -> None:
+    values = np.random.default_rng(0).normal(size=(len(UNEVEN), 2))
+    times = np.linspace(0, 3, 50)
+    expected = CubicSpline(UNEVEN, values, bc_type="natural")(times)
+    found = Operator(UNEVEN, np.inf, NATURAL).at(times).of(values)
+    np.testing.assert_allclose(found, expected, atol=1e-11)
+
+
+@pytest.mark.parametrize("length", [np.inf, 2.0])
+def test_at_the_ends_the_usual_spline_has_a_share(length: float) -> None:
+    values = np.random.default_rng(0).normal(size=(len(UNEVEN), 2))
+    times = np.linspace(0, 3, 101)
+    own = Operator(UNEVEN, length, NATURAL).at(times).of(values)
+    usual = CubicSpline(UNEVEN, values)(times)
+    shares = np.where(times < UNEVEN[1], 0.3, np.where(times > UNEVEN[-2], 1.0, 0.0))[:, None]
+    found = Operator(UNEVEN, length, (0.3, 1.0)).at(times).of(values)
+    np.testing.assert_allclose(found, (1 - shares) * own + shares * usual, atol=1e-11)
+
+
+def test_long_lengths_come_near_the_natural_spline() -> None:
+    times = np.linspace(0, 3, 50)
+    spline = full(Operator(UNEVEN, np.inf, NATURAL).at(times))
+    away = [
+        np.abs(full(Operator(UNEVEN, length, NATURAL).at(times)) - spline).max() for length in (4, 40, 400)
+    ]
+    assert away[0] < 0.1
+    assert away[1] < 0.2 * away[0]
+    assert away[2] < 0.2 * away[1]
+
+
+def test_shorter_lengths_overshoot_less() -> None:
+    times = np.arange(10.0)
+    step = (times > 4).astype(np.float64)
+    between = np.linspace(0, 9, 181)
+    over = [Operator(times, length, NATURAL).at(between).of(step).max() - 1 for length in LENGTHS]
+    assert over[0] > 0.1
+    assert (np.diff(over) < 0).all()
+    assert over[-1] < 0.8 * over[0]
+
+
+@pytest.mark.parametrize("length", [np.inf, 2.0])
+def test_frames_that_are_evenly_spaced_share_a_system(length: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many there are, and wherever they begin: what is solved is the same but for rounding."""
+    sizes = []
+    name = "spline_weights" if np.isinf(length) else "_kriging"
+    solve = getattr(module, name)
+
+    def counted(knots: Float, times: Float, *given: object) -> object:
+        sizes.append(len(times))
+        return solve(knots, times, *given)
+
+    monkeypatch.setattr(module, name, counted)
+    frames, between = np.arange(200.0), np.linspace(0, 199, 301)
+    whole = Operator(frames, length, NATURAL).at(between)
+    moved = Operator(7.3 + frames / 24, length, NATURAL).at(7.3 + between / 24)
+    assert sizes == [301, 301]
+    np.testing.assert_allclose(moved.weights, whole.weights, atol=1e-9)
+
+
+def test_frames_that_are_nearly_at_one_time_stay_two() -> None:
+    times = np.array([0.0, 2.0**-40, 2.0, 3.0])
+    found = Operator(times, np.inf, NATURAL).at(np.array([0.5, 2.5])).of(times[:, None])
+    np.testing.assert_allclose(found[:, 0], [0.5, 2.5], atol=1e-6)
+
+
+@settings(max_examples=10, deadline=None)
+@given(shift=st.floats(-1e3, 1e3), scale=st.floats(1e-3, 1e3), length=st.sampled_from(LENGTHS))
+def test_units_of_time_do_not_matter(shift: float, scale: float, length: float) -> None:
+    times = np.linspace(0.1, 2.9, 20)
+    here = full(Operator(UNEVEN, length).at(times))
+    there = full(Operator(shift + scale * UNEVEN, length).at(shift + scale * times))
+    np.testing.assert_allclose(there, here, atol=1e-5)
+
+
+def test_backwards_is_the_mirror_image() -> None:
+    times = np.linspace(0.05, 2.95, 20)
+    for operator in OPERATORS:
+        mirrored = replace(operator, times=3.0 - UNEVEN[::-1], cubic=operator.cubic[::-1])
+        np.testing.assert_allclose(
+            full(mirrored.at(3.0 - times)), full(operator.at(times))[:, ::-1], atol=1e-10
+        )
+
+
+@pytest.mark.parametrize("length", [np.inf, 2.0])
+def test_few_frames(length: float) -> None:
+    """One frame is everywhere, two are joined by a line; three and more by curves."""
+    one = Operator(np.array([0.5]), length)
+    np.testing.assert_array_equal(full(one.at(np.array([0.0, 0.5, 2.0]))), np.ones((3, 1)))
+    two, line = Operator(np.array([1.0, 3.0]), length), np.array([[1.0, 0.0], [0.75, 0.25], [0.5, 0.5]])
+    np.testing.assert_allclose(full(two.at(np.array([1.0, 1.5, 2.0]))), line, atol=1e-14)
+    three = Operator(np.array([0.0, 1.0, 2.0]), length, (1.0, 1.0))
+    parabola = np.array([[0.375, 0.75, -0.125], [-0.125, 0.75, 0.375]])
+    np.testing.assert_allclose(full(three.at(np.array([0.5, 1.5]))), parabola, atol=1e-14)
+
+
+def test_no_times_have_no_rows() -> None:
+    assert Operator(UNEVEN).at(np.zeros(0)).of(np.ones((len(UNEVEN), 2))).shape == (0, 2)
+
+
+@pytest.mark.parametrize(
+    ("length", "inner", "everywhere"), [(np.inf, 1e-12, 1e-12), (4.0, 1e-3, 5e-3), (1.0, 6e-3, 8e-3)]
+)
+def test_windows_are_nearly_as_good_as_all_frames(
+    length: float, inner: float, everywhere: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With short lengths, and near the ends, all frames together tell where the trend is."""
+    times = np.cumsum(np.random.default_rng(3).uniform(0.5, 1.5, 4 * WINDOW))
+    operator = Operator(times, length)
+    between = np.linspace(times[0], times[-1], 500)
+    near = operator.at(between)
+    assert near.frames.shape == (500, WINDOW)
+    monkeypatch.setattr(module, "WINDOW", len(times))
+    far = operator.at(between)
+    assert far.frames.shape == (500, len(times))
+    away = np.abs(full(near) - full(far)).max(axis=1)
+    assert away.max() < everywhere
+    assert away[20:-20].max() < inner
+
+
+@pytest.mark.parametrize("count", [3, 4, 9, WINDOW + 1, 3 * WINDOW])
+@pytest.mark.parametrize(("length", "cubic"), [(np.inf, False), (2.0, False), (2.0, True)])
+def test_frames_that_are_left_out_have_no_weight(count: int, length: float, cubic: bool) -> None:
+    times = np.cumsum(np.random.default_rng(count).uniform(0.5, 1.5, count))
+    left, rows = Operator(times, length).left_out(cubic)
+    assert len(left) == len(np.unique(left)) == min(count - 2, LEFT_OUT)
+    assert left[0] == 1
+    assert left[-1] == count - 2
+    assert (np.diff(rows.frames, axis=1) > 0).all()
+    assert (rows.frames != left[:, None]).all()
+    assert (full(rows)[np.arange(len(left)), left] == 0).all()
+    line = np.stack([np.ones(count), times / times[-1]], axis=1)
+    np.testing.assert_allclose(rows.of(line), line[left], atol=1e-12)
+
+
+def test_a_frame_left_out_is_predicted_as_if_it_were_not_there() -> None:
+    operator, number = Operator(UNEVEN, 2.8), 3
+    others = np.delete(UNEVEN, number)
+    step = (len(others) - 1) / (len(UNEVEN) - 1)  # without it frames are farther apart on average
+    alone = Operator(others, 2.8 * step, NATURAL).at(UNEVEN[[number]])
+    usual = CubicSpline(others, np.eye(len(others)))(UNEVEN[[number]])
+    for cubic, expected in ((False, full(alone)), (True, usual)):
+        left, rows = operator.left_out(cubic)
+        found = np.delete(full(rows)[list(left).index(number)], number)
+        np.testing.assert_allclose(found, expected[0], atol=1e-12)
+
+
+def test_dense_frames_of_something_smooth_take_the_usual_spline_at_the_ends() -> None:
+    times = np.linspace(0, 2, 60)
+    samples = np.stack([np.cos(3 * times), np.cos(2 * times)], axis=1)
+    operator = chosen(times, samples)
+    assert operator.length >= 5.6
+    assert min(operator.cubic) > 0.9
+    between = np.linspace(0, 2, 500)
+    truth = np.stack([np.cos(3 * between), np.cos(2 * between)], axis=1)
+    away = np.abs(operator.at(between).of(samples) - truth).max()
+    assert away < 0.5 * np.abs(Operator(times, np.inf, NATURAL).at(between).of(samples) - truth).max()
+
+
+def test_each_end_has_its_own_share() -> None:
+    """A motion that starts from rest, and goes straight on in the end, but for some noise."""
+    times = np.linspace(0, 3, 25)
+    noise = 1e-4 * np.random.default_rng(0).normal(size=(25, 30))
+    samples = np.where(times < 1, times**2, 2 * times - 1)[:, None] * np.ones(30) + noise
+    first, last = chosen(times, samples).cubic
+    assert first > 0.8
+    assert last < 0.5
+
+
+def test_sparse_frames_that_are_overshot_take_a_short_length() -> None:
+    times = np.arange(30.0)
+    jumps = np.random.default_rng(0).integers(0, 2, (30, 40)).astype(np.float64)
+    operator = chosen(times, jumps)
+    assert operator.length <= 2.0
+    assert max(operator.cubic) < 0.5
+    between = np.arange(29.0) + 0.5
+    predicted, spline = operator.at(between).of(jumps), CubicSpline(times, jumps)(between)
+    assert np.abs(predicted - 0.5).max() < np.abs(spline - 0.5).max()
+
+
+def test_what_is_chosen_predicts_frames_left_out_best() -> None:
+    times = np.cumsum(np.random.default_rng(5).uniform(0.5, 1.5, 40))
+    samples = np.cumsum(np.random.default_rng(6).normal(size=(40, 8)), axis=0)
+
+    def error(length: float) -> float:
+        left, rows = Operator(times, length).left_out()
+        return float(np.square(rows.of(samples) - samples[left]).sum())
+
+    assert error(chosen(times, samples).length) == min(map(error, LENGTHS))
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_too_few_frames_choose_nothing(count: int) -> None:
+    operator = chosen(0.1 * np.arange(float(count)), np.random.default_rng(0).normal(size=(count, 3)))
+    assert operator.length == np.inf
+    assert operator.cubic == (0.5, 0.5)
+
+
+@pytest.mark.parametrize("samples", [np.zeros((9, 3)), np.full((9, 3), 0.1), np.arange(27.0).reshape(9, 3)])
+def test_what_is_still_or_even_is_predicted_exactly(samples: Float) -> None:
+    times = np.arange(9.0) / 24
+    operator = chosen(times, samples)
+    assert all(0 <= share <= 1 for share in operator.cubic)
+    middles = operator.at((times[:-1] + times[1:]) / 2).of(samples)
+    np.testing.assert_allclose(middles, (samples[:-1] + samples[1:]) / 2, atol=1e-12)
+
+
+def test_units_of_samples_do_not_matter() -> None:
+    times, samples = np.arange(20.0), np.random.default_rng(1).normal(size=(20, 5))
+    one, other = chosen(times, samples), chosen(100 + 0.01 * times, 1e4 * samples)
+    assert one.length == other.length
+    assert one.cubic == pytest.approx(other.cubic, rel=1e-6)
+
+
+def test_middles_are_between_frames() -> None:
+    np.testing.assert_array_equal(with_middles(np.array([0.0, 1.0, 4.0])), [0, 0.5, 1, 2.5, 4])
+    np.testing.assert_array_equal(with_middles(np.array([2.0])), [2.0])

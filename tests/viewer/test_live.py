@@ -1,0 +1,273 @@
+"""The viewer in a browser, as a user works with it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+import mixseq
+from mixseq.creature import walk_cycle
+from mixseq.pictures.colours import SceneColours
+from mixseq.pictures.scene import Scene, SceneItem
+from mixseq.signals.model import Model
+from tests.viewer.conftest import NewPage, own_port
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+pytest.importorskip("viser", reason="the extra viewer is not installed")
+
+from mixseq.viewer.live.viewer import Viewer, ViewSettings, viewer
+
+pytestmark = pytest.mark.slow
+
+QUICK = "&fixedDpr=0.5"
+"""Half the pixels: there is no graphics card here."""
+
+ARRAY = """(name) => {
+  let found = [];
+  window.__viserMutable?.nodeRefFromName["/mesh/0"]?.traverse((each) => {
+    const values = each.isMesh && !found.length && each.geometry.attributes[name];
+    if (values) found = [...values.array.slice(0, 600)];
+  });
+  return found;
+}"""
+"""What the page draws of the mesh: the first numbers of one of its attributes."""
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    return mixseq.fit(walk_cycle(16), rank=6)
+
+
+def save(path: Path, model: Model, replace: bool) -> str:
+    mixseq.save(path, model)
+    return path.name
+
+
+@pytest.fixture
+def running(model: Model, tmp_path: Path) -> Iterator[Viewer]:
+    scene = Scene((SceneItem("fox.h5", model),))
+    settings = ViewSettings(port=own_port(), folder=tmp_path, threads=1, material="toon5")
+    with viewer(SceneColours(scene), settings, save) as started:
+        yield started
+
+
+def eventually(holds: Callable[[], Any], seconds: float = 30.0) -> Any:
+    """Wait until something holds, and return it."""
+    until = time.monotonic() + seconds
+    while not (found := holds()):
+        assert time.monotonic() < until, "it never came"
+        time.sleep(0.05)
+    return found
+
+
+MIDDLE = """() => {
+  let mesh = null;
+  const { nodeRefFromName, camera, canvas } = window.__viserMutable;
+  nodeRefFromName["/mesh/0"].traverse((each) => { if (each.isMesh && !mesh) mesh = each });
+  mesh.geometry.computeBoundingSphere();
+  const place = mesh.localToWorld(mesh.geometry.boundingSphere.center.clone()).project(camera);
+  const { x, y, width, height } = canvas.getBoundingClientRect();
+  return [x + (1 + place.x) / 2 * width, y + (1 - place.y) / 2 * height];
+}"""
+
+
+ON_SCREEN = """() => {
+  let mesh = null;
+  const { nodeRefFromName, camera, canvas } = window.__viserMutable;
+  nodeRefFromName["/mesh/0"].traverse((each) => { if (each.isMesh && !mesh) mesh = each });
+  const { array, count } = mesh.geometry.attributes.position, { x, y, width, height } = canvas.getBoundingClientRect();
+  const point = mesh.position.clone(), seen = [];
+  for (let k = 0; k < count; k++) {
+    mesh.localToWorld(point.fromArray(array, 3 * k)).project(camera);
+    seen.push([x + (1 + point.x) / 2 * width, y + (1 - point.y) / 2 * height, point.z]);
+  }
+  return seen;
+}"""
+"""Where the vertices are on the page, and how deep."""
+
+
+def foremost_part(window: Window, model: Model) -> tuple[int, tuple[float, float]]:
+    """A part that hangs on another one, and the place on the page where it is nearest to the camera of all."""
+    seen, parts = np.array(window.page.evaluate(ON_SCREEN)), model.decomposition
+    hangs = (model.mixed.articulation.parents[parts.part_of_face] >= 0) & (parts.joint_of_face < 0)
+    middles = seen[model.header.faces].mean(axis=1)
+    face = np.flatnonzero(hangs)[middles[hangs, 2].argmin()]
+    return int(parts.part_of_face[face]), (float(middles[face, 0]), float(middles[face, 1]))
+
+
+class Window:
+    """A page with the viewer, and a hand."""
+
+    def __init__(self, page: Page, address: str) -> None:
+        self.page = page
+        page.goto(address + QUICK)
+        page.wait_for_function(
+            "() => document.getElementById('mixseq-charts')?.mixseqCharts?.handlePixels().length"
+        )
+        eventually(lambda: self.array("color"))
+        # tells that there is no graphics card, and stands in the way
+        eventually(lambda: page.get_by_text("Software WebGL").count())
+        page.locator(".mantine-Notification-closeButton").click()
+
+    def array(self, name: str) -> list[float]:
+        values: list[float] = self.page.evaluate(ARRAY, name)
+        return values
+
+    def camera(self) -> list[float]:
+        place: list[float] = self.page.evaluate("window.__viserMutable.camera.position.toArray()")
+        return place
+
+    def changes(self, name: str, action: Callable[[], object]) -> None:
+        """Do something, after which the page draws other positions or colours."""
+        before = self.array(name)
+        action()
+        eventually(lambda: self.array(name) != before)
+
+    def drag(self, index: int, by: tuple[float, float]) -> None:
+        """Drag a handle of the time curve; the mesh follows before it is let go."""
+        places = self.page.evaluate("document.getElementById('mixseq-charts').mixseqCharts.handlePixels()")
+        x, y = places[index]
+        self.page.mouse.move(x, y)
+        self.page.mouse.down()
+        self.changes("position", lambda: self.page.mouse.move(x + by[0], y + by[1], steps=5))
+        self.page.mouse.up()
+
+    def middle(self) -> tuple[float, float]:
+        """Where the middle of the mesh is on the page."""
+        x, y = self.page.evaluate(MIDDLE)
+        return x, y
+
+    def part(self) -> str:
+        """What is chosen as the part that is edited."""
+        return self.page.get_by_label("Part", exact=True).input_value()
+
+    def click(self, name: str) -> None:
+        self.page.get_by_role("button", name=name, exact=True).click()
+
+    def choose(self, now: str, option: str) -> None:
+        self.page.locator(f"input[role='combobox'][value='{now}']").click()
+        self.page.get_by_role("option", name=option, exact=True).click()
+
+
+def test_a_session(
+    new_page: NewPage, running: Viewer, screenshots: Path, model: Model, tmp_path: Path
+) -> None:
+    window = Window(new_page(), running.address)
+    page, session, playback = window.page, running.session, running.playback
+    page.screenshot(path=screenshots / "view.png")
+
+    first = window.array("position")
+    window.changes("position", lambda: window.click("Play"))
+    assert playback.plays
+    window.click("Pause")
+    eventually(lambda: not playback.plays)
+
+    slider, camera = page.get_by_role("slider").first, window.camera()
+    slider.press("Home")
+    eventually(lambda: window.array("position") == first)
+    window.changes("position", lambda: list(map(slider.press, 3 * ["ArrowRight"])))
+    eventually(lambda: playback.frame == 3)
+    assert window.camera() == camera, "keys for the slider turned the camera"
+
+    page.mouse.click(*window.middle())
+    eventually(lambda: page.locator("#mixseq-picked").inner_text().startswith("vertex "))
+    part, place = foremost_part(window, model)
+    page.mouse.click(*place)
+    eventually(lambda: window.part() == str(part))
+
+    for now, colour in (("clay", "parts"), ("parts", "strain")):
+        window.changes("color", partial(window.choose, now, colour))
+        page.wait_for_timeout(300)
+        page.screenshot(path=screenshots / f"view_{colour}.png")
+
+    window.drag(3, (30, 25))
+    eventually(lambda: session.history.undoes == "drag")
+    page.screenshot(path=screenshots / "view_dragged.png")
+    edited = session.model
+    assert np.abs(edited.time(edited.times) - model.time(model.times)).max() > 1e-3
+
+    window.changes("position", lambda: window.click("Undo"))
+    assert session.model is model
+    window.changes("position", lambda: window.click("Redo"))
+    assert session.model is edited
+
+    window.click("Save")
+    saved = tmp_path / "fox-edited.h5"
+    eventually(saved.exists)
+    eventually(lambda: page.get_by_text("Saved", exact=True).count())
+    again = mixseq.load(saved)
+    np.testing.assert_allclose(again.time(again.times), edited.time(edited.times), atol=1e-12)
+
+    page.set_viewport_size({"width": 1920, "height": 1080})
+    drawn = window.array("position")
+    other = Window(page, running.address)  # loads the page again
+    assert other.array("position") == drawn
+    assert session.model is edited
+    page.screenshot(path=screenshots / "view_wide.png")
+
+
+def test_the_whole_body_is_not_held(new_page: NewPage, running: Viewer, model: Model) -> None:
+    """It has nothing to rest against: that is told, and nothing changes."""
+    window = Window(new_page(), running.address)
+    assert window.part() == "whole body"
+    window.click("Hold")
+    eventually(lambda: window.page.get_by_text("nothing to rest against").count())
+    assert running.session.model is model
+    assert not running.session.history.undoes
+
+
+EDGES = """() => {
+  const { left, top, right } = document.querySelector(".mixseq-sheet").getBoundingClientRect();
+  return [window.__viserMutable.canvas.getBoundingClientRect().bottom, left, top, right];
+}"""
+"""Where the picture ends, and the left, upper and right edge of the panel."""
+
+
+def test_on_a_phone_the_panel_is_under_the_picture(
+    new_page: NewPage, running: Viewer, screenshots: Path
+) -> None:
+    page = new_page(390, 844)
+    page.goto(running.address + QUICK)
+    page.locator(".mixseq-sheet").wait_for()
+
+    def meet() -> bool:
+        """Whether the sheet begins where the picture ends, and has the width of the window."""
+        end, left, top, right = page.evaluate(EDGES)
+        return abs(top - end) <= 1 and (left, right) == (0, 390)
+
+    eventually(meet)
+    top = page.evaluate(EDGES)[2]
+    assert top > 444, "the picture has more than half of the window"
+
+    def fits() -> bool:
+        seen = np.array(page.evaluate(ON_SCREEN))
+        return bool((seen[:, :2].min(axis=0) > 0).all() and (seen[:, :2].max(axis=0) < [390, top]).all())
+
+    eventually(fits)
+    page.screenshot(path=screenshots / "view_phone.png")
+
+
+def test_the_page_says_so_when_its_server_is_killed(browser: Browser, tmp_path: Path, model: Model) -> None:
+    mixseq.save(tmp_path / "fox.h5", model)
+    command = [sys.executable, "-m", "mixseq", "view", "fox.h5", "--no-browser", "--port", "8301"]
+    page = browser.new_page()  # its console tells of the line that is cut
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as server:
+        try:
+            assert server.stdout
+            page.goto(server.stdout.readline().split()[2] + QUICK)
+            page.wait_for_function("() => window.mixseqLive")
+            eventually(lambda: page.locator("#mixseq-ended").is_hidden())
+        finally:
+            server.kill()
+    page.get_by_role("alert").get_by_text("This viewer has ended").wait_for()
+    page.close()

@@ -1,0 +1,134 @@
+"""A session: suggestions at its begin, the other side of what is set, and what is known about the pairs of now."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mixseq.retargeting.markers import Markers
+from mixseq.viewer.marking import SOURCE, TARGET, MarkingSession
+from tests.retargeting.foxes import on_bones, short, tall
+from tests.retargeting.test_examination import MARKED, set_markers
+
+pytestmark = pytest.mark.slow
+
+NOTHING = Markers.of(np.zeros((0, 2), np.int64))
+
+
+class Listener:
+    """Counts changes, and keeps what failed."""
+
+    def __init__(self) -> None:
+        self.changes = 0
+        self.failures: list[Exception] = []
+
+    def changed(self) -> None:
+        self.changes += 1
+
+    def failed(self, what: str, error: Exception) -> None:
+        self.failures.append(error)
+
+
+def eventually(holds: Callable[[], Any], seconds: float = 60.0) -> Any:
+    until = time.monotonic() + seconds
+    while not (found := holds()):
+        assert time.monotonic() < until, "it never came"
+        time.sleep(0.01)
+    return found
+
+
+@pytest.fixture
+def listener() -> Iterator[Listener]:
+    found = Listener()
+    yield found
+    assert not found.failures
+
+
+def test_suggestions_are_accepted_and_skipped(listener: Listener) -> None:
+    with MarkingSession(short().mesh, tall().mesh, NOTHING, listener) as session:
+        eventually(lambda: len(session.proposals) >= 8)
+        first, second, *_ = session.proposals
+        session.accept()
+        assert session.marking.pairs == (first,)
+        session.skip()
+        assert second not in session.proposals
+        session.accept_all()
+        assert second not in session.marking.pairs
+        assert not session.proposals
+        assert session.unsaved
+        for _ in range(3):
+            session.undo()
+        assert not session.marking.pairs
+        assert second in session.proposals
+        assert not session.unsaved
+        session.redo()
+        assert session.marking.pairs == (first,)
+        session.kept(session.marking.pairs)
+        assert not session.unsaved
+
+
+def test_the_other_side_of_a_pair_is_proposed(listener: Listener) -> None:
+    with MarkingSession(short().mesh, tall().mesh, set_markers("nose"), listener) as session:
+        eventually(lambda: session._mirrors is not None)
+        assert not session.proposals  # a file that is continued: nothing is suggested unasked
+        one, other = (int(on_bones(fox, "forearm.l")[0]) for fox in (short(), tall()))
+        session.click(SOURCE, one)
+        session.click(TARGET, other)
+        (mirrored,) = session.proposals
+        assert short().bones[mirrored.vertices[0]].startswith("fore")
+        assert short().bones[mirrored.vertices[0]].endswith(".r")
+        assert tall().bones[mirrored.vertices[1]].endswith(".r")
+        session.click_ball(TARGET, len(session.marking.pairs))
+        assert session.marking.pairs[-1] == mirrored
+        assert not session.proposals
+
+
+def test_a_click_on_a_ball_chooses_its_pair(listener: Listener) -> None:
+    markers = set_markers("nose", "tail4")
+    with MarkingSession(short().mesh, tall().mesh, markers, listener) as session:
+        session.click_ball(SOURCE, 1)
+        assert session.marking.chosen == 1
+        session.delete()
+        assert len(session.marking.pairs) == 1
+        session.undo()
+        assert len(session.marking.pairs) == 2
+        session.click_ball(TARGET, 0)
+        elsewhere = int(on_bones(tall(), "ear.l")[0])
+        session.click(TARGET, elsewhere)
+        assert session.marking.pairs[0].vertices == (int(markers.source[0]), elsewhere)
+        before = session.marking
+        for row in (-1, 2, 10**9):  # balls that are not there, as a page might say
+            session.click_ball(SOURCE, row)
+        assert session.marking == before
+
+
+def test_pairs_are_examined_from_ten_on(listener: Listener) -> None:
+    markers = set_markers(*MARKED)
+    with MarkingSession(short().mesh, tall().mesh, markers, listener) as session:
+        found = eventually(lambda: session.examination)
+        assert found.residuals is not None
+        assert len(found.residuals) == len(MARKED)
+        session.click_ball(SOURCE, 0)
+        session.delete()
+        assert session.examination is None  # of other pairs
+        found = eventually(lambda: session.examination)
+        assert found.residuals is not None
+        assert len(found.residuals) == len(MARKED) - 1
+
+
+def test_what_fails_is_told_and_the_session_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> None:
+        raise ValueError("a bug")
+
+    monkeypatch.setattr("mixseq.viewer.marking.suggest_markers", broken)
+    listener = Listener()
+    with MarkingSession(short().mesh, tall().mesh, NOTHING, listener) as session:
+        eventually(lambda: listener.failures)
+        session.click(SOURCE, 0)
+        session.click(TARGET, 0)
+        eventually(lambda: session.examination)
+    assert [str(each) for each in listener.failures] == ["a bug"]

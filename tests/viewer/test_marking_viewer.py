@@ -1,0 +1,216 @@
+"""Markers set in a browser, as a person does it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+import mixseq
+from mixseq.retargeting.markers import Markers
+from mixseq.types import Float
+from mixseq_io.text.markers import write_markers
+from tests.retargeting.foxes import seen_from_left, short, tall
+from tests.viewer.conftest import Keep, NewPage, own_port
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+pytest.importorskip("viser", reason="the extra viewer is not installed")
+
+from mixseq.viewer.live.marking import MarkedMeshes, MarkingViewer, marking_viewer
+from mixseq.viewer.live.viewer import ViewSettings
+
+pytestmark = pytest.mark.slow
+
+FOXES = short(), tall()
+
+PLACE = """([side, vertex]) => {
+  let mesh = null;
+  const { nodeRefFromName, camera, canvas } = window.__viserMutable;
+  nodeRefFromName["/mesh/" + side].traverse((each) => { if (each.isMesh && !mesh) mesh = each });
+  const point = mesh.geometry.attributes.position;
+  const place = mesh.position.clone().fromBufferAttribute(point, vertex);
+  mesh.localToWorld(place).project(camera);
+  const { x, y, width, height } = canvas.getBoundingClientRect();
+  return [x + (1 + place.x) / 2 * width, y + (1 - place.y) / 2 * height];
+}"""
+"""Where a vertex is on the page."""
+
+
+def eventually(holds: Callable[[], Any], seconds: float = 60.0) -> Any:
+    until = time.monotonic() + seconds
+    while not (found := holds()):
+        assert time.monotonic() < until, "it never came"
+        time.sleep(0.05)
+    return found
+
+
+class Hand:
+    """A page with the viewer, and a hand."""
+
+    def __init__(self, page: Page, running: MarkingViewer) -> None:
+        self.page, self.session = page, running.session
+        page.goto(running.address + "&fixedDpr=0.5")
+        ready = "() => window.__viserMutable?.nodeRefFromName?.['/mesh/1'] && document.getElementById('mixseq-hint')"
+        page.wait_for_function(ready)
+        eventually(lambda: page.get_by_text("Software WebGL").count())
+        page.locator(".mantine-Notification-closeButton").first.click()
+        page.wait_for_timeout(500)  # panels dock, and the camera steps back
+
+    def button(self, name: str) -> None:
+        self.page.get_by_role("button", name=name, exact=True).click()
+
+    def click(self, side: int, bone: str) -> None:
+        """Click a bone from its left, and wait until that is heard."""
+        self.click_vertex(side, seen_from_left(FOXES[side], bone))
+
+    def click_vertex(self, side: int, vertex: int) -> None:
+        before = self.session.marking
+        x, y = self.page.evaluate(PLACE, [side, vertex])
+        self.page.mouse.move(x - 2, y)
+        self.page.mouse.click(x, y)
+        eventually(lambda: self.session.marking is not before)
+
+    def see_left(self) -> None:
+        """Foxes look along x, which is no format's front: their left is at its back."""
+        self.button("Back")
+        self.page.wait_for_timeout(1500)
+
+    def text(self, name: str) -> str:
+        return self.page.locator(f"#mixseq-{name}").inner_text()
+
+    def bones(self) -> list[tuple[str, str]]:
+        """What is set, by the bones that it is on."""
+        pairs = [pair.vertices for pair in self.session.marking.pairs]
+        return [(FOXES[0].bones[source], FOXES[1].bones[target]) for source, target in pairs]
+
+
+@pytest.fixture
+def running(tmp_path: Path) -> Iterator[MarkingViewer]:
+    def save(markers: Markers) -> str:
+        write_markers(tmp_path / "pairs.txt", markers)
+        return "saved"
+
+    nothing = Markers.of(np.zeros((0, 2), np.int64))
+    meshes = MarkedMeshes(FOXES[0].mesh, FOXES[1].mesh, ("short.obj", "tall.obj"), nothing, "pairs.txt")
+    with marking_viewer(meshes, ViewSettings(port=own_port(), material="toon5"), save) as started:
+        yield started
+
+
+def test_from_nothing_to_a_file(
+    new_page: NewPage, running: MarkingViewer, keep: Keep, tmp_path: Path
+) -> None:
+    hand = Hand(new_page(), running)
+    page, session = hand.page, running.session
+    eventually(lambda: len(session.proposals) == 8 and session._mirrors is not None)
+    eventually(lambda: "8 to confirm" in hand.text("proposed"))
+    keep(page, "markers_proposed")
+
+    hand.button("Accept")
+    eventually(lambda: len(session.marking.pairs) == 1)
+    page.keyboard.press("a")
+    eventually(lambda: len(session.marking.pairs) == 2)
+    hand.button("Accept all")
+    eventually(lambda: len(session.marking.pairs) == 8)
+    assert all(one == other for one, other in hand.bones())
+
+    hand.see_left()
+    hand.click(0, "thigh.l")
+    eventually(lambda: "9: now click the same point of tall.obj" in hand.text("hint"))
+    hand.click(1, "thigh.l")
+    eventually(lambda: "9 pairs" in hand.text("hint"))
+    assert hand.bones()[8] == ("thigh.l", "thigh.l")
+    eventually(lambda: "1 to confirm" in hand.text("proposed"))  # the right thigh
+    page.keyboard.press("a")
+    eventually(lambda: len(session.marking.pairs) == 10)
+    assert hand.bones()[9] == ("thigh.r", "thigh.r")
+
+    eventually(lambda: "(median)" in hand.text("map"))
+    assert "100 % of the target covered" in hand.text("map")
+    page.wait_for_timeout(500)
+    keep(page, "markers_set")
+
+    page.keyboard.press("Control+z")
+    eventually(lambda: len(session.marking.pairs) == 9)
+    hand.button("Redo")
+    eventually(lambda: len(session.marking.pairs) == 10)
+
+    assert "changed since it was saved" in hand.text("saved")
+    hand.button("Save")
+    eventually((tmp_path / "pairs.txt").exists)
+    eventually(lambda: "as in the file" in hand.text("saved"))
+    saved = mixseq.read_markers(tmp_path / "pairs.txt")
+    assert np.array_equal(saved.source, session.marking.markers.source)
+    assert np.array_equal(saved.target, session.marking.markers.target)
+    mixseq.correspond(FOXES[0].mesh, FOXES[1].mesh, saved)  # which warnings would make fail
+
+
+def test_a_marker_is_chosen_moved_and_deleted(new_page: NewPage, running: MarkingViewer) -> None:
+    hand = Hand(new_page(), running)
+    eventually(lambda: len(running.session.proposals) == 8)
+    hand.button("Accept all")
+    eventually(lambda: len(hand.bones()) == 8)
+    hand.see_left()
+    number = hand.bones().index(("nose", "nose"))
+    hand.click_vertex(0, running.session.marking.pairs[number].vertices[0])  # its ball
+    eventually(lambda: f"{number + 1} is chosen" in hand.text("hint"))
+    hand.click(0, "thigh.l")
+    assert hand.bones()[number] == ("thigh.l", "nose")
+    hand.click_vertex(0, running.session.marking.pairs[number].vertices[0])
+    assert running.session.marking.chosen == number
+    hand.button("Delete")
+    eventually(lambda: len(hand.bones()) == 7)
+    hand.button("Undo")
+    eventually(lambda: len(hand.bones()) == 8)
+
+
+def test_no_mesh_hides_the_other(new_page: NewPage, running: MarkingViewer) -> None:
+    """They stay beside each other while the camera turns, and it finds the same place of the other one."""
+    hand = Hand(new_page(), running)
+    eventually(lambda: len(running.session.proposals) == 8)
+    mouse, stage = hand.page.mouse, running._stage
+    before = stage.arrangement.view.azimuth
+    mouse.move(500, 500)
+    mouse.down()
+    mouse.move(300, 500, steps=10)
+    mouse.up()
+    eventually(lambda: abs(stage.arrangement.view.azimuth - before) > 30)
+    hand.page.wait_for_timeout(1000)
+    ends = [
+        [hand.page.evaluate(PLACE, [side, vertex])[0] for vertex in range(0, fox.mesh.vertex_count, 40)]
+        for side, fox in enumerate(FOXES)
+    ]
+    assert max(ends[0]) < min(ends[1])
+
+    def away() -> Float:
+        """How far meshes are from where the camera looks, as shares of the way between them."""
+        (client,) = running._server.get_clients().values()
+        middles = stage.arrangement.middles
+        far = np.linalg.norm(middles - client.camera.look_at, axis=1) / np.linalg.norm(
+            middles[1] - middles[0]
+        )
+        return np.asarray(far)
+
+    def looked_at() -> int:
+        return int(away().argmin())
+
+    first = looked_at()
+    hand.button("Other mesh")
+    eventually(lambda: looked_at() != first)
+    assert away().min() < 0.45, "it looks past the mesh"
+    hand.button("Other mesh")
+    eventually(lambda: looked_at() == first)
+
+
+def test_on_a_phone(new_page: NewPage, running: MarkingViewer, keep: Keep) -> None:
+    page = new_page(390, 844)
+    page.goto(running.address)
+    page.wait_for_function("() => window.__viserMutable?.nodeRefFromName?.['/mesh/1']")
+    eventually(lambda: len(running.session.proposals) == 8)
+    page.wait_for_timeout(3000)
+    keep(page, "markers_phone")
