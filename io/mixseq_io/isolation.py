@@ -5,10 +5,8 @@ Readers run in a reused worker (`mixseq_io.worker`), a second Python with limits
 time per answer; its death is reported as an error of the file. ``MIXSEQ_READER_SECONDS`` sets the limit of time: by
 default 120 s of processor time, and four times that by the clock.
 
-Pool of a few worker processes that read files, started on demand and reused.
-
-Each open file has its own worker. Above `MOST` files, the least recently used one gives up its worker; at its next
-request it is opened again, and iterations continue where they were.
+Workers are started on demand and reused, one for each open file. Above `MOST` files, the least recently used
+one gives up its worker; at its next request it is opened again, and iterations continue where they were.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Load models of any kind, importing only what a file needs, while it is read.
-
-HDF5 and glTF files that hold a mesh sequence or a model; a model is read as its frames.
-"""
+"""Load and open files that may hold a model (HDF5 and glTF), importing only what a file needs, while it is read."""
 
 from __future__ import annotations
 

@@ -15,9 +15,7 @@ array               shape                 meaning
 ``name``            str                   optional, the file's name
 ==================  ====================  =====================================================
 
-and those of `mixseq_io.surfaces`: texture coordinates, hard edges, face sets, objects.
-
-Arrays in npz files, whose size is compared with the limit of memory before anything is unpacked.
+And those of `mixseq_io.surfaces`: texture coordinates, hard edges, face sets, objects.
 
 A small zip file can unpack to any size, and its headers can lie. The archive's size of an array must match its shape,
 and all arrays read at once must fit the limit. Compression methods that NumPy does not write are refused, since their

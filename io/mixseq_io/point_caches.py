@@ -1,13 +1,11 @@
-r"""Point caches: positions only, with the faces in a mesh file beside.
+r"""Point caches PC2 and MDD: positions of all frames in one binary file, with the faces in a mesh file beside.
 
 A cache ``walk.pc2`` belongs to ``walk.obj``, or another mesh file of that name, or the one of the option `mesh`, which
 gives the faces, the surface, the name, the units and the up axis; an OBJ has neither of the latter, so Y is up. Points
 are those of the cache, without any transform of the mesh's file. Written are the cache and ``<name>.obj`` with the
 first frame.
 
-PC2 point caches (3ds Max, Blender, Maya): all frames in one binary file, the mesh beside it.
-
-Little-endian throughout:
+PC2 (3ds Max, Blender, Maya), little-endian:
 
 =======================  ===========================================================
 ``"POINTCACHE2\0"``       12 bytes
@@ -20,13 +18,11 @@ points                   float32, x, y, z of all points, sample after sample
 =======================  ===========================================================
 
 Times are evenly spaced frame numbers; `fps`, missing in the file, converts them to seconds. PC2 has no place for
-uneven times, units, the up axis and velocities; see `mixseq_io.point_caches` for the mesh.
+uneven times, units, the up axis and velocities.
 
 Specification: http://www.footools.com/plugins/docs/PointCache2_README.html
 
-MDD point caches (LightWave, Blender, Modo): all frames in one binary file, the mesh beside it.
-
-Big-endian throughout:
+MDD (LightWave, Blender, Modo), big-endian:
 
 =================  ===========================================================
 number of frames   int32
@@ -36,7 +32,7 @@ points             float32, x, y, z of all points, frame after frame
 =================  ===========================================================
 
 The frame rate is that of the median step. Times that are whole frames within float32 rounding become exactly that, in
-float64. MDD has no place for units, the up axis and velocities; see `mixseq_io.point_caches` for the mesh.
+float64. MDD has no place for units, the up axis and velocities.
 
 Specification: http://rodolphe-vaillant.fr/?e=134
 """

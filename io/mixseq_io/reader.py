@@ -1,7 +1,4 @@
-"""Base of all readers: the header at once, the points in blocks, checked as they are read.
-
-Blocks of points and velocities, checked on their way to every format's writer.
-"""
+"""Base of all readers, whose blocks are checked as they are read, and the checks of blocks on their way to writers."""
 
 from __future__ import annotations
 

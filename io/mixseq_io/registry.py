@@ -1,7 +1,4 @@
-"""Reading and writing by file extension.
-
-Table of formats.
-"""
+"""Table of formats, and reading and writing by file extension."""
 
 from __future__ import annotations
 

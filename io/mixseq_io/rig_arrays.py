@@ -1,7 +1,4 @@
-"""Arrays of skins and morphs for files: four bone weights, scaled targets, names, and steadied values.
-
-Skeletons built from a file's list of joints.
-"""
+"""Arrays of skins and morphs for files, and skeletons built from a file's list of joints."""
 
 from __future__ import annotations
 

@@ -1,13 +1,9 @@
-"""Several meshes of a file joined into one sequence, and split into meshes again.
+"""Meshes of a scene: chosen among its objects, joined into one sequence, and split into meshes again.
 
-Readers make a `SceneMesh` of every mesh and `join` them; writers `split` a header into its meshes. Mesh ``i`` owns the
-vertices ``meshes[i].vertices`` of every frame.
-
-Choice of a scene's meshes: those that `prim` names, or those that move.
-
-Readers make a `SceneObject` of every mesh and its ancestors; the chosen meshes are indices in their order.
-
-Times at which any channel of a scene changes, merged into frames where they differ only by rounding.
+Readers make a `SceneObject` of every mesh and its ancestors, choose those that `prim` names or that move, make a
+`SceneMesh` of each and `join` them; writers `split` a header into its meshes. Mesh ``i`` owns the vertices
+``meshes[i].vertices`` of every frame. Times at which any channel of a scene changes are merged into frames where they
+differ only by rounding.
 """
 
 from __future__ import annotations

@@ -1,13 +1,8 @@
-"""Displacement of vertices by rounding points to float32, as in most formats.
+"""What formats share about surfaces: losses in words, rounding to float32, colours, and a `Surface` as named arrays.
 
 A float32 has 24 binary digits: a vertex c diagonals from the origin moves by up to about 1e-7 c diagonals. That is
-relevant for meshes that are far away or hardly larger than zero.
-
-Colours of files, with or without alpha, as bytes or floats, converted to RGBA; linear and sRGB values stay so.
-
-Contents that a format cannot hold, in words, for its writer's single warning.
-
-A `Surface` as named arrays, for formats that hold any arrays: npz, HDF5.
+relevant for meshes that are far away or hardly larger than zero. Colours are converted to RGBA; linear and sRGB values
+stay so. Formats that hold any arrays (npz, HDF5) store these:
 
 ========================  ====================  =====================================================
 array                     shape                 meaning

@@ -1,17 +1,10 @@
-"""Alembic, writing: an archive copied with new points in some of its meshes.
+"""Meshes of a written Alembic archive: new ones, or those of a copy of the original with new points.
 
-Points are in mesh space, below the archive's transforms, marked so that frames are at their times only. Existing
-normals are recomputed; all other contents stay.
-
-Mesh of a written Alembic file: the object, its face sets, and a sample per frame.
-
-Copy an archive object by object and property by property, except for the points of some meshes.
-
-Properties, copied with metadata and sample times, determine an object's kind. Instances stay instances.
+The original is copied object by object and property by property, with metadata and sample times, which determine an
+object's kind; instances stay instances. Points are in mesh space, below the archive's transforms, marked so that frames
+are at their times only. Existing normals are recomputed; all other contents stay.
 
 Specification: https://docs.alembic.io/reference/index.html (``Abc``)
-
-Alembic, writing: the original archive that is copied with new points, and its meshes matched with a sequence's.
 """
 
 from __future__ import annotations

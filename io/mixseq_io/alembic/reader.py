@@ -1,16 +1,8 @@
-"""Alembic, reading: points of an archive's meshes over time, in world space (.abc).
+"""Alembic, reading: meshes of an archive (.abc) over time, in world space.
 
 Frames are at all samples of the points and of the transforms above, others interpolated linearly; at the points' times
 only where mixseq laid them over an archive. Points are float32, as in Alembic, which has no units and no up axis: tools
-assume Y up.
-
-Specification: https://docs.alembic.io/reference/index.html
-
-Meshes of an archive, and the choice of those to read; instances appear as the objects they stand for.
-
-Specification: https://docs.alembic.io/reference/index.html (``AbcGeom``)
-
-Faces of a PolyMesh or SubD, and its surface: texture coordinates, colours, hard edges and face sets.
+assume Y up. Instances appear as the objects they stand for.
 
 Alembic lists a face's corners clockwise seen from outside; applications write them from the last to the first. Values
 come per face, vertex or corner (their "scope"), with or without indices.

@@ -1,4 +1,8 @@
-"""Index of a compressed model's streams in its one dataset, with the length and CRC-32 of each.
+"""Layout of a compressed model, and its reading: a text that describes the streams, and one dataset of all streams.
+
+The text is JSON: parameters, name, fps, up_axis, metres_per_unit, counts, first time. The streams are: connectivity,
+surface, times, texture coordinates if any; spatial basis by group; coefficients and residual layer chunk by chunk. The
+dataset begins with an index with the length and CRC-32 of each:
 
 ==========  =====================================================================================================
 bytes       meaning, all numbers little-endian
@@ -10,22 +14,11 @@ any         lengths, as numbers of 7 bits a byte (LEB128): number of groups of t
 any         uint32 each: CRC-32 of the attribute ``coding``, and of every stream that is not empty
 ==========  =====================================================================================================
 
-Frozen: changing this breaks old files.
+Times and surfaces are packed without loss: first differences of numbers are stored bytewise, the first bytes of all
+numbers, then the second bytes, and so on. Most are zeros, which zlib compresses well.
 
-Lossless packing of times and surfaces of compressed models.
-
-First differences of numbers are stored bytewise: the first bytes of all numbers, then the second bytes, and so on.
-Most are zeros, which zlib compresses well.
-
-Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``).
-
-Read a compressed sequence from a text that describes the streams, and the streams.
-
-The text is JSON: parameters, name, fps, up_axis, metres_per_unit, counts, first time. The index (`stream_index`) has
-the length and CRC-32 of every stream. Their order is: connectivity, surface, times, texture coordinates if any; spatial
-basis by group; coefficients and residual layer chunk by chunk. Specification: ``docs/file-format.md``.
-
-Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1*``).
+Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1*``). Specification:
+``docs/file-format.md``.
 """
 
 from __future__ import annotations

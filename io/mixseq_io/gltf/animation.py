@@ -1,12 +1,8 @@
-"""Animations of a glTF file: properties of nodes over time.
+"""Animations of a glTF file: properties of nodes over time, frame times, and the points that follow.
+
+Points are in world space: morph targets first, then the skin, or else the node's transform.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#appendix-c-interpolation
-
-Times of the frames of a glTF animation.
-
-Points of a glTF mesh in world space: morph targets first, then the skin, or else the node's transform.
-
-Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#skins
 """
 
 from __future__ import annotations

@@ -1,26 +1,17 @@
-"""Buffer of a glTF file: laid out first, then written front to back while frames arrive, with no copy in memory.
+"""Buffers of glTF files: laid out and written, and decompressed.
 
-All sizes and offsets are known beforehand, except for the bounds of the points. A ``.glb`` begins with its JSON, which
-is written last into reserved space, padded with spaces. A ``.gltf`` holds the buffer in base64 as its first member,
-since a single file can be replaced atomically.
+A buffer is laid out first, then written front to back while frames arrive, with no copy in memory. All sizes and
+offsets are known beforehand, except for the bounds of the points. A ``.glb`` begins with its JSON, which is written
+last into reserved space, padded with spaces. A ``.gltf`` holds the buffer in base64 as its first member, since a single
+file can be replaced atomically.
 
-Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#glb-file-format-specification
+Compressed files are read as uncompressed documents: views (``EXT_meshopt_compression``, ``KHR_meshopt_compression``)
+and primitives (``KHR_draco_mesh_compression``) get buffers that are unpacked when read, in a process of their own, by
+meshopt and Google's DracoPy (extra `gltf`). A primitive is read plain if it has a plain form, too.
 
-Unpack meshopt-compressed buffer views in a process of its own; package: meshopt (extra `gltf`).
-
-Specification: https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Vendor/EXT_meshopt_compression/README.md
-
-Draco-compressed primitives, unpacked by Google's library (DracoPy, extra `gltf`) in a process of its own.
-
-Specification: https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Khronos/KHR_draco_mesh_compression/README.md
-
-Draco compression of primitives, which reorders vertices and triangles, by DracoPy (extra `gltf`).
-
-Compressed glTF files as uncompressed documents: views and primitives get buffers that are unpacked when read.
-
-``EXT_meshopt_compression`` and ``KHR_meshopt_compression`` pack buffer views (`mixseq_io.gltf.codecs`),
-``KHR_draco_mesh_compression`` packs triangles and attributes of a primitive (`mixseq_io.gltf.codecs`), which is read
-plain if it has a plain form, too. Those modules have the specifications.
+Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#glb-file-format-specification,
+https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Vendor/EXT_meshopt_compression/README.md,
+https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Khronos/KHR_draco_mesh_compression/README.md
 """
 
 from __future__ import annotations

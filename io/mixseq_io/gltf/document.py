@@ -1,14 +1,9 @@
 """glTF files (.gltf, .glb): the JSON, kept unchanged for writers, and the numbers in its buffers.
 
-Every count and offset is compared with the available bytes before an array is allocated.
+Access to the JSON is checked. Buffers in a .glb chunk, in the JSON, or in files beside it are read on demand; every
+count and offset is compared with the available bytes before an array is allocated.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
-
-Checked access to the JSON of a glTF file, and the extensions that it may require.
-
-Bytes of a glTF file in a .glb chunk, its JSON, or files beside it; files are read on demand.
-
-Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#glb-file-format-specification
 """
 
 from __future__ import annotations

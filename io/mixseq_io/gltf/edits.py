@@ -1,9 +1,7 @@
-"""Edits of a glTF document that is written again: detach nodes, remove unused data, embed images.
+"""Edits of a glTF document that a sequence is laid over: detached nodes, pruned data, embedded images, other motion.
 
-Other motion of a glTF file that a sequence is laid over: cameras, lights and other meshes keep theirs.
-
-It keeps its own times, and gets keys at the frames of the sequence, so that the animation lasts as long. The file
-must have a single animation, since with several the matching one is unknown.
+Other motion (cameras, lights, other meshes) keeps its own times, and gets keys at the frames of the sequence, so that
+the animation lasts as long. The file must have a single animation, since with several the matching one is unknown.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The glTF extension ``MIXSEQ_mesh_sequence``, reading: a mesh whose frames are the streams of a compressed model.
+"""The glTF extension ``MIXSEQ_mesh_sequence``: a mesh whose frames are the streams of a compressed model.
 
 ::
 
@@ -15,16 +15,9 @@
 Text and streams are, byte for byte, those of an HDF5 file. Vertices, faces, texture coordinates and hard edges are in
 them; of the primitives a decoder needs the materials only. Schema and specification: ``docs/file-format.md``.
 
-Materials of a glTF file in another document: by name, with their textures, samplers and images.
-
-The still of a mesh sequence: its first frame as ordinary glTF, by material, for other viewers.
-
-Decoders use its materials only, so it may be coarse: by Draco with points at 11 bits and normals at 7; plain float32;
-or one degenerate triangle for each material.
-
-The glTF extension ``MIXSEQ_mesh_sequence``, writing: a .glb with a compressed sequence, its first frame as a still.
-
-See `mixseq_io.gltf.mesh_sequence` for the layout. Text and streams come first, before textures, for slow loading.
+The still is the first frame as ordinary glTF, by material, for other viewers. It may be coarse: by Draco with points at
+11 bits and normals at 7; plain float32; or one degenerate triangle for each material. Materials are copied from the
+original by name. Text and streams come first, before textures, for slow loading.
 """
 
 from __future__ import annotations

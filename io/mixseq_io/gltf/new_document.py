@@ -1,16 +1,13 @@
-"""A stand-alone glTF document of a sequence: a node per object, plain materials by name.
+"""A stand-alone glTF document of a sequence: a node per object, plain materials by name, frames as morph targets.
 
 Meshes become triangles by material. Vertices are split at seams of texture coordinates, hard edges and borders of
 materials, since glTF primitives have one material and one index for all attributes. The attribute ``_VERTEX`` stores
 the sequence's vertex of each copy, so that readers can weld them again.
 
-Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#meshes
-
-Moving points as glTF morph targets: the first frame is the mesh, every further frame a target.
-
-Frame ``k`` is ``x_k = x_0 + sum_j w_j(t_k) d_j`` with ``d_j = x_j - x_0`` and weights ``w_j(t_k)`` one where ``j = k``,
-else zero. Viewers interpolate weights linearly between keys, hence points and normals too. ``x_0`` and ``d_j`` are
-rounded to float32: a point is off by at most 2**-24 of its displacement since the first frame, plus its own rounding.
+The first frame is the mesh, every further frame a target: frame ``k`` is ``x_k = x_0 + sum_j w_j(t_k) d_j`` with
+``d_j = x_j - x_0`` and weights ``w_j(t_k)`` one where ``j = k``, else zero. Viewers interpolate weights linearly
+between keys, hence points and normals too. ``x_0`` and ``d_j`` are rounded to float32: a point is off by at most 2**-24
+of its displacement since the first frame, plus its own rounding.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#morph-targets
 """

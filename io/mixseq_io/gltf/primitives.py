@@ -1,8 +1,11 @@
-r"""Primitives of a glTF mesh as arrays: triangles and vertex attributes.
+r"""Primitives of a glTF mesh as arrays, and the weld of vertices that glTF splits.
 
-``KHR_texture_transform``: texture coordinates translated, rotated and scaled by a material.
+Exporters split vertices where texture coordinates, normals or materials differ. Vertices with bit-identical position,
+joints, weights and morph deltas are one vertex, across all primitives; faces that become degenerate stay. The
+attribute ``_VERTEX`` of files written by mixseq gives the vertices directly.
 
-With scale :math:`s`, rotation :math:`r` and offset :math:`o`, texture coordinates (u, v), v downwards, are
+By ``KHR_texture_transform``, with scale :math:`s`, rotation :math:`r` and offset :math:`o`, texture coordinates (u, v),
+v downwards, are
 
 .. math::
     u' = s_u u \cos r + s_v v \sin r + o_u, \quad v' = -s_u u \sin r + s_v v \cos r + o_v
@@ -11,12 +14,6 @@ as in the specification's example and all renderers; its listing has another sig
 (https://github.com/KhronosGroup/glTF/issues/1563). The base colour's texture decides, or else the first.
 
 Specification: https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Khronos/KHR_texture_transform/README.md
-
-Weld vertices that glTF splits, and map each split vertex to its welded one.
-
-Exporters split vertices where texture coordinates, normals or materials differ. Vertices with bit-identical position,
-joints, weights and morph deltas are one vertex, across all primitives; faces that become degenerate stay. The
-attribute ``_VERTEX`` of files written by mixseq gives the vertices directly.
 """
 
 from __future__ import annotations

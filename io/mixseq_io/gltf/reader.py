@@ -6,21 +6,13 @@ Keys are float32; frames within that rounding of the frame grid are moved onto i
 welded (`mixseq_io.gltf.primitives`). Points are computed in float64 and rounded to float32. A .glb with a mesh sequence
 (`mixseq_io.gltf.mesh_sequence`) is decoded as a compressed model.
 
-Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
-
-Choice of the nodes to read from a glTF file, and their meshes: faces, materials, colours, joints.
-
-Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#meshes-overview
-
-Bind pose of a glTF skin: its joints, and the meshes on them.
-
-The inverse bind matrix :math:`I_j` takes the mesh to the joint's axes, so that the joint lies at :math:`I_j^{-1}` in
-mesh space. Mesh space is placed in the world by the first joint without a parent, :math:`W_r I_r`, where its node
-stands:
+In the bind pose of a skin, the inverse bind matrix :math:`I_j` takes the mesh to the joint's axes, so that the joint
+lies at :math:`I_j^{-1}` in mesh space. Mesh space is placed in the world by the first joint without a parent,
+:math:`W_r I_r`, where its node stands:
 
 .. math:: M_j = W_r I_r I_j^{-1}.
 
-Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#skins
+Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 """
 
 from __future__ import annotations

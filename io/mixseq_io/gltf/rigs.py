@@ -1,12 +1,8 @@
-r"""A base mesh with the targets of a `Morph` in glTF.
+r"""Skins and morphs in glTF: a base mesh with morph targets, which may follow bones.
 
 A target is displacements ``d_m`` and weights ``w_tm``, scaled to sliders' range (`mixseq_io.rig_arrays.shape_of`).
 glTF blends normals as it does points, ``n_t ~ n_0 + sum_m w_tm e_m`` before normalisation. The ``e_m`` are fitted to
 the true normals ``N_t`` of all frames by least squares: with the matrix ``W`` of weights, ``E = W^+ (N - n_0)``.
-
-Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#morph-targets
-
-A mesh that follows bones in glTF.
 
 Joints are nodes in a tree. The node of joint b has the rotation and translation of `mixseq.rigging.rigs.Skin.local`
 relative to its parent; in the world it takes the axes ``A_b`` at the pivot ``p_b`` to ``R_tb A_b`` at ``c_tb``. Its

@@ -1,12 +1,9 @@
-"""Inverse transforms of nodes whose mesh is in world space, below transformed parents: such a mesh keeps its path.
+"""Node tree of a glTF file: names, paths and world transforms, as matrices on column vectors, ``p' = M p``.
 
+A mesh whose points are in world space below transformed parents gets the inverse transform, so that it keeps its path.
 The inverse is rounded, and unevenly scaled parents have none as translation, rotation and scale; nearly inverse
 transforms are accepted, since exporters write scales such as 0.9999999. A mark in the node's ``extras`` makes the
 reader take the points as world space, as long as the transforms still nearly cancel.
-
-Node tree of a glTF file: names, paths and world transforms.
-
-Matrices act on column vectors, ``p' = M p``.
 """
 
 from __future__ import annotations

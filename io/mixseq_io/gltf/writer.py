@@ -1,14 +1,12 @@
-"""glTF, writing: morph targets, laid over the original file, or in a document of its own.
+"""glTF, writing: morph targets in a document of its own, or in that of the original, whose other contents are kept.
+
+In the original's document, meshes of the sequence get new world-space positions, and new normals where they had some;
+they lose skins, morph targets and tangents. Primitives and vertex order stay. Their nodes get the inverse transform of
+their parents; where a parent moves or shears, they become a root of the scene, or several below one root, which comes
+first. Former children keep their place. All animations are replaced by the sequence and by other motion of the file,
+and unreferenced data are removed, so that repeated writing does not grow the file.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
-
-A glTF document of a sequence laid over its original file, whose other contents are kept.
-
-Meshes of the sequence get new world-space positions, and new normals where they had some; they lose skins, morph
-targets and tangents. Primitives and vertex order stay. Their nodes get the inverse transform of their parents; where a
-parent moves or shears, they become a root of the scene, or several below one root, which comes first. Former children
-keep their place. All animations are replaced by the sequence and by other motion of the file, and unreferenced data
-are removed, so that repeated writing does not grow the file.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Arrays and settings of a model in HDF5, with checksums; errors of kind, shape and range are `FormatError`.
+"""Arrays and settings in HDF5: written with checksums, read with checks of kind, shape and range.
 
-HDF5 files written with Fletcher-32 checksums of datasets, and those of the HDF5 1.10 layout for the structure.
+Datasets have Fletcher-32 checksums, and the structure those of the HDF5 1.10 layout.
 
 Specification: https://support.hdfgroup.org/documentation/hdf5/latest/_f_m_t3.html
 """

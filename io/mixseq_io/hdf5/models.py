@@ -1,10 +1,4 @@
-"""Mixed space of a model in HDF5: its parts, joints, and skinning weights.
-
-Shape space of a model in HDF5, and the blocks of its vectors.
-
-Signals of a model in HDF5, readable and editable by hand: see ``docs/file-format.md``.
-
-HDF5 models: a shape space and the signals of a sequence in it. Layout in ``docs/file-format.md``.
+"""HDF5 models: a shape space and the signals of a sequence in it, readable and editable by hand.
 
 ::
 
@@ -24,7 +18,7 @@ HDF5 models: a shape space and the signals of a sequence in it. Layout in ``docs
     /signals/placement/        times, rotations, translations
     /signals/correction/       times, rotations, translations               (mixed space)
 
-Compressed models have a layout of their own: `mixseq_io.coded.streams`.
+See ``docs/file-format.md``. Compressed models have a layout of their own: `mixseq_io.coded.streams`.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
-"""Inspection of an HDF5 file before any value is read; contents that mixseq never writes are refused.
+"""Worker's side of `mixseq_io.hdf5.contents`: reads HDF5 files after inspecting them; unusual contents are refused.
 
 HDF5 files can refer to other files, link in circles, load code for unknown filters, and announce terabytes that were
 never written. Names, types, shapes and storage, all under checksums of the 1.10 layout, are checked first. A dataset
 may unpack to at most gzip's limit of 1032 bytes per stored byte; still sequences of mixseq reach 1023.
-
-Worker's side of `mixseq_io.hdf5.contents`: reads HDF5 files.
 """
 
 from __future__ import annotations

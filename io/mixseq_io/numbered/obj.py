@@ -23,10 +23,6 @@ path. OBJ has no place for times, frame rate, units, the up axis, velocities, su
 vertex, and two materials on one polygon; the library of materials (``mtllib``) is not kept.
 
 Specification: https://paulbourke.net/dataformats/obj/
-
-Face sets and objects from the statements ``o``, ``g`` and ``usemtl`` of OBJ files.
-
-Parser of OBJ files: points, polygons and surface.
 """
 
 from __future__ import annotations

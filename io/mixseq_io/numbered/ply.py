@@ -9,13 +9,10 @@ Written are little-endian binary files in the precision of the points: texture c
 has a single one, else as ``texcoord``; colours alike, as ``uchar`` if exact, else ``float``, and as ``color`` where a
 vertex has several. Lists of corners are as in MeshLab. PLY has no place for the name, times, frame rate, units, the up
 axis, velocities, hard edges, face sets, objects and subdivision. The parser is mixseq's own since trimesh refuses
-binary files with triangles and quads, and triangulates polygons of text files.
+binary files with triangles and quads, and triangulates polygons of text files. Counts are checked against the file's
+size first.
 
 Specification: https://paulbourke.net/dataformats/ply/
-
-Header of PLY files: the elements and the properties of their rows.
-
-Elements of PLY files: their rows, as text or binary; counts are checked against the file's size first.
 """
 
 from __future__ import annotations

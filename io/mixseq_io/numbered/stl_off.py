@@ -1,23 +1,18 @@
-"""Numbered OFF files: one text file per frame, read by trimesh, which triangulates quads.
+"""Numbered OFF and STL files, which hold triangles only.
 
-Vertices and faces of OFF and COFF files are read, with colours of vertices. Points are written with the digits that
-give back the same float32 or float64, stated by a comment; points of other files are read as float64. OFF has no place
-for polygons, the name, times, frame rate, units, the up axis, velocities, and the surface but one colour per vertex.
-
-Specification: http://www.geomview.org/docs/html/OFF.html
-
-Numbered STL files: one file per frame, triangles without connectivity, text or binary.
+OFF and COFF files are text, read by trimesh, which triangulates quads, with colours of vertices. Points are written
+with the digits that give back the same float32 or float64, stated by a comment; points of other files are read as
+float64. Specification: http://www.geomview.org/docs/html/OFF.html
 
 STL holds the three positions of every triangle. Equal positions in the first frame become one vertex, numbered in order
 of appearance. Sequences are refused if a vertex's corners separate later, as parts that only touch at first do.
 Binary files are float32; text is read as float64, with all solids as one mesh. Written are binary files with normals.
-STL has no place for polygons (they are triangulated), the numbers of vertices, the name, times, frame rate, units, the
-up axis, velocities, texture coordinates, hard edges, face sets, objects and subdivision.
-
 The text parser is mixseq's own: trimesh 5.2 skips data after an unclosed solid and lines that are no vertices (of 732
 damaged files it read 100 that are refused here), and refuses a solid with "vertex" in its name.
-
 Specification: https://www.loc.gov/preservation/digital/formats/fdd/fdd000504.shtml
+
+Neither has a place for polygons, the name, times, frame rate, units, the up axis, velocities, and the surface (but one
+colour per vertex in OFF); STL also loses the numbers of vertices.
 """
 
 from __future__ import annotations

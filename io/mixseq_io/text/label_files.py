@@ -1,4 +1,4 @@
-"""Read labels: choose among a file's sources, and check that they fit the mesh.
+"""Files of labels: read from one of a file's sources, checked to fit the mesh, and written.
 
 =============  ==========================================================================================
 source         meaning
@@ -14,9 +14,8 @@ source         meaning
 
 `labels` come first, since they were made as labels. Sources with one label for all faces count only on request.
 
-Write parts as arrays (npz), as subsets of the faces (USD), or as groups (OBJ, Alembic, HDF5).
-
-npz files store triangles. The other formats store polygons, each in the part of most of its triangles.
+Parts are written as arrays of triangles (npz), or of polygons, each in the part of most of its triangles: as subsets of
+the faces (USD), or as groups (OBJ, Alembic, HDF5).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Files of markers: pairs of vertices of two meshes, numbered from 0, the source's first.
+"""Files of markers, which are pairs of vertices of two meshes, the source's first, of contacts, and of rows of maps.
 
 =================  =================================================================================================
 file               contents
@@ -15,12 +15,8 @@ In lists, a marker is a pair of numbers ``[750, 3386]``, a text as on a line ``"
 ``.cons`` and ``.corr`` (lines), and lists of ``"750:3386"`` in YAML. YAML itself takes ``12:34`` for a time of day,
 754 seconds; here it is a pair.
 
-Files of text and JSON, read whole or as rows of numbers, with errors that name the file and the line.
-
-Files of contacts: named groups of vertices of a target that rest on the ground, such as feet.
-
-JSON, ``{"left foot": [12, 13, 20], "right foot": [40, 41]}``, with vertices numbered from 0; or an object with that as
-``"contacts"``.
+Contacts are named groups of vertices of a target that rest on the ground, such as feet: JSON, ``{"left foot": [12, 13,
+20], "right foot": [40, 41]}``, or an object with that as ``"contacts"``. All vertices are numbered from 0.
 """
 
 from __future__ import annotations

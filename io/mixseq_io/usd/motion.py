@@ -1,24 +1,18 @@
-"""USD, skinning: skeletons and blend shapes that move meshes (UsdSkel), computed by USD's own implementation.
+"""Motion of USD meshes: skins, welded points, sources of motion, and the map of a layer's time to the file below.
 
 The points of a skinned mesh are blended from its shapes, taken by ``geomBindTransform`` into skeleton space, moved by
-the joints (linear or dual quaternion skinning), and placed by the skeleton's transform instead of the mesh's.
+the joints (linear or dual quaternion skinning), and placed by the skeleton's transform instead of the mesh's. USD's own
+implementation (UsdSkel) computes them.
 
-Specification: https://openusd.org/release/api/_usd_skel__intro.html
-
-USD, seams: weld points that are split where texture coordinates or normals differ.
-
-Meshes of skeletons are welded where position, joints, weights and blend shapes are bit-identical; game-engine
-characters would otherwise be cut open along all seams. Other meshes are not, since points with time samples would all
-have to be read. A layer with new points stores the vertex of every point in the attribute `VERTICES`.
-
-USD, writing: map from a layer's time to the time of the file below.
+Points are split where texture coordinates or normals differ. Meshes of skeletons are welded where position, joints,
+weights and blend shapes are bit-identical; game-engine characters would otherwise be cut open along all seams. Other
+meshes are not, since points with time samples would all have to be read. A layer with new points stores the vertex of
+every point in the attribute `VERTICES`.
 
 A sublayer keeps its seconds at any rate of the layer above. When the whole stage is retimed, its moving attributes get
 samples in the layer, taken at the times that the frames show; a layer offset suffices for constant speed forwards only.
 
-USD, motion: sources of a mesh's motion, and its points in world space.
-
-Specification: https://openusd.org/release/api/class_usd_geom_point_based.html (velocities)
+Specification: https://openusd.org/release/api/_usd_skel__intro.html
 """
 
 from __future__ import annotations

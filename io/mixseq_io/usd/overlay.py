@@ -1,22 +1,15 @@
-"""USD, writing: a layer with new points over an existing file, which keeps everything else.
+"""A USD layer with new points over an existing file, which keeps everything else.
 
 The file is a sublayer; the layer overrides points, extents, velocities, and authored normals that renderers use. USD
 scales time codes of sublayers with another ``timeCodesPerSecond``, so that its cameras keep their seconds. Meshes are
 unbound from skeletons and blend shapes, old velocities and accelerations are blocked
 (https://openusd.org/release/api/class_sdf_value_block.html), and instances are made unique.
 
-USD, writing: hold meshes still below moving transforms, since the layer's points are their whole motion.
-
-Operations that move this mesh only are held at their first frame. Others are inverted: the outermost prim with nothing
-but the mesh below it gets their inverses with the same samples (`transforms`). ``!resetXformStack!`` is unsuitable:
-Blender 5 ignores it, Hydra 2 does where it stands alone (https://github.com/PixarAnimationStudios/OpenUSD/issues/3781),
-and it would detach the mesh from any referencing prim.
-
-USD, writing: the original file that new points are laid over, and its meshes matched with a sequence's.
-
-USD, writing: other motion in the file below: cameras, hair, lights, materials.
-
-Attributes authored by the layer itself, such as points and held transforms, are excluded.
+Meshes are held still below moving transforms, since the layer's points are their whole motion. Operations that move
+this mesh only are held at their first frame. Others are inverted: the outermost prim with nothing but the mesh below it
+gets their inverses with the same samples. ``!resetXformStack!`` is unsuitable: Blender 5 ignores it, Hydra 2 does where
+it stands alone (https://github.com/PixarAnimationStudios/OpenUSD/issues/3781), and it would detach the mesh from any
+referencing prim. Other motion of the file (cameras, hair, lights, materials) keeps its times, or is retimed.
 """
 
 from __future__ import annotations

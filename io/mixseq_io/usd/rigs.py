@@ -1,23 +1,15 @@
-"""Joints of a UsdSkel skeleton in the bind pose.
+"""Skins and morphs in USD (UsdSkel): stand-alone files with joints and blend shapes, and skeletons read.
 
 Bind transforms are in skeleton space, placed in the world by the skeleton's transform at the start of the stage. USD's
 matrices act on row vectors.
 
-Specification: https://openusd.org/release/api/_usd_skel__schemas.html#UsdSkel_Skeleton
-
-USD, writing: a mesh that follows joints and blend shapes (UsdSkel).
-
-A SkelRoot holds the meshes, a Skeleton and a SkelAnimation. Bind transforms are in world space, with the axes ``A_b``
-at the pivot ``p_b``. The animation moves joints relative to their parents by `mixseq.rigging.rigs.Skin.local`, so that
+Written, a SkelRoot holds the meshes, a Skeleton and a SkelAnimation. Bind transforms are in world space, with the axes
+``A_b`` at the pivot ``p_b``. The animation moves joints relative to their parents by `mixseq.rigging.rigs.Skin.local`, so that
 UsdSkel takes a point from the bind pose to ``R_tb (r_v - p_b) + c_tb``, the formula of `mixseq.rigging.rigs.Skin`;
 blend shapes come before joints. A morph has a Skeleton without joints. Joints are named by paths (``hips/leg``) of
-valid names; ``jointNames`` keeps the others.
+valid names; ``jointNames`` keeps the others. Materials are copied from the sequence's original USD file.
 
 Specification: https://openusd.org/release/api/_usd_skel__schemas.html
-
-USD, writing: stand-alone files of skins and morphs (.usd and .usdc binary, .usda text, .usdz packages).
-
-Materials are copied from the sequence's original USD file.
 """
 
 from __future__ import annotations

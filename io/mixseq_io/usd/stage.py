@@ -1,26 +1,10 @@
-"""USD's diagnostics, printed to stderr from C++ or raised with C++ file names, turned into mixseq's errors.
+"""Stages of USD: diagnostics, names and paths, prims, transforms, and the choice of meshes.
 
-Specification: https://openusd.org/release/api/page_tf__diagnostic.html
-
-USD, writing: names of prims, time codes, and paths between files.
-
-Specification: https://openusd.org/release/api/class_sdf_asset_path.html
-
-USD, prims: open a stage, traverse and define prims, and collect warnings about them.
+USD's diagnostics, printed to stderr from C++ or raised with C++ file names, are turned into mixseq's errors.
+Transforming operations that invert the next one at all times, as written by `mixseq_io.usd.overlay`, are dropped with
+it, so that the transform is exact and their samples make no frames.
 
 Specification: https://openusd.org/release/api/class_usd_stage.html
-
-USD, transforms: placement of prims in the world, and its sources of motion.
-
-Operations that invert the next one at all times, as written by `mixseq_io.usd.overlay`, are dropped with it, so that
-the transform is exact and their samples make no frames.
-
-Specification: https://openusd.org/release/api/class_usd_geom_xformable.html
-
-USD, choosing: which meshes of a stage to read.
-
-Specifications: https://openusd.org/release/api/class_usd_geom_imageable.html (visibility and purpose),
-https://openusd.org/release/api/class_usd_geom_point_instancer.html
 """
 
 from __future__ import annotations

@@ -1,17 +1,11 @@
-"""USD, writing: materials of a stand-alone file, copied from the original.
+"""Surfaces of USD meshes: faces, primvars and subsets are read; materials and parts are written.
 
-Networks are taken from the composed file, flattened. Connections that leave the material are lost. Textures stay in
-place; asset paths are rewritten.
+Materials of a stand-alone file are copied from the original, as networks of the composed file, flattened. Connections
+that leave the material are lost. Textures stay in place; asset paths are rewritten. Parts are a family of subsets that
+partitions every mesh's faces.
 
-Specification: https://openusd.org/release/api/class_usd_shade_material.html
-
-USD, labels of parts: reads families of subsets and joints, writes a family that partitions every mesh's faces.
-
-Specification: https://openusd.org/release/api/class_usd_geom_subset.html (families and their types)
-
-USD, surfaces: polygons, texture coordinates, colours, hard edges and face sets of a mesh.
-
-Specification: https://openusd.org/release/api/class_usd_geom_primvar.html (interpolation)
+Specification: https://openusd.org/release/api/class_usd_geom_subset.html (families and their types),
+https://openusd.org/release/api/class_usd_geom_primvar.html (interpolation)
 """
 
 from __future__ import annotations

@@ -1,16 +1,10 @@
-"""USD, writing (.usd and .usdc binary, .usda text, .usdz packages).
+"""USD, writing (.usd and .usdc binary, .usda text, .usdz packages), points rounded to float32.
 
-Sequences from a USD file become a layer over it (`overlay`), others a stand-alone file (`component`). Samples
-(`frame_values`) are in the file itself (`layers`) or in value clips (`clips`). Points are rounded to float32.
-
-USD, writing: a stand-alone component file, textures apart.
-
-The default prim ``/<name>`` is an Xform with one Mesh per object and the materials in ``/<name>/Looks``. Meshes are
-right-handed and in world space. Normals are written only for hard edges on meshes without subdivision.
+Sequences from a USD file become a layer over it (`overlay`), others a stand-alone component file: the default prim
+``/<name>`` is an Xform with one Mesh per object and the materials in ``/<name>/Looks``. Meshes are right-handed and in
+world space. Normals are written only for hard edges on meshes without subdivision.
 
 Specification: https://openusd.org/release/glossary.html#usdglossary-component
-
-USD, writing: frame rate and time range of a file.
 """
 
 from __future__ import annotations

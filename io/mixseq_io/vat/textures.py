@@ -1,4 +1,4 @@
-r"""Vertex animation textures of points and normals, plain or as sums of basis vectors.
+r"""Vertex animation textures of points and normals, plain or as sums of basis vectors, encoded as pictures.
 
 Plain
     A texel per vertex and frame: its point between the bounds of all frames, and its normal.
@@ -7,23 +7,16 @@ Low rank
     after one with its part; coefficients are a separate texture of two rows per frame. Normals are sums with the same
     coefficients, their basis vectors fitted by least squares.
 
-Numbers as pixels, decoded by shaders as :math:`o + s\,p` of a pixel :math:`p` between 0 and 1.
-
-PNG holds `p` in 16 bits (8 for normals of single frames), EXR the numbers themselves, with o = 0 and s = 1. Decoded
-numbers are returned with the pixels, for measuring errors.
-
-Pictures of numbers: PNG with 8 or 16 bits, and EXR with 32-bit floats.
-
-PNG is written here with zlib, since Pillow has no 16 bits in three channels. Each row is filtered by none, the pixel to
-the left, or the one above, whichever has the smallest sum of magnitudes, as in libpng.
-
-Specifications: https://www.w3.org/TR/png-3/, https://openexr.com/en/latest/OpenEXRFileLayout.html
-
-Texels: places of vertices in a texture, and the mesh that refers to them.
+Shaders decode numbers as :math:`o + s\,p` of a pixel :math:`p` between 0 and 1. PNG holds `p` in 16 bits (8 for normals
+of single frames), EXR the numbers themselves, with o = 0 and s = 1. PNG is written here with zlib, since Pillow has no
+16 bits in three channels. Each row is filtered by none, the pixel to the left, or the one above, whichever has the
+smallest sum of magnitudes, as in libpng.
 
 A texel is a vertex with one normal; glTF vertices that differ only by texture coordinates or materials share it. A
 *layer* is one value of all texels, a frame or four basis vectors, in some rows of the texture. Layers are stacked:
 shaders find a vertex in layer `n` by an offset in rows from the first one, the second set of texture coordinates.
+
+Specifications: https://www.w3.org/TR/png-3/, https://openexr.com/en/latest/OpenEXRFileLayout.html
 """
 
 from __future__ import annotations

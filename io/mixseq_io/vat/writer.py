@@ -1,9 +1,7 @@
-"""Vertex animation textures, writing: pictures, the mesh that refers to them, ``vat.json``, shaders.
+"""Vertex animation textures, writing: pictures, the mesh that refers to them, ``vat.json``, and shaders.
 
 `mixseq_io.vat.textures` describes the encoding. Errors are those of the pictures' numbers, without float32 rounding in
 shaders.
-
-Shaders for vertex animation textures, with the numbers of one filled in.
 """
 
 from __future__ import annotations
