@@ -359,11 +359,8 @@ class _IsolatedReader(SequenceReader):
     def _check_process(self) -> None:
         """Do nothing: a forked process opens the file again, in a worker of its own."""
 
-    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
-        return self._file.iterate("points", size)
-
-    def _read_velocities(self, size: int) -> Iterator[FloatArray]:
-        return self._file.iterate("velocities", size)
+    def _read(self, what: str, size: int) -> Iterator[FloatArray]:
+        return self._file.iterate(what, size)
 
 
 def _frozen(header: SequenceHeader) -> SequenceHeader:

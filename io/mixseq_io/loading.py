@@ -113,7 +113,7 @@ class ModelReader(SequenceReader):
         self._most = FRAMES
         super().__init__(path, self._model.header)
 
-    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
+    def _read(self, what: str, size: int) -> Iterator[FloatArray]:
         return self._model.blocks(self._model.times, min(size, self._most))
 
 

@@ -177,18 +177,12 @@ class _NpzReader(SequenceReader):
         super().__init__(path, header, resources, moving)
         self._archive = archive
 
-    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
-        return self._read("points", size)
-
-    def _read_velocities(self, size: int) -> Iterator[FloatArray]:
-        return self._read("velocities", size)
-
-    def _read(self, name: str, size: int) -> Iterator[FloatArray]:
-        with reading_archive(self.path), self._archive.open(name) as (stream, header):
+    def _read(self, what: str, size: int) -> Iterator[FloatArray]:
+        with reading_archive(self.path), self._archive.open(what) as (stream, header):
             frames = header.shape[0]
             if header.fortran:  # a frame's numbers are all over the file: there is nothing to stream
                 with memory_limit(self._limit):
-                    whole = _as_floats(self._archive.read(name))
+                    whole = _as_floats(self._archive.read(what))
                 yield from (whole[start : start + size] for start in range(0, frames, size))
                 return
             for start in range(0, frames, size):

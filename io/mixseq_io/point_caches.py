@@ -109,7 +109,7 @@ class PointCacheReader(SequenceReader):
         self._file = file
         self._layout = layout
 
-    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
+    def _read(self, what: str, size: int) -> Iterator[FloatArray]:
         layout = self._layout
         for first in range(0, layout.frames, size):
             count = min(size, layout.frames - first)

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from mixseq.signals.model import Model
 
 
-_YES = {True: "yes", False: "no"}
-
 _FPS = "frames per second, 24 by default"
 _GAPS = "accept missing numbers; the frames keep the times of their numbers"
 _START = "number of the first file, by default that of the first frame"
@@ -32,6 +30,22 @@ _PRIM = "path of a mesh or of something above it; / takes all meshes, by default
 _FLATTEN = "write a file that stands alone, not one that builds on the file that the sequence came from"
 _SOURCES = "times of the original that the frames show, where these are others than their own"
 _ONTO = "the file to build on, if it is another one than the sequence came from"
+
+
+def _numbered(name: str, module: str, holds: Holds, *signatures: bytes) -> Format:
+    """Return a format of numbered files, an object of this name in a module of `mixseq_io.numbered`."""
+    return Format(
+        name=name,
+        extensions=(f".{name.lower()}",),
+        holds=holds,
+        reader=f"mixseq_io.numbered.{module}:{name}.open",
+        writer=f"mixseq_io.numbered.{module}:{name}.write",
+        read_options={"fps": _FPS, "allow_gaps": _GAPS},
+        write_options={"start": _START},
+        signatures=signatures,
+        numbered=True,
+    )
+
 
 FORMATS: tuple[Format, ...] = (
     Format(
@@ -129,20 +143,13 @@ FORMATS: tuple[Format, ...] = (
         writer="mixseq_io.point_caches:write_mdd",
         read_options={"mesh": _MESH},
     ),
-    Format(
-        name="OBJ",
-        extensions=(".obj",),
-        holds=Holds(animation="a file per frame", points="all digits", times="no", colours=OPAQUE),
-        reader="mixseq_io.numbered.obj:OBJ.open",
-        writer="mixseq_io.numbered.obj:OBJ.write",
-        read_options={"fps": _FPS, "allow_gaps": _GAPS},
-        write_options={"start": _START},
-        numbered=True,
+    _numbered(
+        "OBJ", "obj", Holds(animation="a file per frame", points="all digits", times="no", colours=OPAQUE)
     ),
-    Format(
-        name="PLY",
-        extensions=(".ply",),
-        holds=Holds(
+    _numbered(
+        "PLY",
+        "ply",
+        Holds(
             animation="a file per frame",
             points="float32, float64",
             times="no",
@@ -151,17 +158,12 @@ FORMATS: tuple[Format, ...] = (
             objects=False,
             materials="no",
         ),
-        reader="mixseq_io.numbered.ply:PLY.open",
-        writer="mixseq_io.numbered.ply:PLY.write",
-        read_options={"fps": _FPS, "allow_gaps": _GAPS},
-        write_options={"start": _START},
-        signatures=(b"ply",),
-        numbered=True,
+        b"ply",
     ),
-    Format(
-        name="STL",
-        extensions=(".stl",),
-        holds=Holds(
+    _numbered(
+        "STL",
+        "stl_off",
+        Holds(
             animation="a file per frame",
             polygons="triangles",
             times="no",
@@ -172,16 +174,11 @@ FORMATS: tuple[Format, ...] = (
             objects=False,
             materials="no",
         ),
-        reader="mixseq_io.numbered.stl_off:STL.open",
-        writer="mixseq_io.numbered.stl_off:STL.write",
-        read_options={"fps": _FPS, "allow_gaps": _GAPS},
-        write_options={"start": _START},
-        numbered=True,
     ),
-    Format(
-        name="OFF",
-        extensions=(".off",),
-        holds=Holds(
+    _numbered(
+        "OFF",
+        "stl_off",
+        Holds(
             animation="a file per frame",
             polygons="triangles",
             points="all digits",
@@ -193,12 +190,8 @@ FORMATS: tuple[Format, ...] = (
             objects=False,
             materials="no",
         ),
-        reader="mixseq_io.numbered.stl_off:OFF.open",
-        writer="mixseq_io.numbered.stl_off:OFF.write",
-        read_options={"fps": _FPS, "allow_gaps": _GAPS},
-        write_options={"start": _START},
-        signatures=(b"OFF", b"COFF"),
-        numbered=True,
+        b"OFF",
+        b"COFF",
     ),
 )
 
@@ -212,7 +205,10 @@ def capabilities() -> list[tuple[str, ...]]:
             form.name,
             " ".join(form.extensions),
             " ".join(form.extensions),
-            *(_word(getattr(form.holds, column)) for column in columns),
+            *(
+                {True: "yes", False: "no"}.get(held := getattr(form.holds, column), held)
+                for column in columns
+            ),
         )
         for form in FORMATS
     ]
@@ -227,10 +223,6 @@ def motions() -> list[tuple[str, ...]]:
         for form in FORMATS
     ]
     return [titles, *rows]
-
-
-def _word(value: bool | str) -> str:
-    return value if isinstance(value, str) else _YES[value]
 
 
 # Other formats that users may have under a wrong name; only for messages.
@@ -382,18 +374,16 @@ def write_blocks(
 
 
 def _format_to_read(path: Path) -> Format:
-    extension = path.suffix.lower()
     if path.is_dir():
         return _format_of_folder(path)
-    for candidate in FORMATS:
-        if extension in candidate.extensions:
-            return candidate
+    if known := _by_extension(path):
+        return known
     if not path.exists():
         raise FormatError(f"{path} does not exist")
     found = _recognised(path)
     holds = f"it holds {found} data" if found else "its contents are of no known format"
     raise FormatError(
-        f"{path}: the extension {extension!r} is not known, and {holds}; known are {_extensions()}"
+        f"{path}: the extension {path.suffix.lower()!r} is not known, and {holds}; known are {_extensions()}"
     )
 
 
@@ -414,11 +404,15 @@ def _format_of_folder(path: Path) -> Format:
 
 
 def _format_to_write(path: Path) -> Format:
-    extension = path.suffix.lower()
-    for candidate in FORMATS:
-        if extension in candidate.extensions:
-            return candidate
-    raise OutputError(f"{path}: the extension {extension!r} is not known; write one of {_extensions()}")
+    if known := _by_extension(path):
+        return known
+    raise OutputError(
+        f"{path}: the extension {path.suffix.lower()!r} is not known; write one of {_extensions()}"
+    )
+
+
+def _by_extension(path: Path) -> Format | None:
+    return next((each for each in FORMATS if path.suffix.lower() in each.extensions), None)
 
 
 def _extensions() -> str:

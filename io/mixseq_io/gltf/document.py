@@ -29,16 +29,15 @@ from mixseq.errors import FormatError
 from mixseq_io.files import check_memory
 from mixseq_io.reader import reading
 
+DAMAGE = (KeyError, IndexError, TypeError, ValueError, AttributeError, RecursionError)
+"""Exceptions of unchecked access to the JSON of damaged files, for `reading`."""
+
+DRACO = "KHR_draco_mesh_compression"
+MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 SEQUENCE_EXTENSION = "MIXSEQ_mesh_sequence"
 """Extension of meshes whose frames are streams, see `mixseq_io.gltf.mesh_sequence`."""
 
-_UNDERSTOOD = (
-    "EXT_meshopt_compression",
-    "KHR_meshopt_compression",
-    "KHR_draco_mesh_compression",
-    "KHR_mesh_quantization",
-    SEQUENCE_EXTENSION,
-)
+_UNDERSTOOD = (*MESHOPT, DRACO, "KHR_mesh_quantization", SEQUENCE_EXTENSION)
 
 # They change how a mesh looks, not where it is.
 _APPEARANCE = (

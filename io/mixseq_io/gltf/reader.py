@@ -446,7 +446,7 @@ class _GltfReader(SequenceReader):
         """Return the sets of polygons and the joints of the meshes."""
         return replace(super().markings(), skinning=skinning_of(self._shapes))
 
-    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
+    def _read(self, what: str, size: int) -> Iterator[FloatArray]:
         for start in range(0, self.header.frame_count, size):
             times = self._times[start : start + size]
             with np.errstate(all="ignore"):

@@ -26,13 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import OutputError
-from mixseq.mesh.measures import shared_normals
 from mixseq.rigging.rigs import Morph, Skin, rotation_matrices
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import bounding_diagonal
-from mixseq.types import Float, Single
+from mixseq.types import Single
 from mixseq_io.gltf.codecs import VERTICES, Json, Layout, append
-from mixseq_io.gltf.new_document import MovingMesh, key_times, named, new_meshes, new_scene, upright
+from mixseq_io.gltf.new_document import MovingMesh, named, new_animation, new_meshes, new_scene, upright
 from mixseq_io.reader import as_float32
 from mixseq_io.rig_arrays import four_influences, numbered_names, shape_of, steadied
 
@@ -61,29 +60,19 @@ def animate(layout: Layout, header: SequenceHeader, tracks: Sequence[Track]) -> 
     moving = [track for track in tracks if track.moves]
     if not moving:
         return
-    keys, extras = key_times(header)
-    times = layout.add_array(keys)
-    layout.bounded(times, ([float(keys[0])], [float(keys[-1])]))
+    times, animation = new_animation(layout, header)
     # One view for all of them, since there may be hundreds.
     values = [np.ascontiguousarray(track.values) for track in moving]
     view, offset = layout.add(values, sum(each.nbytes for each in values)), 0
-    samplers: list[Json] = []
-    channels: list[Json] = []
     for number, (track, each) in enumerate(zip(moving, values, strict=True)):
         kind = _KINDS[track.path]
         count = each.size if kind == "SCALAR" else len(each)
         output = layout.accessor(view, count, kind, offset)
-        samplers.append({"input": times, "output": output, "interpolation": "LINEAR"})
-        channels += [
+        animation["samplers"].append({"input": times, "output": output, "interpolation": "LINEAR"})
+        animation["channels"] += [
             {"sampler": number, "target": {"node": node, "path": track.path}} for node in track.nodes
         ]
         offset += each.nbytes
-    animation = {
-        "name": header.name or "animation",
-        "samplers": samplers,
-        "channels": channels,
-        "extras": extras,
-    }
     append(layout.document, "animations", animation)
 
 
@@ -119,10 +108,7 @@ def _add(layout: Layout, mesh: MovingMesh, morph: Morph, base: Single, targets: 
         shapes = [(base, normals), *zip(targets, normal_targets, strict=True)]
         for number, (points, directions) in enumerate(shapes):
             attributes = each.entry["attributes"] if number == 0 else {}
-            here = points[mesh.scene_mesh.vertices][each.vertices]
-            attributes["POSITION"] = layout.add_array(here, target=VERTICES)
-            bounds = here.min(axis=0).tolist(), here.max(axis=0).tolist()
-            layout.bounded(attributes["POSITION"], bounds)
+            attributes["POSITION"] = layout.add_points(points[mesh.scene_mesh.vertices][each.vertices])
             if each.normals is not None:
                 attributes["NORMAL"] = layout.add_array(directions[each.normals], target=VERTICES)
             if number > 0:
@@ -131,19 +117,13 @@ def _add(layout: Layout, mesh: MovingMesh, morph: Morph, base: Single, targets: 
 
 def _normals(mesh: MovingMesh, morph: Morph) -> tuple[Single, Single]:
     """Return the normals of the base ``(G, 3)`` and of the targets ``(M, G, 3)``, see the module's head."""
-
-    def normals_of(points: Float) -> Single:
-        return shared_normals(
-            points[:, mesh.scene_mesh.vertices], mesh.scene_mesh.polygons, mesh.scene_mesh.hard_edges
-        )
-
-    (base,) = normals_of(morph.base[None])
+    (base,) = mesh.normals_of(morph.base[None])
     targets = np.zeros((len(morph.targets), base.size))
     if len(targets):
         inverse = np.linalg.pinv(morph.weights, rcond=_ILL_DEFINED)
         frame = 0
         for block in morph.blocks():
-            turned = (normals_of(block) - base.astype(np.float64)).reshape(len(block), -1)
+            turned = (mesh.normals_of(block) - base.astype(np.float64)).reshape(len(block), -1)
             targets += inverse[:, frame : frame + len(block)] @ turned
             frame += len(block)
     return base, targets.reshape(-1, *base.shape).astype(np.float32)

@@ -28,7 +28,7 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, Index
 from mixseq_io.files import replacing
 from mixseq_io.gltf.codecs import GENERATOR, INDICES, Json, Layout, append, plain, writing_buffer
-from mixseq_io.gltf.document import Document, Fields, load_document
+from mixseq_io.gltf.document import DAMAGE, Document, Fields, load_document
 from mixseq_io.gltf.edits import (
     NOTHING,
     OtherMotion,
@@ -256,9 +256,6 @@ def _with_data(carried: Json, document: Document) -> Layout:
     return layout
 
 
-_DAMAGE = (KeyError, IndexError, TypeError, ValueError, AttributeError, RecursionError)
-
-
 def write_gltf(
     path: Path,
     header: SequenceHeader,
@@ -269,22 +266,10 @@ def write_gltf(
     keep_start: bool = False,
     sources: ArrayLike | None = None,
 ) -> None:
-    """Write a glTF file: ``.glb`` is binary, ``.gltf`` text with everything in it.
+    """Write a glTF file, ``.glb`` binary, ``.gltf`` text with everything in it; options as in `FORMATS`.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    header, blocks, velocities
-        See `mixseq_io.write_blocks`; velocities are lost.
-    flatten : bool
-        Write the sequence alone. By default, everything else of its original glTF file is kept.
-    onto : path-like, optional
-        The file whose materials, textures and other nodes are kept, in place of the original.
-    keep_start : bool
-        Start the animation at the sequence's first time. By default it starts at 0, and its extras store that time.
-    sources : (T,) array-like, optional
-        Times of the original that the frames show, in seconds; where they differ, a warning lists other motion.
+    By default everything else of the sequence's original file is kept; `sources` are ``(T,)`` in seconds. Velocities
+    are lost.
     """
     if flatten and onto is not None:
         raise SettingsError("flatten writes the sequence alone, onto lays it over a file; give one of them")
@@ -308,7 +293,7 @@ def _overlay(
     """Return the document of the file that the sequence is laid over, None if there is none."""
 
     def opened(file: Path) -> tuple[Layout, list[MovingMesh], OtherMotion]:
-        with reading(file, "glTF", *_DAMAGE):
+        with reading(file, "glTF", *DAMAGE):
             return lay_over(plain(load_document(file)), header, sources)
 
     return opened_original(path, header, onto, "glTF", opened)

@@ -82,15 +82,9 @@ class _H5Reader(SequenceReader):
         super().__init__(path, header, resources, has_velocities="velocities" in file)
         self._file = file
 
-    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
-        return self._read("points", size)
-
-    def _read_velocities(self, size: int) -> Iterator[FloatArray]:
-        return self._read("velocities", size)
-
-    def _read(self, name: str, size: int) -> Iterator[FloatArray]:
+    def _read(self, what: str, size: int) -> Iterator[FloatArray]:
         with reading_h5(self.path):
-            dataset = self._file[name]
+            dataset = self._file[what]
         for start in range(0, len(dataset), size):
             stop = min(start + size, len(dataset))
             try:
@@ -98,7 +92,7 @@ class _H5Reader(SequenceReader):
             except (OSError, RuntimeError, ValueError) as error:
                 first, last = (self.header.frame_number(index) for index in (start, stop - 1))
                 raise FormatError(
-                    f"{self.path}: {name} of frames {first} to {last} are damaged ({brief(error)}); restore the file"
+                    f"{self.path}: {what} of frames {first} to {last} are damaged ({brief(error)}); restore the file"
                 ) from error
             yield block.astype(block.dtype.newbyteorder("="), copy=False)
 

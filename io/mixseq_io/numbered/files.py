@@ -219,7 +219,7 @@ class _FilesReader(SequenceReader):
         self._first = first
         self._form = form
 
-    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
+    def _read(self, what: str, size: int) -> Iterator[FloatArray]:
         for start in range(0, len(self._files), size):
             frames = range(start, min(start + size, len(self._files)))
             yield np.stack([self._points(frame) for frame in frames], dtype=self._first.points.dtype)

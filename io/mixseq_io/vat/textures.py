@@ -32,7 +32,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import MissingExtraError, SettingsError
-from mixseq.mesh.measures import shared_normals
 from mixseq.rigging.low_rank import LowRank
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, Index
@@ -195,14 +194,7 @@ class Texels:
 
     def normals_of(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return the normals ``(n, N, 3)`` of texels for points ``(n, V, 3)``."""
-        found = [
-            shared_normals(
-                points[:, mesh.scene_mesh.vertices].astype(np.float32),
-                mesh.scene_mesh.polygons,
-                mesh.scene_mesh.hard_edges,
-            )
-            for mesh in self.meshes
-        ]
+        found = [mesh.normals_of(points.astype(np.float32)) for mesh in self.meshes]
         return np.asarray(np.concatenate(found, axis=1)[:, self.normals])
 
     @cached_property
@@ -238,9 +230,7 @@ class Texels:
         numbers = iter(self.of_primitive)
         for each in (primitive for mesh in self.meshes for primitive in mesh.primitives):
             texels, attributes = next(numbers), each.entry["attributes"]
-            attributes["POSITION"] = self.layout.add_array(here[texels], target=VERTICES)
-            bounds = here[texels].min(axis=0).tolist(), here[texels].max(axis=0).tolist()
-            self.layout.bounded(attributes["POSITION"], bounds)
+            attributes["POSITION"] = self.layout.add_points(here[texels])
             attributes["NORMAL"] = self.layout.add_array(normals[texels], target=VERTICES)
             if "TEXCOORD_0" not in attributes:  # glTF counts sets of texture coordinates from 0 on
                 none = np.zeros((len(texels), 2), np.float32)
