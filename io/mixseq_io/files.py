@@ -309,8 +309,8 @@ def _check_parent(target: Path) -> None:
         raise OutputError(f"{target}: the folder {target.parent} does not exist; make it first")
 
 
-def _flush(file: Path) -> None:
-    descriptor = os.open(file, os.O_RDWR)
+def _flush(file: Path, mode: int = os.O_RDWR) -> None:
+    descriptor = os.open(file, mode)
     try:
         os.fsync(descriptor)
     finally:
@@ -321,11 +321,7 @@ def _flush_folder(folder: Path) -> None:
     # Some systems cannot flush folders. By now the file is in place and safe; a power cut could at worst undo
     # the rename.
     with suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+        _flush(folder, os.O_RDONLY)
 
 
 _ALMOST_FULL = 1 << 20

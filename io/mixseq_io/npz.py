@@ -93,7 +93,7 @@ class Archive:
             check_memory(self._path, sum(self._sizes.values()), f"its arrays, with {name!r},")
         with self._file.open(f"{name}.npy") as stream:
             array: NDArray[Any] = npy.read_array(stream, allow_pickle=False)
-            finish(stream)
+            stream.read(1)  # at the end zipfile compares the checksum
             return array
 
     @contextmanager
@@ -125,11 +125,6 @@ class Archive:
         raise FormatError(
             f"{self._path}: {name} are stored in npy version {version}; 1.0 and 2.0 can be read"
         )
-
-
-def finish(stream: IO[bytes]) -> None:
-    """Read an array's stream to the end, where zipfile compares the checksum."""
-    stream.read(1)
 
 
 @contextmanager
@@ -189,7 +184,7 @@ class _NpzReader(SequenceReader):
                 block = np.empty((min(size, frames - start), *header.shape[1:]), header.dtype)
                 _read_into(stream, block)
                 if start + size >= frames:
-                    finish(stream)
+                    stream.read(1)  # at the end zipfile compares the checksum
                 yield _as_floats(block)
 
 

@@ -9,7 +9,7 @@ differ only by rounding.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -102,10 +102,10 @@ def common_name(meshes: Sequence[SceneObject]) -> str:
     return next((each.name for each in meshes[0].lineage if each.path in shared and each.name), "")
 
 
-def listed(names: Sequence[str]) -> str:
-    """Return at most 20 names, quoted, for a message."""
+def listed(names: Sequence[str], form: Callable[[str], str] = repr) -> str:
+    """Return at most 20 names, quoted by default, for a message."""
     more = len(names) - _LONGEST_LIST
-    return ", ".join(map(repr, names[:_LONGEST_LIST])) + (f" and {more} more" if more > 0 else "")
+    return ", ".join(map(form, names[:_LONGEST_LIST])) + (f" and {more} more" if more > 0 else "")
 
 
 SAME_TIME = 1e-6
@@ -175,6 +175,11 @@ class SceneMesh:
         if isinstance(self.vertices, slice):
             return int(self.vertices.stop - self.vertices.start)
         return len(self.vertices)
+
+    @property
+    def normal_groups(self) -> IntArray:
+        """Index of the shared normal at every corner: hard edges, or the vertices without any."""
+        return self.polygons.indices if self.hard_edges is None else self.hard_edges
 
     def as_numbered(self, original: Polygons) -> SceneMesh | None:
         """Return the mesh with the vertex order of a file (only compressed models renumber), None for another mesh."""
@@ -258,9 +263,8 @@ def _joined_hard_edges(meshes: Sequence[SceneMesh]) -> IntArray | None:
         return None
     joined, count = [], 0
     for mesh in meshes:
-        hard_edges = mesh.polygons.indices if mesh.hard_edges is None else mesh.hard_edges
-        joined.append(hard_edges + count)
-        count += int(hard_edges.max(initial=-1)) + 1
+        joined.append(mesh.normal_groups + count)
+        count += int(mesh.normal_groups.max(initial=-1)) + 1
     return np.concatenate(joined)
 
 

@@ -464,18 +464,13 @@ class MovedMesh:
                 self.velocities.setValue(stored)
             if self.normals is not None:
                 polygons = self.fit.scene_mesh.polygons
-                shared = shared_normals(own[None], polygons, self._groups)[0]
+                shared = shared_normals(own[None], polygons, self.fit.scene_mesh.normal_groups)[0]
                 stored = array_of(imath.V3fArray, -shared if self.fit.mirrored else shared)
                 self.normals.set(AbcGeom.ON3fGeomParamSample(stored, self._corner_groups, _CORNERS))
 
-    @property
-    def _groups(self) -> IntArray:
-        scene_mesh = self.fit.scene_mesh
-        return scene_mesh.polygons.indices if scene_mesh.hard_edges is None else scene_mesh.hard_edges
-
     @cached_property
     def _corner_groups(self) -> Any:
-        return array_of(imath.UnsignedIntArray, self._groups[self.fit.corners])
+        return array_of(imath.UnsignedIntArray, self.fit.scene_mesh.normal_groups[self.fit.corners])
 
 
 def _bounds(points: FloatArray) -> Any:

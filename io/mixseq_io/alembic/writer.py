@@ -53,21 +53,7 @@ def write_alembic(
     onto: str | os.PathLike[str] | None = None,
     sources: ArrayLike | None = None,
 ) -> None:
-    """Write an Alembic file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    header, blocks, velocities
-        See `mixseq_io.write_blocks`.
-    flatten : bool
-        Write the sequence alone. By default, everything else of its original archive is kept.
-    onto : path-like, optional
-        The archive whose cameras, transforms and other objects are kept, in place of the original.
-    sources : (T,) array-like, optional
-        Times of the archive that the frames show, in seconds, for a warning if they differ from the frames' own.
-    """
+    """Write an Alembic file; options as in `FORMATS`, `sources` ``(T,)`` in seconds for a warning if they differ."""
     if flatten and onto is not None:
         raise SettingsError("flatten writes the sequence alone, onto lays it over a file; give one of them")
     if sources is not None and np.shape(sources) != header.times.shape:

@@ -366,20 +366,17 @@ def sequence_of(path: Path, container: Container) -> CompressedSequence:
         Chunk(each.first, each.count, sound(each.coefficients), sound(each.residuals))
         for each in index.chunks
     )
-    header = read_header(path, container, index, ground)
-    return CompressedSequence(
-        header,
-        read_parameters(path, container),
-        basis,
-        chunks,
-        read_order(path, container),
-        read_between(path, container),
-    )
-
-
-def read_parameters(path: Path, container: Container) -> CodingParameters:
-    """Read the decoding parameters; raise `FormatError` if one is unknown, missing or out of range."""
     facts = facts_of(path, container)
+    parameters = _parameters(path, facts)
+    header = _header(path, facts, parameters, index, ground)
+    order: OrderName = facts.get("order", "keep")
+    if order not in ORDERS:
+        raise FormatError(f"{path}: this mixseq does not know the order {order!r}; upgrade it")
+    return CompressedSequence(header, parameters, basis, chunks, order, _between(path, facts))
+
+
+def _parameters(path: Path, facts: Mapping[str, Any]) -> CodingParameters:
+    """Return the decoding parameters; raise `FormatError` if one is unknown, missing or out of range."""
     given: dict[str, Any] = facts["coding"]
     known = {field.name for field in fields(CodingParameters)}
     unknown = sorted(set(given) - known)
@@ -396,17 +393,9 @@ def read_parameters(path: Path, container: Container) -> CodingParameters:
     return parameters
 
 
-def read_order(path: Path, container: Container) -> OrderName:
-    """Read which numbering of the original is kept; raise `FormatError` if the order is unknown."""
-    order: OrderName = facts_of(path, container).get("order", "keep")
-    if order not in ORDERS:
-        raise FormatError(f"{path}: this mixseq does not know the order {order!r}; upgrade it")
-    return order
-
-
-def read_between(path: Path, container: Container) -> BetweenFrames | None:
-    """Read the prediction of coefficients between frames, None if absent; raise `FormatError` if it is invalid."""
-    given = facts_of(path, container).get("between")
+def _between(path: Path, facts: Mapping[str, Any]) -> BetweenFrames | None:
+    """Return the prediction of coefficients between frames, None if absent; raise `FormatError` if it is invalid."""
+    given = facts.get("between")
     if given is None:
         return None
     if not (isinstance(given, dict) and set(given) == {"length", "cubic"}):
@@ -420,17 +409,19 @@ def read_between(path: Path, container: Container) -> BetweenFrames | None:
         raise FormatError(f"{path}: between: {error}; it is damaged") from error
 
 
-def read_header(
-    path: Path, container: Container, index: StreamIndex, ground: Mapping[str, bytes]
+def _header(
+    path: Path,
+    facts: Mapping[str, Any],
+    parameters: CodingParameters,
+    index: StreamIndex,
+    ground: Mapping[str, bytes],
 ) -> SequenceHeader:
-    """Read mesh and times from `StreamIndex.ground`; raise `FormatError` for contradictions or too much memory."""
-    facts = facts_of(path, container)
+    """Decode mesh and times from `StreamIndex.ground`; raise `FormatError` for contradictions or too much memory."""
     told = [facts.get(f"{what}_count") for what in ("vertex", "corner", "frame")]
     elements = sum(each for each in told if isinstance(each, int))
     on_corners = "uvs" in ground or ground["surface"]
     corner = _OF_CORNER * told[1] if on_corners and isinstance(told[1], int) else 0
     check_memory(path, _OF_ELEMENT * elements + corner, "mesh and times")
-    parameters = read_parameters(path, container)
     try:
         vertices, polygons, corners, frames = (
             int(facts[f"{what}_count"]) for what in ("vertex", "polygon", "corner", "frame")

@@ -23,7 +23,7 @@ from mixseq_io.gltf.document import Document, Fields
 from mixseq_io.gltf.primitives import Weld, deltas, influences, target_count
 from mixseq_io.gltf.scene import Pose, Scene
 from mixseq_io.reader import warn
-from mixseq_io.scene_meshes import MOST_PLAYED, SAME_TIME, on_grid, united
+from mixseq_io.scene_meshes import MOST_PLAYED, SAME_TIME, listed, on_grid, united
 
 USUAL_RATES = (
     24.0,
@@ -166,7 +166,6 @@ _INTERPOLATIONS = ("LINEAR", "STEP", "CUBICSPLINE")
 NO_ANIMATION = "none"
 """Choice of animation that reads the nodes without any, mostly at rest."""
 
-_LONGEST_LIST = 20
 _LATEST = 1e9
 
 
@@ -277,9 +276,7 @@ def choose_animation(document: Document, choice: str | int | None) -> Fields | N
 
 def _numbered(names: Sequence[str], first: int = 0) -> str:
     """Return at most 20 names with their numbers, from `first` on, for a message: ``1 'Dance', 2 'Death'``."""
-    shown = [f"{number} {name!r}" for number, name in enumerate(names)][first : first + _LONGEST_LIST]
-    more = len(names) - first - _LONGEST_LIST
-    return ", ".join(shown) + (f" and {more} more" if more > 0 else "")
+    return listed([f"{number} {name!r}" for number, name in enumerate(names)][first:], str)
 
 
 def told_by(animation: Fields | None, name: str, least: float = -_LATEST) -> float | None:

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from mixseq.errors import FormatError
 from mixseq.types import IntArray
 from mixseq_io.gltf.document import Document, Fields
+from mixseq_io.surfaces import numbered_by_appearance
 
 _NAME = "KHR_texture_transform"
 _TEXTURES = ("normalTexture", "occlusionTexture", "emissiveTexture")
@@ -238,10 +239,7 @@ def _found(primitives: Sequence[Primitive]) -> IntArray:
     labels: IntArray = np.zeros(sum(len(each.positions) for each in primitives), dtype=np.int64)
     for columns in _columns(primitives):
         labels = numbered(np.column_stack([labels, columns]))
-    first = np.unique(labels, return_index=True)[1]
-    rank = np.empty_like(first)
-    rank[np.argsort(first)] = np.arange(first.size)
-    return rank[labels]
+    return numbered_by_appearance(labels)[0]
 
 
 def target_count(primitives: Sequence[Primitive]) -> int:

@@ -223,10 +223,8 @@ def _new_mesh(carried: Json, document: Document, place: Place) -> MovingMesh:
 
 def _groups(place: Place, primitive: Primitive, corners: slice) -> NDArray[np.int32]:
     """Return the index of the shared normal of every vertex ``(n,)`` of a primitive."""
-    polygons, hard_edges = place.scene_mesh.polygons, place.scene_mesh.hard_edges
     groups = np.zeros(len(primitive.positions), dtype=np.int32)
-    of_corner = polygons.indices if hard_edges is None else hard_edges
-    groups[place.triangles(primitive).reshape(-1)] = of_corner[place.corners[corners]]
+    groups[place.triangles(primitive).reshape(-1)] = place.scene_mesh.normal_groups[place.corners[corners]]
     return groups
 
 

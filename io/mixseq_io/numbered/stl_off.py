@@ -40,7 +40,14 @@ from mixseq_io.numbered.files import (
     number_lines,
 )
 from mixseq_io.reader import as_float32, warn
-from mixseq_io.surfaces import colours_of_vertices, lost_colours, lost_polygons, lost_surface, with_alpha
+from mixseq_io.surfaces import (
+    colours_of_vertices,
+    lost_colours,
+    lost_polygons,
+    lost_surface,
+    numbered_by_appearance,
+    with_alpha,
+)
 
 _COLOUR = 4
 """Largest number of values behind the corners of a face."""
@@ -142,7 +149,7 @@ def parse_stl(file: Path, data: bytes, like: MeshFile | None) -> MeshFile:
     """Parse an STL file, with the vertices of the first frame `like` for later frames."""
     corners = _read_corners(file, data)
     if like is None:
-        first, indices = _weld(corners)
+        indices, first = _weld(corners)
         polygons = Polygons(np.full(len(corners) // 3, 3), indices)
         return MeshFile(points=corners[first], polygons=polygons, source=first)
     indices = like.polygons.indices
@@ -166,12 +173,8 @@ def parse_stl(file: Path, data: bytes, like: MeshFile | None) -> MeshFile:
 
 
 def _weld(corners: FloatArray) -> tuple[IntArray, IntArray]:
-    """Merge equal corners ``(3 F, 3)`` in order of appearance: return first corners ``(V,)``, vertices ``(3 F,)``."""
-    _, first, indices = np.unique(corners + 0.0, axis=0, return_index=True, return_inverse=True)  # -0 is 0
-    order = np.argsort(first)
-    rank = np.empty_like(order)
-    rank[order] = np.arange(len(order))
-    return first[order], rank[indices.reshape(-1)]
+    """Merge equal corners ``(3 F, 3)`` in order of appearance: return vertices ``(3 F,)``, first corners ``(V,)``."""
+    return numbered_by_appearance(np.unique(corners + 0.0, axis=0, return_inverse=True)[1])  # -0 is 0
 
 
 def _read_corners(file: Path, data: bytes) -> FloatArray:
@@ -249,7 +252,7 @@ def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _warn_of_other_vertices(path: Path, header: SequenceHeader, corners: FloatArray) -> None:
-    first, indices = _weld(corners)
+    indices, first = _weld(corners)
     if len(first) != header.vertex_count:
         warn(
             f"{path}: STL holds no vertices; {len(first)} will be read instead of {header.vertex_count}, because "

@@ -33,7 +33,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Ar, Gf, Sdf, UsdUtils, Vt
+from pxr import Ar, Gf, Sdf, Usd, UsdUtils, Vt
 
 from mixseq.errors import OutputError
 from mixseq.mesh.measures import shared_normals
@@ -248,6 +248,11 @@ def attribute_in(
     """Return the spec of an attribute in a layer, created with overs above it if missing."""
     Sdf.JustCreatePrimAttributeInLayer(layer, Sdf.Path(path), kind, variability)
     return layer.GetAttributeAtPath(path)
+
+
+def override(layer: Sdf.Layer, attribute: Usd.Attribute) -> Sdf.AttributeSpec:
+    """Return the spec in a layer of an attribute of a file below."""
+    return attribute_in(layer, str(attribute.GetPath()), attribute.GetTypeName(), attribute.GetVariability())
 
 
 def pack(layer: Sdf.Layer, package: Path, name: str, folders: Sequence[Path]) -> list[str]:

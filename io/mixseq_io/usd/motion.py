@@ -30,6 +30,7 @@ from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.mesh.polygons import Polygons
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import IntArray
+from mixseq_io.surfaces import numbered_by_appearance, within
 from mixseq_io.usd.stage import Notes, Placement, lineage, time_codes, varies
 
 
@@ -215,11 +216,7 @@ def weld(mesh: UsdGeom.Mesh, points: NDArray[np.float32]) -> Weld:
     labels = _told(mesh, len(points))
     if labels is None:
         labels = _found(mesh, points)
-    _, first, of_point = np.unique(labels, return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    rank = np.empty_like(order)
-    rank[order] = np.arange(len(order))
-    return Weld(rank[of_point.reshape(-1)], first[order])
+    return Weld(*numbered_by_appearance(labels))
 
 
 def _told(mesh: UsdGeom.Mesh, count: int) -> IntArray | None:
@@ -260,7 +257,7 @@ def _influences(mesh: UsdGeom.Mesh, count: int) -> Iterator[NDArray[np.float32] 
             continue  # the shape at weight 0
         rows = indices[query.GetBlendShapeIndex(subshape)]
         rows = rows if rows.size else np.arange(count)
-        if len(rows) != len(offsets) or (rows.size and (rows.min() < 0 or rows.max() >= count)):
+        if len(rows) != len(offsets) or not within(rows, count):
             yield None
             continue
         dense = np.zeros((count, 3), dtype=np.float32)

@@ -30,7 +30,19 @@ from mixseq.types import FloatArray, IntArray
 from mixseq_io.originals import fit_meshes, is_retimed
 from mixseq_io.reader import warn
 from mixseq_io.scene_meshes import SceneMesh
-from mixseq_io.usd.layers import WORLD, Bounds, Cast, Normals, Placed, Samples, Space, SpaceAt, attribute_in
+from mixseq_io.surfaces import within
+from mixseq_io.usd.layers import (
+    WORLD,
+    Bounds,
+    Cast,
+    Normals,
+    Placed,
+    Samples,
+    Space,
+    SpaceAt,
+    attribute_in,
+    override,
+)
 from mixseq_io.usd.motion import VERTICES, Mover, Shown, Skin, Weld, skins_of, unwelded, weld
 from mixseq_io.usd.stage import (
     Notes,
@@ -78,8 +90,7 @@ class Holding:
         # The outermost operation comes first, and the first to be undone is the innermost.
         undoing = [("" if each.IsInverseOp() else _INVERSE) + copies[each.GetAttr()] for each in self.undone]
         order = UsdGeom.Xformable(self.carrier).GetXformOpOrderAttr()
-        authored = attribute_in(layer, str(order.GetPath()), order.GetTypeName(), order.GetVariability())
-        authored.default = Vt.TokenArray([*undoing, *(order.Get() or ())])
+        override(layer, order).default = Vt.TokenArray([*undoing, *(order.Get() or ())])
 
     def _copy(self, layer: Sdf.Layer, attribute: Usd.Attribute, shown: Shown) -> str:
         """Copy an attribute of an ancestor to the carrier, and return its name."""
@@ -224,12 +235,8 @@ def _stored(mesh: UsdGeom.Mesh) -> tuple[Polygons | None, FloatArray]:
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get(earliest) or (), dtype=np.int32)
     points = np.array(mesh.GetFaceVertexIndicesAttr().Get(earliest) or (), dtype=np.int32)
     places = np.array(mesh.GetPointsAttr().Get(earliest) or (), dtype=np.float32).reshape(-1, 3)
-    sound = counts.min(initial=3) >= 3 and counts.sum() == points.size and _within(points, len(places))
+    sound = counts.min(initial=3) >= 3 and counts.sum() == points.size and within(points, len(places))
     return (Polygons(counts, points) if sound else None), places
-
-
-def _within(indices: IntArray, count: int) -> bool:
-    return not indices.size or bool(indices.min() >= 0 and indices.max() < count)
 
 
 _COPIED = (
@@ -336,22 +343,18 @@ def _normals(fit: Fit) -> Normals | None:
         attribute, interpolation = "normals", mesh.GetNormalsInterpolation()
     else:
         return None
-    groups = scene_mesh.polygons.indices if scene_mesh.hard_edges is None else scene_mesh.hard_edges
-    if interpolation == UsdGeom.Tokens.faceVarying:
-        return Normals(
-            attribute=attribute, interpolation=interpolation, groups=groups, order=groups[fit.match.corners]
-        )
+    groups: IntArray | None = scene_mesh.normal_groups
+    order: IntArray | None = scene_mesh.normal_groups[fit.match.corners]
     if interpolation == UsdGeom.Tokens.uniform:
-        faces = np.arange(len(scene_mesh.polygons.counts))
-        groups = np.repeat(faces, scene_mesh.polygons.counts)
-        return Normals(
-            attribute=attribute, interpolation=interpolation, groups=groups, order=fit.match.polygons
-        )
-    if fit.weld.is_identity:
-        return Normals(attribute=attribute, interpolation=UsdGeom.Tokens.vertex)
-    of_point = np.zeros(len(fit.weld.of_point), dtype=np.int64)  # all corners of a point share their normal
-    of_point[fit.corner_points] = groups[fit.match.corners]
-    return Normals(attribute=attribute, interpolation=UsdGeom.Tokens.vertex, groups=groups, order=of_point)
+        counts = scene_mesh.polygons.counts
+        groups, order = np.repeat(np.arange(len(counts)), counts), fit.match.polygons
+    elif interpolation != UsdGeom.Tokens.faceVarying:
+        interpolation = UsdGeom.Tokens.vertex
+        of_corner, order = order, np.zeros(len(fit.weld.of_point), dtype=np.int64)
+        order[fit.corner_points] = of_corner  # all corners of a point share their normal
+        if fit.weld.is_identity:
+            groups = order = None
+    return Normals(attribute=attribute, interpolation=interpolation, groups=groups, order=order)
 
 
 def _switch_off(layer: Sdf.Layer, mesh: UsdGeom.Mesh, placed: Placed) -> None:
@@ -362,7 +365,7 @@ def _switch_off(layer: Sdf.Layer, mesh: UsdGeom.Mesh, placed: Placed) -> None:
     deforming = [each for each in prim.GetAuthoredAttributes() if _is_of_skeletons(each.GetName())]
     for attribute in [*stale, *(deforming if skinned else [])]:
         if attribute.HasAuthoredValue() and attribute.GetName() not in placed.attributes:
-            _block(layer, attribute)
+            override(layer, attribute).default = Sdf.ValueBlock()
     if skinned:  # also by a binding above it, which can be undone only where the schema is applied
         over = Sdf.CreatePrimInLayer(layer, placed.path)
         if not UsdSkel.BindingAPI(prim):
@@ -374,7 +377,7 @@ def _switch_off(layer: Sdf.Layer, mesh: UsdGeom.Mesh, placed: Placed) -> None:
     for each in lineage(prim):
         hint = each.GetAttribute("extentsHint")
         if hint and hint.HasAuthoredValue():
-            _block(layer, hint)
+            override(layer, hint).default = Sdf.ValueBlock()
 
 
 def _is_of_skeletons(name: str) -> bool:
@@ -390,10 +393,7 @@ def _orient(layer: Sdf.Layer, fit: Fit, placed: Placed, start: float) -> None:
     # of the sequence, whose faces are counter-clockwise, the mesh has the reverse if it is turned
     left_handed = fit.turned != mirrored
     if left_handed != (orientation.Get() == tokens.leftHanded):
-        turned = attribute_in(
-            layer, str(orientation.GetPath()), orientation.GetTypeName(), orientation.GetVariability()
-        )
-        turned.default = tokens.leftHanded if left_handed else tokens.rightHanded
+        override(layer, orientation).default = tokens.leftHanded if left_handed else tokens.rightHanded
 
 
 def _tell_vertices(layer: Sdf.Layer, fit: Fit) -> None:
@@ -404,12 +404,6 @@ def _tell_vertices(layer: Sdf.Layer, fit: Fit) -> None:
     vertices = attribute_in(layer, path, Sdf.ValueTypeNames.IntArray, Sdf.VariabilityUniform)
     vertices.custom = True
     vertices.default = Vt.IntArrayFromBuffer(fit.weld.of_point.astype(np.int32))
-
-
-def _block(layer: Sdf.Layer, attribute: Usd.Attribute) -> None:
-    attribute_in(
-        layer, str(attribute.GetPath()), attribute.GetTypeName(), attribute.GetVariability()
-    ).default = Sdf.ValueBlock()
 
 
 def _bounds(original: Original, shown: Shown) -> tuple[Bounds, ...]:
@@ -477,7 +471,7 @@ def retime_rest(layer: Sdf.Layer, target: Path, original: Original, shown: Shown
     samples = Samples(layer)
     for attribute in moving:
         path = str(attribute.GetPath())
-        attribute_in(layer, path, attribute.GetTypeName(), attribute.GetVariability())
+        override(layer, attribute)
         for code, value in shown.samples(attribute):
             samples.put((code, {path: _as_named_from(target, value)}))
 

@@ -28,7 +28,7 @@ from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdUtils
 from mixseq.errors import FormatError, NoMeshError, OutputError
 from mixseq_io.files import out_of_memory, raise_system_error
 from mixseq_io.reader import check_regular, warn
-from mixseq_io.scene_meshes import SceneObject, chosen
+from mixseq_io.scene_meshes import SceneObject, chosen, listed
 
 _LONGEST_REASON = 200
 
@@ -192,8 +192,6 @@ def clips_of(path: Path) -> list[Path]:
 _MOST_PRIMS = 1_000_000
 """Largest number of prims visited; nested instances multiply without bound in a few lines."""
 
-_LONGEST_LIST = 20
-
 
 def open_stage(path: Path) -> Usd.Stage:
     """Open a file as it is on disk, with all payloads."""
@@ -260,8 +258,7 @@ class Notes:
 
 def shortened(paths: list[str]) -> str:
     """Return a list of paths for a message, truncated if long."""
-    more = len(paths) - _LONGEST_LIST
-    return ", ".join(paths[:_LONGEST_LIST]) + (f" and {more} more" if more > 0 else "")
+    return listed(paths, str)
 
 
 Operations = tuple[UsdGeom.XformOp, ...]

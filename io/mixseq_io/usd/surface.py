@@ -27,7 +27,7 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.types import IntArray
 from mixseq_io.reader import naming, warn
 from mixseq_io.scene_meshes import SceneMesh, material_of_the_rest
-from mixseq_io.surfaces import with_alpha
+from mixseq_io.surfaces import with_alpha, within
 from mixseq_io.text.labels import (
     FAMILY,
     GROUPS,
@@ -452,11 +452,6 @@ def rows_of_corners(interpolation: str, polygons: Polygons) -> NDArray[np.int32]
     if interpolation == UsdGeom.Tokens.constant:
         return np.zeros(polygons.indices.size, dtype=np.int32)
     return np.asarray(polygons.indices, dtype=np.int32)
-
-
-def within(rows: IntArray, count: int) -> bool:
-    """Whether all rows are in range."""
-    return not rows.size or bool(rows.min() >= 0 and rows.max() < count)
 
 
 def _face_sets(mesh: UsdGeom.Mesh, polygon_count: int, code: Usd.TimeCode, notes: Notes) -> list[FaceSet]:

@@ -247,27 +247,10 @@ def write_usd(
     whole_stage: bool = False,
     parts: Parts | None = None,
 ) -> None:
-    """Write a USD file; see `mixseq_io.write_blocks`.
+    """Write a USD file; options as in `FORMATS`.
 
-    Parameters
-    ----------
-    path, header, blocks, velocities
-        See `mixseq_io.write_blocks`.
-    flatten : bool
-        Write a file that stands alone, even if the sequence was read from a USD file; .usdz always does.
-    onto : path-like, optional
-        The USD file to lay the points over; by default the one that the sequence was read from.
-    clips : int
-        Frames per sample file in a folder ``<file>.clips`` beside the file; 0: all samples in the file itself.
-    pack_from : path-like, optional
-        Folder from which textures may be packed into a .usdz, besides the original file's folder and those below.
-    sources : (T,) array-like, optional
-        Time of the original that every frame shows, in seconds, if it differs from its own; NaN for no single time.
-        Other motion of the original is reported, or retimed.
-    whole_stage : bool
-        Retime all other motion of the original, too: cameras, hair, lights, other meshes.
-    parts : Parts, optional
-        Parts to write as subsets of the faces, see `mixseq_io.text.label_files`.
+    `sources` are ``(T,)`` in seconds, NaN for frames that show no single time of the original; `parts` are written as
+    subsets of the faces, see `mixseq_io.text.label_files`.
     """
     packed = path.suffix.lower() == ".usdz"
     _check_options(packed, flatten, onto, clips, pack_from)
