@@ -129,6 +129,8 @@ class Worker:
             stderr=subprocess.DEVNULL,  # where C++ libraries grumble; their reports come with the answers
             env=environment,
         )
+        self._stdin: Any = self._process.stdin
+        self._stdout: Any = self._process.stdout
         # Whoever drops a reader without closing it leaves no process; without locks, which the same thread may hold.
         finalize(self, _end, self._process).atexit = False
         self._lock = threading.Lock()
@@ -186,14 +188,6 @@ class Worker:
     def alive(self) -> bool:
         """Whether it can answer requests."""
         return self._process.poll() is None
-
-    @property
-    def _stdin(self) -> Any:
-        return self._process.stdin
-
-    @property
-    def _stdout(self) -> Any:
-        return self._process.stdout
 
     def _obituary(self, path: Path) -> str:
         try:

@@ -137,13 +137,10 @@ def as_float32(
 def warn(message: str) -> None:
     """Warn at the line of the first caller outside mixseq."""
     level, frame = 1, sys._getframe()
-    while frame.f_back is not None and _is_ours(frame.f_globals.get("__name__", "")):
+    ours = ("mixseq", "mixseq_io")
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in ours:
         level, frame = level + 1, frame.f_back
     warnings.warn(message, MixseqWarning, stacklevel=level)
-
-
-def _is_ours(module: str) -> bool:
-    return module.partition(".")[0] in ("mixseq", "mixseq_io")
 
 
 class SequenceReader(ABC):

@@ -68,7 +68,7 @@ def _path_of(file: Path, meshes: Sequence[SceneObject], prim: str) -> str:
     if path == prim:
         return path
     # The outermost of those that are in each other.
-    named = {each.path for mesh in meshes for each in _called(mesh, prim)[-1:]}
+    named = {each.path for mesh in meshes for each in [own for own in mesh.lineage if prim in own.names][-1:]}
     if len(named) > 1:
         raise AmbiguousError(f"{file}: {prim!r} is in several places, {listed(sorted(named))}; give its path")
     found = next(iter(named), path)
@@ -77,10 +77,6 @@ def _path_of(file: Path, meshes: Sequence[SceneObject], prim: str) -> str:
             f"{file} has no mesh at or below {prim!r}; its meshes are {listed([mesh.path for mesh in meshes])}"
         )
     return found
-
-
-def _called(mesh: SceneObject, name: str) -> list[SceneObject]:
-    return [each for each in mesh.lineage if name in each.names]
 
 
 def moving(file: Path, meshes: Sequence[SceneObject], moves: Sequence[bool]) -> list[int]:
@@ -198,11 +194,20 @@ class SceneMesh:
             polygons=Polygons(self.polygons.counts, found.vertices[self.polygons.indices]),
         )
 
-    def matched_to(self, original: Polygons) -> tuple[SceneMesh, PolygonMatch] | None:
-        """Return the mesh as `as_numbered`, and the match of its polygons with the file's; None for another mesh."""
-        ours = self.as_numbered(original)
-        match = None if ours is None else matched(original, ours.polygons)
-        return None if ours is None or match is None else (ours, match)
+    def matched_to(
+        self, stored: Polygons, order: Index | None = None
+    ) -> tuple[SceneMesh, PolygonMatch] | None:
+        """Return the mesh as `as_numbered`, and the match of its polygons with the file's; None for another mesh.
+
+        `order` ``(C,)`` is the reversal of corners by the reader; the match is by stored corners.
+        """
+        read = stored if order is None else Polygons(stored.counts, stored.indices[order])
+        ours = self.as_numbered(read)
+        match = None if ours is None else matched(read, ours.polygons)
+        if ours is None or match is None:
+            return None
+        # Turning corners around twice changes nothing.
+        return ours, match if order is None else PolygonMatch(match.polygons, match.corners[order])
 
 
 def join(meshes: Sequence[SceneMesh], origin: Origin | None) -> tuple[Polygons, Surface]:

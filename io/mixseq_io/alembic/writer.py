@@ -54,16 +54,12 @@ def write_alembic(
     sources: ArrayLike | None = None,
 ) -> None:
     """Write an Alembic file; options as in `FORMATS`, `sources` ``(T,)`` in seconds for a warning if they differ."""
-    if flatten and onto is not None:
-        raise SettingsError("flatten writes the sequence alone, onto lays it over a file; give one of them")
     if sources is not None and np.shape(sources) != header.times.shape:
         raise SettingsError(
             f"sources are {np.size(sources)} times for {header.frame_count} frames; give one each"
         )
-    original = (
-        None
-        if flatten
-        else opened_original(path, header, onto, "Alembic", lambda file: open_original(file, header))
+    original = opened_original(
+        path, header, flatten, onto, "Alembic", lambda file: open_original(file, header)
     )
     targets = [] if original else make_targets(header)
     moving = velocities is not None

@@ -261,7 +261,10 @@ def pack_surface(surface: Surface, mesh: Mesh) -> bytes:
         else:
             little = array.astype(array.dtype.newbyteorder("<"))
             listed.append([name, little.dtype.str, little.shape])
-            data.append(_shuffled(_differences(little.reshape(-1))))
+            flat = little.reshape(-1)
+            if flat.dtype.kind == "i":  # first differences, with wrap-around
+                flat = np.diff(flat, prepend=flat.dtype.type(0))
+            data.append(_shuffled(flat))
     if not listed:
         return b""
     text = json.dumps(listed, separators=(",", ":")).encode("ascii")
@@ -324,11 +327,6 @@ def _arrays(listed: list[list[Any]], data: bytes) -> dict[str, NDArray[Any]]:
             flat = np.cumsum(flat, dtype=dtype)
         arrays[name] = flat.reshape(shape).astype(dtype.newbyteorder("="))
     return arrays
-
-
-def _differences(array: NDArray[Any]) -> NDArray[Any]:
-    """Return first differences of integers, with wrap-around; floats unchanged."""
-    return np.diff(array, prepend=array.dtype.type(0)) if array.dtype.kind == "i" else array
 
 
 def _shuffled(array: NDArray[Any]) -> bytes:

@@ -194,14 +194,10 @@ def content_of_image(image: Fields) -> tuple[bytes, str]:
     uri = image.text("uri")
     file = data_of_uri(image, uri)
     data = file.read(0, file.size)
-    mime_type = _type_of(data)
+    mime_type = next((kind for beginning, kind in _BEGINNINGS.items() if data.startswith(beginning)), "")
     if not mime_type:
         raise image.error(f"is in {uri[:80]!r}, which is no PNG, JPEG, WebP or KTX2 image")
     return data, mime_type
-
-
-def _type_of(data: bytes) -> str:
-    return next((kind for beginning, kind in _BEGINNINGS.items() if data.startswith(beginning)), "")
 
 
 _SEEN = ("mesh", "camera", "extensions")

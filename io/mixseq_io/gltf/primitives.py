@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import Any
 
@@ -175,9 +175,6 @@ def resolved(corners: NDArray[np.int32], mode: int) -> NDArray[np.int32]:
     return corners[np.stack([first, first + 1 + odd, first + 2 - odd], axis=1)]
 
 
-Attribute = Callable[[Primitive], NDArray[Any] | None]
-
-
 @dataclass(frozen=True, eq=False)
 class Weld:
     """Welded vertices of a glTF mesh."""
@@ -267,27 +264,25 @@ def influences(primitives: Sequence[Primitive]) -> tuple[NDArray[np.int64], NDAr
     """Return joints and weights ``(n, 4 * sets)`` of all vertices by joint; joints of weight 0, and padding, are 0."""
     sets = max(min(each.sets("JOINTS"), each.sets("WEIGHTS")) for each in primitives)
     none = np.zeros((sum(len(each.positions) for each in primitives), 0))
-    joint = np.concatenate([none, *(_gathered(primitives, _joints(i), 4) for i in range(sets))], axis=1)
-    weight = np.concatenate([none, *(_gathered(primitives, _weights(i), 4) for i in range(sets))], axis=1)
+    joints = [_gathered(primitives, partial(_joints, number=i), 4) for i in range(sets)]
+    weights = [_gathered(primitives, partial(_weights, number=i), 4) for i in range(sets)]
+    joint, weight = np.concatenate([none, *joints], axis=1), np.concatenate([none, *weights], axis=1)
     joint = np.where(weight == 0, 0, joint).astype(np.int64)
     order = np.argsort(joint, axis=1, kind="stable")
     return np.take_along_axis(joint, order, axis=1), np.take_along_axis(weight, order, axis=1)
 
 
-def _joints(number: int) -> Attribute:
-    def joints(primitive: Primitive) -> NDArray[Any] | None:
-        values = primitive.attribute(f"JOINTS_{number}", 4)
-        if values is not None and values.dtype.kind != "u":
-            raise primitive.attributes.error(
-                f"has JOINTS_{number} of type {values.dtype}; unsigned integers are expected"
-            )
-        return values
-
-    return joints
+def _joints(primitive: Primitive, number: int) -> NDArray[Any] | None:
+    values = primitive.attribute(f"JOINTS_{number}", 4)
+    if values is not None and values.dtype.kind != "u":
+        raise primitive.attributes.error(
+            f"has JOINTS_{number} of type {values.dtype}; unsigned integers are expected"
+        )
+    return values
 
 
-def _weights(number: int) -> Attribute:
-    return lambda primitive: primitive.attribute(f"WEIGHTS_{number}", 4)
+def _weights(primitive: Primitive, number: int) -> NDArray[Any] | None:
+    return primitive.attribute(f"WEIGHTS_{number}", 4)
 
 
 def deltas(primitives: Sequence[Primitive], target: int) -> NDArray[np.float64]:
@@ -295,7 +290,9 @@ def deltas(primitives: Sequence[Primitive], target: int) -> NDArray[np.float64]:
     return _gathered(primitives, lambda each: each.delta(target), 3)
 
 
-def _gathered(primitives: Sequence[Primitive], attribute: Attribute, width: int) -> NDArray[np.float64]:
+def _gathered(
+    primitives: Sequence[Primitive], attribute: Callable[[Primitive], NDArray[Any] | None], width: int
+) -> NDArray[np.float64]:
     """Concatenate an attribute ``(n, width)`` of all primitives, 0 for primitives without."""
     found = ((each, attribute(each)) for each in primitives)
     return np.concatenate(

@@ -229,25 +229,25 @@ def read_joints(path: Path, name: str | None) -> Skeleton:
     return skeleton_of(labels, parents, _bind_pose(document, scene, skin, parents))
 
 
-def nodes_on(document: Document, scene: Scene, name: str | None) -> list[int]:
+def _nodes_on(document: Document, scene: Scene, skeleton: Fields) -> list[int]:
     """Return the nodes whose meshes follow a skeleton: those of its skins, and those below its joints."""
-    wanted = set(joints_of(document, _chosen(document, name)))
+    wanted = set(joints_of(document, skeleton))
     nodes = [node for node in chosen_nodes(document, scene, None) if _follows(document, scene, node, wanted)]
     if not nodes:
         raise NoMeshError(f"{document.path} has no mesh on its skeleton; export the character with its mesh")
     return nodes
 
 
-def bound(document: Document, shape: Shape, name: str | None) -> Shape:
+def _bound(document: Document, shape: Shape, skeleton: Fields) -> Shape:
     """Return a shape in its bind pose, bound to a single joint, the first without a parent.
 
     The transform is :math:`I_r` from its skin's space, :math:`I_r I_j^{-1} W_j^{-1} W_n` for a node n below a joint j.
     """
-    scene, skin, fields = shape.scene, shape.skin, _chosen(document, name)
-    joints = joints_of(document, fields)
-    if "inverseBindMatrices" not in fields:
+    scene, skin = shape.scene, shape.skin
+    joints = joints_of(document, skeleton)
+    if "inverseBindMatrices" not in skeleton:
         return shape  # bound where the joints stand
-    inverse_binds = inverse_binds_of(document, fields, len(joints))
+    inverse_binds = inverse_binds_of(document, skeleton, len(joints))
     root = _parents(scene, joints).index(-1)
     if skin is None:
         above = next(node for node in scene.above(shape.node) if node in joints)
@@ -331,8 +331,9 @@ def open_gltf_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
     with naming(path), np.errstate(all="ignore"):
         document = plain(load_document(path))
         scene = read_scene(document)
-        shapes = _shapes(document, scene, nodes_on(document, scene, skeleton), ())
-        shapes = [bound(document, shape, skeleton) for shape in shapes]
+        skin = _chosen(document, skeleton)
+        shapes = _shapes(document, scene, _nodes_on(document, scene, skin), ())
+        shapes = [_bound(document, shape, skin) for shape in shapes]
         return _GltfReader(document, shapes, (), np.zeros(1), DEFAULT_FPS, 0.0)
 
 

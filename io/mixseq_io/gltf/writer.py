@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mixseq.errors import SettingsError
 from mixseq.mesh.polygons import Polygons, difference
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, Index
@@ -269,9 +268,12 @@ def write_gltf(
     By default everything else of the sequence's original file is kept; `sources` are ``(T,)`` in seconds. Velocities
     are lost.
     """
-    if flatten and onto is not None:
-        raise SettingsError("flatten writes the sequence alone, onto lays it over a file; give one of them")
-    overlay = None if flatten else _overlay(path, header, onto, sources)
+
+    def opened(file: Path) -> tuple[Layout, list[MovingMesh], OtherMotion]:
+        with reading(file, "glTF", *DAMAGE):
+            return lay_over(plain(load_document(file)), header, sources)
+
+    overlay = opened_original(path, header, flatten, onto, "glTF", opened)
     layout, meshes, others = overlay or (*new_scene(header), NOTHING)
     lost = [] if overlay else lost_alone(header)
     warn_of_changes(path, header, [*(["velocities"] if velocities is not None else []), *lost], keep_start)
@@ -283,18 +285,6 @@ def write_gltf(
             # One by one, because a block may be the whole sequence.
             for frame, points in enumerate(block, start=first):
                 morphs.write(frame, as_float32(points[None], frame, "glTF", header=header)[0], writer)
-
-
-def _overlay(
-    path: Path, header: SequenceHeader, onto: str | os.PathLike[str] | None, sources: ArrayLike | None
-) -> tuple[Layout, list[MovingMesh], OtherMotion] | None:
-    """Return the document of the file that the sequence is laid over, None if there is none."""
-
-    def opened(file: Path) -> tuple[Layout, list[MovingMesh], OtherMotion]:
-        with reading(file, "glTF", *DAMAGE):
-            return lay_over(plain(load_document(file)), header, sources)
-
-    return opened_original(path, header, onto, "glTF", opened)
 
 
 # Of browsers: WebGL holds weights in uniforms, usually 1024 or 4096, and targets in layers of a texture, usually 2048.

@@ -125,17 +125,15 @@ def _off_encoder(path: Path, header: SequenceHeader) -> Encoder:
     return encode
 
 
-def _lost_by_off(header: SequenceHeader) -> list[str]:
-    return (
-        lost_surface(header, held=("colours",)) + lost_colours(header, corners=False) + lost_polygons(header)
-    )
-
-
 OFF = FrameFormat(
     "OFF",
     parse_off,
     _off_encoder,
-    _lost_by_off,
+    lambda header: [
+        *lost_surface(header, held=("colours",)),
+        *lost_colours(header, corners=False),
+        *lost_polygons(header),
+    ],
     is_text=True,
     damage=(ValueError, TypeError, IndexError, NameError, OverflowError),
 )
@@ -262,8 +260,4 @@ def _warn_of_other_vertices(path: Path, header: SequenceHeader, corners: FloatAr
         warn(f"{path}: STL holds no vertices; they will be read in another order; OBJ and PLY keep it")
 
 
-def _lost_by_stl(header: SequenceHeader) -> list[str]:
-    return lost_surface(header) + lost_polygons(header)
-
-
-STL = FrameFormat("STL", parse_stl, _stl_encoder, _lost_by_stl)
+STL = FrameFormat("STL", parse_stl, _stl_encoder, lambda header: lost_surface(header) + lost_polygons(header))

@@ -39,6 +39,7 @@ from mixseq_io.files import replacing
 from mixseq_io.npz import opened_archive
 from mixseq_io.reader import SequenceReader, warn
 from mixseq_io.registry import FORMATS, open_sequence, write_blocks
+from mixseq_io.surfaces import within
 from mixseq_io.text.labels import (
     COLOURS,
     FAMILY,
@@ -177,17 +178,13 @@ def _of_array(
             + (f" and {count} polygons" if count != triangles else "")
             + "; give one for each"
         )
-    if names is not None and values.dtype.kind != "U" and _within(values, np.size(names)):
+    if names is not None and values.dtype.kind != "U" and values.size and within(values, np.size(names)):
         dense, texts = values, tuple(str(each) for each in np.ravel(names).tolist())
     else:
         kinds, dense = np.unique(values, return_inverse=True)
         texts = tuple(str(each) for each in kinds.tolist())
     whole = len(values) != triangles
     return Labels(triangle_labels(dense, polygons) if whole else dense, texts)
-
-
-def _within(values: NDArray[Any], count: int) -> bool:
-    return bool(values.size and values.min() >= 0 and values.max() < count)
 
 
 def _marked(reader: SequenceReader, header: SequenceHeader, smallest: float) -> Sources:

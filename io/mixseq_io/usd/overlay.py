@@ -200,7 +200,7 @@ def _difference(scene_mesh: SceneMesh, mesh: UsdGeom.Mesh) -> str:
         return ""
     for seams in (weld(mesh, places), unwelded(len(places))):
         if seams.vertex_count == scene_mesh.vertex_count:
-            theirs = Polygons(stored.counts, seams.of_point[stored.indices])
+            theirs = seams.polygons(stored)
             return difference(scene_mesh.polygons, theirs, ("the sequence", str(mesh.GetPath())))
     return f"it has {len(places)} points, the sequence {scene_mesh.vertex_count} vertices"
 
@@ -210,22 +210,17 @@ def _fitted(scene_mesh: SceneMesh, mesh: UsdGeom.Mesh) -> Fit | None:
     stored, places = _stored(mesh)
     if stored is None:
         return None
-    points = stored.indices
     reverse = reversed_corners(stored.counts, keep_first=True)
     # The sequence may have come from elsewhere, with a vertex for every point.
     for seams in (weld(mesh, places), unwelded(len(places))):
         if seams.vertex_count != scene_mesh.vertex_count:
             continue
-        theirs = Polygons(stored.counts, seams.of_point[points])
         # Readers reverse left-handed faces.
         for turned in (False, True):
-            read = Polygons(theirs.counts, theirs.indices[reverse]) if turned else theirs
-            found = scene_mesh.matched_to(read)
+            found = scene_mesh.matched_to(seams.polygons(stored), reverse if turned else None)
             if found is not None:
                 ours, match = found
-                # Turning corners around twice changes nothing.
-                corners = match.corners[reverse] if turned else match.corners
-                return Fit(ours, mesh, points, PolygonMatch(match.polygons, corners), turned, seams)
+                return Fit(ours, mesh, stored.indices, match, turned, seams)
     return None
 
 
@@ -442,22 +437,17 @@ def _others(root: Usd.Prim, shown: Shown, count: int) -> Callable[[float], Float
     return extent
 
 
-def what_else_moves(original: Original) -> list[str]:
-    """Return the paths of visible prims, other than the sequence's meshes, that move or change."""
-    ours = {fit.mesh.GetPath() for fit in original.fits}
-    prims = [each for each in prims_of(original.path, original.stage) if each.GetPath() not in ours]
-    skins = skins_of([mesh for each in prims if (mesh := UsdGeom.Mesh(each))], Notes(original.path))
-    return [str(each.GetPath()) for each in prims if _is_seen(each) and _changes(each, skins)]
-
-
 def warn_of_rest(
     target: Path, header: SequenceHeader, original: Original, times: NDArray[np.float64]
 ) -> None:
-    """Warn of other motion in a file if a sequence shows `times` ``(T,)`` in s that differ from its own."""
+    """Warn of visible prims of a file that move or change, if a sequence shows other `times` ``(T,)`` in s."""
     if not is_retimed(header, times):
         return
     cure = "; whole_stage=True (--whole-stage) retimes everything" if np.isfinite(times).all() else ""
-    if paths := what_else_moves(original):
+    ours = {fit.mesh.GetPath() for fit in original.fits}
+    prims = [each for each in prims_of(original.path, original.stage) if each.GetPath() not in ours]
+    skins = skins_of([mesh for each in prims if (mesh := UsdGeom.Mesh(each))], Notes(original.path))
+    if paths := [str(each.GetPath()) for each in prims if _is_seen(each) and _changes(each, skins)]:
         warn(f"{target}: what else moves in {original.path} is not retimed: {shortened(paths)}{cure}")
 
 

@@ -14,7 +14,6 @@ Specification: https://openusd.org/release/api/_usd_skel__schemas.html
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -120,8 +119,9 @@ def define_rig(layer: Sdf.Layer, target: Path, rig: Skin | Morph) -> None:
         if isinstance(rig, Skin):
             _add_influences(binding, mesh, rig)
     extent = UsdGeom.Boundable(root).CreateExtentAttr()
-    for code, box in zip(codes.tolist(), _extents(rig), strict=True):
-        extent.Set(box, code)
+    every = (points for block in rig.blocks() for points in block)
+    for code, points in zip(codes.tolist(), every, strict=True):
+        extent.Set(extent_of(points), code)
 
 
 def _put_base(layer: Sdf.Layer, cast: Cast, shape: Morph) -> None:
@@ -215,13 +215,6 @@ def _add_shapes(
     if used:
         binding.CreateBlendShapesAttr(Vt.TokenArray(used))
         binding.CreateBlendShapeTargetsRel().SetTargets(paths)
-
-
-def _extents(rig: Skin | Morph) -> Iterator[Vt.Vec3fArray]:
-    """Yield the bounding box of every frame."""
-    for block in rig.blocks():
-        for points in block:
-            yield extent_of(points)
 
 
 def write_usd_rig(path: Path, rig: Skin | Morph) -> None:

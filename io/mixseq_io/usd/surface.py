@@ -165,7 +165,7 @@ NUMBER = "mixseq:part"
 def markings_of(header: SequenceHeader, meshes: Sequence[AnimatedMesh]) -> Markings:
     """Return the families of subsets and the joints of a stage's meshes."""
     polygons = [_polygons_in_file(animated) for animated in meshes]
-    skinned = any(_is_skinned(animated) for animated in meshes)
+    skinned = any(animated.mover.skin and animated.mover.skin.has_joints for animated in meshes)
     materials = {source: sets for source, sets in sets_of(header).items() if source == MATERIALS}
     return Markings(
         sets=_families(meshes, polygons) | materials,
@@ -211,10 +211,6 @@ def _subsets(mesh: UsdGeom.Mesh) -> Iterator[UsdGeom.Subset]:
 def _source(subset: UsdGeom.Subset) -> str:
     family = str(subset.GetFamilyNameAttr().Get() or "")
     return LABELS if family == FAMILY else family or GROUPS
-
-
-def _is_skinned(animated: AnimatedMesh) -> bool:
-    return animated.mover.skin is not None and animated.mover.skin.has_joints
 
 
 def _skinning(animated: AnimatedMesh) -> Skinning:
