@@ -32,12 +32,15 @@ _SOURCES = "times of the original that the frames show, where these are others t
 _ONTO = "the file to build on, if it is another one than the sequence came from"
 
 
-def _numbered(name: str, module: str, holds: Holds, *signatures: bytes) -> Format:
+_NO_PARTS: dict[str, Any] = {"hard_edges": False, "face_sets": False, "objects": False, "materials": "no"}
+
+
+def _numbered(name: str, module: str, *signatures: bytes, **holds: Any) -> Format:
     """Return a format of numbered files, an object of this name in a module of `mixseq_io.numbered`."""
     return Format(
         name=name,
         extensions=(f".{name.lower()}",),
-        holds=holds,
+        holds=Holds(animation="a file per frame", times="no", **holds),
         reader=f"mixseq_io.numbered.{module}:{name}.open",
         writer=f"mixseq_io.numbered.{module}:{name}.write",
         read_options={"fps": _FPS, "allow_gaps": _GAPS},
@@ -143,55 +146,19 @@ FORMATS: tuple[Format, ...] = (
         writer="mixseq_io.point_caches:write_mdd",
         read_options={"mesh": _MESH},
     ),
-    _numbered(
-        "OBJ", "obj", Holds(animation="a file per frame", points="all digits", times="no", colours=OPAQUE)
-    ),
-    _numbered(
-        "PLY",
-        "ply",
-        Holds(
-            animation="a file per frame",
-            points="float32, float64",
-            times="no",
-            hard_edges=False,
-            face_sets=False,
-            objects=False,
-            materials="no",
-        ),
-        b"ply",
-    ),
-    _numbered(
-        "STL",
-        "stl_off",
-        Holds(
-            animation="a file per frame",
-            polygons="triangles",
-            times="no",
-            uvs=False,
-            colours=False,
-            hard_edges=False,
-            face_sets=False,
-            objects=False,
-            materials="no",
-        ),
-    ),
+    _numbered("OBJ", "obj", points="all digits", colours=OPAQUE),
+    _numbered("PLY", "ply", b"ply", points="float32, float64", **_NO_PARTS),
+    _numbered("STL", "stl_off", polygons="triangles", uvs=False, colours=False, **_NO_PARTS),
     _numbered(
         "OFF",
         "stl_off",
-        Holds(
-            animation="a file per frame",
-            polygons="triangles",
-            points="all digits",
-            times="no",
-            uvs=False,
-            colours=OF_VERTICES,
-            hard_edges=False,
-            face_sets=False,
-            objects=False,
-            materials="no",
-        ),
         b"OFF",
         b"COFF",
+        polygons="triangles",
+        points="all digits",
+        uvs=False,
+        colours=OF_VERTICES,
+        **_NO_PARTS,
     ),
 )
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -220,25 +220,21 @@ Kept = tuple[range, int]
 """Samples of a property that are copied, and the index of their time sampling in the new archive."""
 
 
-@dataclass(frozen=True, eq=False)
-class Copied:
-    """Result of copying an archive's objects."""
-
-    schemas: dict[str, Any] = field(default_factory=dict)
-    moving: dict[str, tuple[float, float]] = field(default_factory=dict)
-    lost: list[str] = field(default_factory=list)
-
-
 class _Copier:
-    """Copier of an archive's objects, with the samples needed for frames at times ``(T,)`` in s."""
+    """Copier of an archive's objects, with the samples needed for frames at times ``(T,)`` in s.
+
+    `schemas` are the copies of moved meshes by path, `moving` the first and last time of moving objects, `lost` paths.
+    """
 
     def __init__(self, target: Any, moved: Collection[str], frames: Float, room: int) -> None:
         self._target, self._moved, self._room = target, moved, room
         self._window = float(frames[0]), float(frames[-1])
         self._above = _at_or_above(moved)
-        self._copied = Copied()
+        self.schemas: dict[str, Any] = {}
+        self.moving: dict[str, tuple[float, float]] = {}
+        self.lost: list[str] = []
 
-    def copy(self, top: Any) -> Copied:
+    def copy(self, top: Any) -> None:
         """Copy all objects below the top one."""
         new = self._target.getTop()
         for header in top.getProperties().propertyheaders:
@@ -257,8 +253,7 @@ class _Copier:
         for child, parent in instances:
             original = made.get(str(child.instanceSourcePath()))
             if original is None or not parent.addChildInstance(original, child.getName()):
-                self._copied.lost.append(str(child.getFullName()))
-        return self._copied
+                self.lost.append(str(child.getFullName()))
 
     def _object(self, path: str, node: Any, parent: Any) -> Any:
         metadata = AbcCoreAbstract.MetaData(node.getMetaData())
@@ -269,7 +264,7 @@ class _Copier:
         for header in node.getProperties().propertyheaders:
             made = self._property(path, header, node.getProperties(), new.getProperties(), stale)
             if path in self._moved and header.getName() == _SCHEMA:
-                self._copied.schemas[path] = made
+                self.schemas[path] = made
         return new
 
     def _property(self, path: str, header: Any, source: Any, target: Any, stale: Collection[str]) -> Any:
@@ -316,12 +311,12 @@ class _Copier:
                 else:
                     new.setValue(self._value(stored, sample) if sample > kept[0] else value)
         except (RuntimeError, TypeError):  # types that the library has no words for in Python
-            self._copied.lost.append(f"{path}.{header.getName()}")
+            self.lost.append(f"{path}.{header.getName()}")
             return
         if not constant:
             times = sample_times(stored)
-            first, last = self._copied.moving.get(path, (times[0], times[-1]))
-            self._copied.moving[path] = min(first, times[0]), max(last, times[-1])
+            first, last = self.moving.get(path, (times[0], times[-1]))
+            self.moving[path] = min(first, times[0]), max(last, times[-1])
 
     def _value(self, stored: Any, sample: int) -> Any:
         if stored.isArray():
@@ -487,8 +482,8 @@ def lay_over(
     """
     moved = {fit.mesh.path for fit in original.fits}
     copier = _Copier(archive, moved, header.times, original.path.stat().st_size)
-    copied = copier.copy(original.archive.getTop())
-    if copied.lost:
-        warn(f"{path}: of {original.path} the library cannot copy {listed(copied.lost)}; they are left out")
-    warn_of_other_times(path, header, dict(sorted(copied.moving.items())), sources)
-    return [MovedMesh.make(fit, copied.schemas[fit.mesh.path], sampling, velocities) for fit in original.fits]
+    copier.copy(original.archive.getTop())
+    if copier.lost:
+        warn(f"{path}: of {original.path} the library cannot copy {listed(copier.lost)}; they are left out")
+    warn_of_other_times(path, header, dict(sorted(copier.moving.items())), sources)
+    return [MovedMesh.make(fit, copier.schemas[fit.mesh.path], sampling, velocities) for fit in original.fits]

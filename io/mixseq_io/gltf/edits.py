@@ -211,11 +211,6 @@ class OtherMotion:
     channels: Sequence[Channel] = ()
     start: float = 0.0
 
-    @property
-    def nodes(self) -> set[int]:
-        """Animated nodes."""
-        return {channel.node for channel in self.channels}
-
     def instead(self, stand_ins: Mapping[int, int | None]) -> OtherMotion:
         """Replace animated nodes by others, without their morph weights; None drops their channels."""
         channels = []

@@ -202,20 +202,9 @@ def _skinning(shape: Shape) -> Skinning:
     if shape.skin is None:
         return Skinning.rigid(shape.scene.paths[shape.node], shape.weld.count)
     joints = shape.skin.joints
-    return Skinning(
-        shape.skin.weights,
-        tuple(_path(shape.scene, joint) for joint in joints),
-        tuple(_path_above(shape.scene, joint, joints) for joint in joints),
-    )
-
-
-def _path(scene: Scene, node: int) -> str:
-    return scene.paths.get(node, f"node {node}")
-
-
-def _path_above(scene: Scene, joint: int, joints: Sequence[int]) -> str:
-    """Return the path of the nearest ancestor joint of a joint."""
-    return next((_path(scene, each) for each in scene.above(joint)[1:] if each in joints), "")
+    paths = tuple(shape.scene.paths.get(joint, f"node {joint}") for joint in joints)
+    above = tuple(paths[parent] if parent >= 0 else "" for parent in _parents(shape.scene, joints))
+    return Skinning(shape.skin.weights, paths, above)
 
 
 def read_joints(path: Path, name: str | None) -> Skeleton:

@@ -28,12 +28,11 @@ from numpy.typing import NDArray
 from mixseq.errors import OutputError
 from mixseq.rigging.rigs import Morph, Skin, rotation_matrices
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import bounding_diagonal
 from mixseq.types import Single
 from mixseq_io.gltf.codecs import VERTICES, Json, Layout, append
 from mixseq_io.gltf.new_document import MovingMesh, named, new_animation, new_meshes, new_scene, upright
 from mixseq_io.reader import as_float32
-from mixseq_io.rig_arrays import four_influences, numbered_names, shape_of, steadied
+from mixseq_io.rig_arrays import four_influences, numbered_names, shape_of, steady_joints
 
 _KINDS = {"translation": "VEC3", "rotation": "VEC4", "weights": "SCALAR"}
 
@@ -46,18 +45,13 @@ class Track:
     path: str
     values: NDArray[np.float32]
 
-    @property
-    def moves(self) -> bool:
-        """Whether the property changes over time."""
-        return bool((self.values != self.values[0]).any())
-
 
 def animate(layout: Layout, header: SequenceHeader, tracks: Sequence[Track]) -> None:
     """Add the linear animation of a sequence, with keys at its frames and rotations on the short arc, to a document.
 
     Constant tracks, and an animation without tracks, are left out: nodes have the values of the first frame.
     """
-    moving = [track for track in tracks if track.moves]
+    moving = [track for track in tracks if (track.values != track.values[0]).any()]
     if not moving:
         return
     times, animation = new_animation(layout, header)
@@ -164,10 +158,8 @@ def skinned_scene(skin: Skin) -> Layout:
 
 def _add_bones(document: Json, skin: Skin) -> tuple[int, list[int], list[Track]]:
     """Add a node for every bone in its first-frame pose, and a common root; return root, nodes and tracks."""
-    local, skeleton = skin.local(), skin.skeleton
-    rotations = steadied(local.rotations, 1.0).astype(np.float32)
-    places = steadied(local.translations, bounding_diagonal(skin.rest))
-    translations = as_float32(places, 0, "glTF", "bone")
+    skeleton = skin.skeleton
+    rotations, translations = steady_joints(skin, "glTF")
     root = append(document, "nodes", {"name": "skeleton", "children": [], **upright(skin.header)})
     joints: list[int] = []
     tracks: list[Track] = []

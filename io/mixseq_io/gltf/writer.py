@@ -142,7 +142,8 @@ def lay_over(
     roots = {scene.above(place.node)[-1] for place in places}
     shown_in = [each for each in carried.get("scenes", ()) if roots.intersection(each.get("nodes", ()))]
     above = {scene.parents[place.node] for place in places}
-    inverses = [None if upright(header) else _inverse(scene, place.node, others.nodes) for place in places]
+    animated = {channel.node for channel in others.channels}
+    inverses = [None if upright(header) else _inverse(scene, place.node, animated) for place in places]
     stay = None not in inverses
     others = others.instead({place.node: detach(carried, place.node, stay) for place in places})
     for place, inverse in zip(places, inverses, strict=True):

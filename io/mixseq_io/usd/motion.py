@@ -110,10 +110,6 @@ class Skin:
         if self.has_shapes and animation is not None:
             yield animation.GetBlendShapeWeightsAttr()
 
-    def bind_transform(self, code: float) -> Gf.Matrix4d:
-        """Return the mesh-to-skeleton transform at bind time."""
-        return self.query.GetGeomBindTransform(Usd.TimeCode(code))
-
     def deformed(self, points: Vt.Vec3fArray, pose: Pose, code: float) -> Vt.Vec3fArray:
         """Return the mesh's posed points, in skeleton space if it has joints, else in mesh space.
 
@@ -389,8 +385,10 @@ class AnimatedMesh:
     def mirrored(self) -> bool:
         """Whether the transform to the world mirrors."""
         skin = self.mover.skin
-        bind = skin.bind_transform(self.start).GetDeterminant3() if skin and skin.has_joints else 1.0
-        return bool(self._first_determinant * bind < 0)
+        sign = self._first_determinant
+        if skin and skin.has_joints:
+            sign *= skin.query.GetGeomBindTransform(Usd.TimeCode(self.start)).GetDeterminant3()
+        return sign < 0
 
     def points(self, code: float, pose: Pose | None) -> NDArray[np.float32]:
         """Return the vertices ``(V, 3)`` in world space at a time code, with the skeleton in a pose."""

@@ -23,7 +23,6 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from mixseq.errors import FormatError
 from mixseq.rigging.rigs import Morph, Skeleton, Skin, rotation_matrices
-from mixseq.sequence.sequence import bounding_diagonal
 from mixseq.types import Float
 from mixseq_io.files import replacing
 from mixseq_io.reader import as_float32
@@ -33,7 +32,7 @@ from mixseq_io.rig_arrays import (
     numbered_names,
     shape_of,
     skeleton_of,
-    steadied,
+    steady_joints,
 )
 from mixseq_io.usd.layers import Cast, Placed, declare, extent_of, frames, pack
 from mixseq_io.usd.motion import shown_by
@@ -78,7 +77,9 @@ def read_skel_joints(path: Path, name: str | None) -> Skeleton:
         parents = [int(each) for each in topology.GetParentIndices()]
         to_world = np.array(Placement(prim).to_world(stage.GetStartTimeCode()))
         bind = (np.array(binds, dtype=np.float64).reshape(-1, 4, 4) @ to_world).swapaxes(1, 2)
-        return skeleton_of(_names(skeleton, list(joints)), parents, bind)
+        told = list(skeleton.GetJointNamesAttr().Get() or [])
+        names = told if len(told) == len(joints) else [Sdf.Path(joint).name for joint in joints]
+        return skeleton_of(names, parents, bind)
 
 
 def skeleton_prim(path: Path, stage: Usd.Stage, name: str | None) -> Usd.Prim:
@@ -86,12 +87,6 @@ def skeleton_prim(path: Path, stage: Usd.Stage, name: str | None) -> Usd.Prim:
     prims = [prim for prim in prims_of(path, stage) if UsdSkel.Skeleton(prim)]
     names = [(str(prim.GetPath()), prim.GetName(), prim.GetDisplayName()) for prim in prims]
     return prims[choose_skeleton(path, names, name)]
-
-
-def _names(skeleton: UsdSkel.Skeleton, joints: list[str]) -> list[str]:
-    """Return the display names of joints: their `jointNames`, or the ends of their paths."""
-    told = list(skeleton.GetJointNamesAttr().Get() or [])
-    return told if len(told) == len(joints) else [Sdf.Path(joint).name for joint in joints]
 
 
 def define_rig(layer: Sdf.Layer, target: Path, rig: Skin | Morph) -> None:
@@ -156,10 +151,7 @@ def _matrices(rotations: Float, translations: Float) -> Any:
 def _animate_joints(
     animation: UsdSkel.Animation, skeleton: UsdSkel.Skeleton, skin: Skin, codes: NDArray[np.float64]
 ) -> None:
-    local = skin.local()
-    rotations = steadied(local.rotations, 1.0).astype(np.float32)
-    places = steadied(local.translations, bounding_diagonal(skin.rest))
-    translations = as_float32(places, 0, "USD", "bone", header=skin.header)
+    rotations, translations = steady_joints(skin, "USD", skin.header)
     animation.CreateJointsAttr(skeleton.GetJointsAttr().Get())
     # The numbers of a Gf.Quatf lie in memory as x, y, z, w.
     _set(animation.CreateRotationsAttr(), [Vt.QuatfArrayFromBuffer(each) for each in rotations], codes)
