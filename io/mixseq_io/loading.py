@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -77,7 +78,9 @@ def _load_h5(source: Path) -> Model:
         )
     if source.is_file():
         check_memory(source, source.stat().st_size, "the file itself")
-    file = read_contents(source, MODEL_FORMAT, meanwhile=_import_decoder)
+    # The decoder is imported while the worker reads the file; both take about as long.
+    decoder = partial(import_module, "mixseq_io.coded.streams")
+    file = read_contents(source, MODEL_FORMAT, meanwhile=decoder)
     if file.kind != MODEL_FORMAT:
         raise FormatError(
             f"{source} is an HDF5 file, but not a mixseq model (format = {file.kind!r}); make one with mixseq encode"
@@ -96,11 +99,6 @@ def _load_h5(source: Path) -> Model:
 def _is_hdf5(path: Path) -> bool:
     with path.open("rb") as file:
         return file.read(len(_SIGNATURE)) == _SIGNATURE
-
-
-def _import_decoder() -> None:
-    """Import the decoder of compressed models while the worker reads the file; both take about as long."""
-    import_module("mixseq_io.coded.streams")
 
 
 class ModelReader(SequenceReader):

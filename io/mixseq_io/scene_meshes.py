@@ -290,7 +290,9 @@ def split(header: SequenceHeader) -> list[SceneMesh]:
         end = polygon + each.polygon_count
         inside = slice(int(corners[polygon]), int(corners[end]))
         own = Polygons(polygons.counts[polygon:end], polygons.indices[inside] - vertex)
-        hard_edges = None if surface.hard_edges is None else _renumbered(surface.hard_edges[inside])
+        hard_edges: IntArray | None = None
+        if surface.hard_edges is not None:
+            hard_edges = np.unique(surface.hard_edges[inside], return_inverse=True)[1].astype(np.int32)
         if several and hard_edges is not None and _is_smooth(own, hard_edges):
             hard_edges = None
         meshes.append(
@@ -317,10 +319,6 @@ def _own_values(joined: CornerValues | None, corners: slice, default: Sequence[f
     rows, used = np.unique(joined.indices[corners], return_inverse=True)
     own = CornerValues(joined.values[rows], used)
     return None if default and (own.values == default).all() else own
-
-
-def _renumbered(hard_edges: IntArray) -> IntArray:
-    return np.unique(hard_edges, return_inverse=True)[1].astype(np.int32)
 
 
 def _is_smooth(polygons: Polygons, hard_edges: IntArray) -> bool:

@@ -80,7 +80,9 @@ class Morphs:
             return
         times, animation = new_animation(layout, header, keep_start)
         count = header.frame_count * (header.frame_count - 1)
-        weights = layout.accessor(layout.add(_one_hot(header.frame_count), 4 * count), count, "SCALAR")
+        targets = np.arange(1, header.frame_count)
+        rows = ((targets == key).astype(np.float32) for key in range(header.frame_count))
+        weights = layout.accessor(layout.add(rows, 4 * count), count, "SCALAR")
         animation["samplers"].append({"input": times, "output": weights, "interpolation": "LINEAR"})
         animation["channels"] += [
             {"sampler": 0, "target": {"node": mesh.node, "path": "weights"}} for mesh in self._meshes
@@ -163,12 +165,6 @@ def time_shift(header: SequenceHeader, keep_start: bool = False) -> float:
     """
     first = float(header.times[0])
     return 0.0 if keep_start and first >= 0 and header.frame_count > 1 else first
-
-
-def _one_hot(keys: int) -> Iterator[NDArray[np.float32]]:
-    """Yield the weights of the targets ``(T - 1,)`` key by key."""
-    for key in range(keys):
-        yield (np.arange(1, keys) == key).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)

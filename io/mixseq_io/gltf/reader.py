@@ -191,14 +191,8 @@ def _face_sets(document: Document, primitives: Sequence[Primitive]) -> tuple[Fac
     return tuple(face_sets)
 
 
-def skinning_of(shapes: Sequence[Shape]) -> Skinning | None:
-    """Return the joints and weights of all meshes, None without skins; unskinned meshes follow their nodes."""
-    if all(shape.skin is None for shape in shapes):
-        return None
-    return joined_skinning([_skinning(shape) for shape in shapes])
-
-
 def _skinning(shape: Shape) -> Skinning:
+    """Return a mesh's joints and weights; an unskinned mesh follows its node."""
     if shape.skin is None:
         return Skinning.rigid(shape.scene.paths[shape.node], shape.weld.count)
     joints = shape.skin.joints
@@ -434,7 +428,9 @@ class _GltfReader(SequenceReader):
 
     def markings(self) -> Markings:
         """Return the sets of polygons and the joints of the meshes."""
-        return replace(super().markings(), skinning=skinning_of(self._shapes))
+        skinned = any(shape.skin is not None for shape in self._shapes)
+        skinning = joined_skinning([_skinning(shape) for shape in self._shapes]) if skinned else None
+        return replace(super().markings(), skinning=skinning)
 
     def _read(self, what: str, size: int) -> Iterator[FloatArray]:
         for start in range(0, self.header.frame_count, size):

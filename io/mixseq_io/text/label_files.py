@@ -317,7 +317,11 @@ def _write_subsets(
     parts = Parts(tuple(np.split(of_polygon, ends)), names)
     origin = header.surface.origin
     untouched = (
-        isinstance(sequence, SequenceReader) and origin is not None and _same(origin.path, sequence.path)
+        isinstance(sequence, SequenceReader)
+        and origin is not None
+        and Path(origin.path).exists()
+        and sequence.path.exists()
+        and sequence.path.samefile(origin.path)
     )
     if untouched and not flatten and file.suffix.lower() != ".usdz" and write_usd_parts(file, header, parts):
         return
@@ -331,10 +335,6 @@ def _without(header: SequenceHeader, old: Sequence[FaceSet]) -> SequenceHeader:
     parts = {(each.name, each.polygons.tobytes()) for each in old}
     kept = (each for each in header.surface.face_sets if (each.name, each.polygons.tobytes()) not in parts)
     return replace(header, surface=replace(header.surface, face_sets=tuple(kept)))
-
-
-def _same(a: str, b: Path) -> bool:
-    return Path(a).exists() and b.exists() and b.samefile(a)
 
 
 def _values(

@@ -192,7 +192,9 @@ def _families(meshes: Sequence[AnimatedMesh], polygons: Sequence[Polygons]) -> d
             faces = faces[(faces >= 0) & (faces < len(own.counts))]
             number = subset.GetPrim().GetCustomDataByKey(NUMBER)
             face_set = FaceSet(display_name(subset.GetPrim()), faces + first)
-            found.setdefault(_source(subset), []).append((number if isinstance(number, int) else 0, face_set))
+            family = str(subset.GetFamilyNameAttr().Get() or GROUPS)
+            source = LABELS if family == FAMILY else family
+            found.setdefault(source, []).append((number if isinstance(number, int) else 0, face_set))
         first += len(own.counts)
     return {
         source: tuple(each for _, each in sorted(sets, key=lambda pair: pair[0]))
@@ -206,11 +208,6 @@ def _subsets(mesh: UsdGeom.Mesh) -> Iterator[UsdGeom.Subset]:
         of_faces = subset.GetElementTypeAttr().Get() == UsdGeom.Tokens.face
         if of_faces and subset.GetFamilyNameAttr().Get() != UsdShade.Tokens.materialBind:
             yield subset
-
-
-def _source(subset: UsdGeom.Subset) -> str:
-    family = str(subset.GetFamilyNameAttr().Get() or "")
-    return LABELS if family == FAMILY else family or GROUPS
 
 
 def _skinning(animated: AnimatedMesh) -> Skinning:
