@@ -183,14 +183,9 @@ class SceneMesh:
         if found is None or found.order != "free":
             return None if found is None else self
         order = found.inverse.vertices
-        vertices = (
-            np.arange(self.vertices.start, self.vertices.stop)
-            if isinstance(self.vertices, slice)
-            else self.vertices
-        )
         return replace(
             self,
-            vertices=vertices[order],
+            vertices=np.r_[self.vertices][order],
             polygons=Polygons(self.polygons.counts, found.vertices[self.polygons.indices]),
         )
 

@@ -517,7 +517,7 @@ def _have_velocities(path: Path, animated_meshes: list[_AnimatedMesh]) -> bool:
             problem = f"are {length(velocities, 0)}, not as many as its points"
         elif not (mesh.laid_over or all(schema.isConstant() for schema in mesh.above)):
             problem = "are those under a transform that moves, too"
-        elif mesh.moves and not animated.samples.exact:
+        elif mesh.moves and (animated.samples.weight.any() or (np.diff(animated.samples.before) <= 0).any()):
             problem = "are not sampled in every frame"
         else:
             problem = ""

@@ -151,11 +151,6 @@ class SampleWeights:
         """Return the sample before a frame, and the weight of the one after."""
         return int(self.before[frame]), float(self.weight[frame])
 
-    @property
-    def exact(self) -> bool:
-        """Whether every frame coincides with a sample."""
-        return not self.weight.any() and bool((np.diff(self.before) > 0).all())
-
 
 def locate(own: Float, frames: Float) -> SampleWeights:
     """Return the samples, at the times `own` ``(N,)``, around frames ``(T,)``."""

@@ -25,21 +25,8 @@ from mixseq_io.gltf.scene import Pose, Scene
 from mixseq_io.reader import warn
 from mixseq_io.scene_meshes import MOST_PLAYED, SAME_TIME, listed, on_grid, united
 
-USUAL_RATES = (
-    24.0,
-    30.0,
-    25.0,
-    60.0,
-    50.0,
-    48.0,
-    120.0,
-    100.0,
-    12.0,
-    15.0,
-    20.0,
-    10.0,
-    *NTSC_RATES,
-)
+USUAL_RATES = (24.0, 30.0, 25.0, 60.0, 50.0, 48.0, 120.0, 100.0, 12.0, 15.0, 20.0, 10.0, *NTSC_RATES)
+"""Rates in Hz, the most usual first."""
 
 _MOST_FRAMES = 1_000_000
 _FASTEST_PLAYED = 60.0

@@ -60,11 +60,6 @@ class Property:
     type: np.dtype[Any]
     count: np.dtype[Any] | None = None
 
-    @property
-    def least(self) -> int:
-        """Minimum size in bytes of a row's entry."""
-        return (self.type if self.count is None else self.count).itemsize
-
 
 @dataclass(frozen=True)
 class Element:
@@ -184,7 +179,7 @@ def _of_types(columns: Columns, element: Element) -> Columns:
 
 def _read_rows(data: bytes, start: int, element: Element) -> tuple[Columns, int]:
     """Return the columns of an element whose rows begin at the byte `start`, and their end."""
-    least = sum(each.least for each in element.properties)
+    least = sum((each.type if each.count is None else each.count).itemsize for each in element.properties)
     if element.count and not element.properties:
         raise ValueError(f"element {element.name} has no properties")
     if element.count * least > len(data) - start:

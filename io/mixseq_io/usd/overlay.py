@@ -338,14 +338,15 @@ def _normals(fit: Fit) -> Normals | None:
         attribute, interpolation = "normals", mesh.GetNormalsInterpolation()
     else:
         return None
+    of_corner = scene_mesh.normal_groups[fit.match.corners]
     groups: IntArray | None = scene_mesh.normal_groups
-    order: IntArray | None = scene_mesh.normal_groups[fit.match.corners]
+    order: IntArray | None = of_corner
     if interpolation == UsdGeom.Tokens.uniform:
         counts = scene_mesh.polygons.counts
         groups, order = np.repeat(np.arange(len(counts)), counts), fit.match.polygons
     elif interpolation != UsdGeom.Tokens.faceVarying:
         interpolation = UsdGeom.Tokens.vertex
-        of_corner, order = order, np.zeros(len(fit.weld.of_point), dtype=np.int64)
+        order = np.zeros(len(fit.weld.of_point), dtype=np.int64)
         order[fit.corner_points] = of_corner  # all corners of a point share their normal
         if fit.weld.is_identity:
             groups = order = None
