@@ -12,6 +12,7 @@ from mixseq.errors import FormatError, SettingsError
 from mixseq.runtime.public import public
 from mixseq.types import FloatArray, PathLike
 from mixseq_io.files import check_memory, memory_limit
+from mixseq_io.format import HDF5_SIGNATURE
 from mixseq_io.hdf5.contents import MODEL_FORMAT, read_attributes, read_contents, reading_h5
 from mixseq_io.reader import SequenceReader
 
@@ -21,9 +22,6 @@ if TYPE_CHECKING:
 
 GLB, HDF5 = ".glb", (".h5", ".hdf5")
 """File extensions of models."""
-
-_SIGNATURE = b"\x89HDF\r\n\x1a\n"
-"""First bytes of HDF5 files."""
 
 
 def is_model(path: Path) -> bool:
@@ -98,7 +96,7 @@ def _load_h5(source: Path) -> Model:
 
 def _is_hdf5(path: Path) -> bool:
     with path.open("rb") as file:
-        return file.read(len(_SIGNATURE)) == _SIGNATURE
+        return file.read(len(HDF5_SIGNATURE)) == HDF5_SIGNATURE
 
 
 class ModelReader(SequenceReader):

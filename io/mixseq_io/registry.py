@@ -15,7 +15,7 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MeshSequence, collect
 from mixseq.types import FloatArray, PathLike
 from mixseq_io.files import memory_limit
-from mixseq_io.format import OF_VERTICES, OPAQUE, Format, Holds
+from mixseq_io.format import HDF5_SIGNATURE, OF_VERTICES, OPAQUE, Format, Holds
 from mixseq_io.reader import SequenceReader, check_regular, naming
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ FORMATS: tuple[Format, ...] = (
         ),
         reader="mixseq_io.loading:open_h5",
         writer="mixseq_io.hdf5.sequences:write_h5",
-        signatures=(b"\x89HDF\r\n\x1a\n",),
+        signatures=(HDF5_SIGNATURE,),
     ),
     Format(
         name="Alembic",
@@ -92,7 +92,7 @@ FORMATS: tuple[Format, ...] = (
         writer="mixseq_io.alembic.writer:write_alembic",
         read_options={"prim": _PRIM},
         write_options={"flatten": _FLATTEN, "onto": _ONTO, "sources": _SOURCES},
-        signatures=(b"Ogawa", b"\x89HDF\r\n\x1a\n"),
+        signatures=(b"Ogawa", HDF5_SIGNATURE),
         isolated=True,
     ),
     Format(

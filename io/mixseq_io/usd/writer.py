@@ -294,18 +294,16 @@ def write_usd(
         quiet(),
         writing_usd(path),
     ):
-        if packed:
-            unpacked = temporary.with_suffix(".usdc")
-            layer, _, samples = begun(unpacked)
-            save(layer, samples)
-            elsewhere = pack(layer, temporary, path.with_suffix(".usdc").name, folders_of(header, pack_from))
-        elif clips:
+        if clips:
             folder.make()
             save_in_clips(*begun(temporary), clips, folder)
             folder.install()
         else:
-            layer, _, samples = begun(temporary)
+            layer, _, samples = begun(temporary.with_suffix(".usdc") if packed else temporary)
             save(layer, samples)
+            if packed:
+                name = path.with_suffix(".usdc").name
+                elsewhere = pack(layer, temporary, name, folders_of(header, pack_from))
     warn_of_unpacked(path, elsewhere)
     if not clips:
         folder.warn_if_unused()
