@@ -1,21 +1,18 @@
-"""One memory limit for all readers of files.
+"""Memory limit of readers, and atomic output of writers.
 
-A file of a few bytes can announce, or unpack to, any size, so sizes are compared with the limit before allocation; C++
+A file of a few bytes can announce, or unpack to, any size, so sizes are compared with a limit before allocation; C++
 parsers are also stopped by the system, see `mixseq_io.isolation`. The limit is `max_memory` of the call that opens a
 file (``--max-memory``), else ``MIXSEQ_READER_MEMORY`` in GiB, else 8 GB or half of the machine's memory if less.
 
-Temporary names beside a target, and removal of those left by killed writers.
+Files are written beside the target, then moved over it. A rename within a folder is atomic
+(https://pubs.opengroup.org/onlinepubs/9799919799/functions/rename.html): readers see the old file or the new one, and
+after an error, a full disk or Ctrl-C the old one is unchanged. The new file is flushed to disk first, since a power cut
+could otherwise leave it empty. Signals wait while files are moved.
 
-Names of a writer begin with ``.mixseq.HOST.RANDOM``, with a lock on the file of that name with ``.lock``, which the
-system releases when the process ends. The next writer in the folder deletes unlocked files. Without locks, and for
-other hosts, whose locks may be invisible on a shared disk, it deletes files older than a day. Files that were put away
-and not replaced are restored.
-
-Atomic output: files are written beside the target, then moved over it.
-
-A rename within a folder is atomic (https://pubs.opengroup.org/onlinepubs/9799919799/functions/rename.html): readers see
-the old file or the new one, and after an error, a full disk or Ctrl-C the old one is unchanged. The new file is flushed
-to disk first, since a power cut could otherwise leave it empty. Signals wait while files are moved.
+Temporary names of a writer begin with ``.mixseq.HOST.RANDOM``, with a lock on the file of that name with ``.lock``,
+which the system releases when the process ends. The next writer in the folder deletes unlocked files. Without locks,
+and for other hosts, whose locks may be invisible on a shared disk, it deletes files older than a day. Files that were
+put away and not replaced are restored.
 """
 
 from __future__ import annotations
@@ -312,8 +309,8 @@ def _check_parent(target: Path) -> None:
         raise OutputError(f"{target}: the folder {target.parent} does not exist; make it first")
 
 
-def _flush(file: Path) -> None:
-    descriptor = os.open(file, os.O_RDWR)
+def _flush(file: Path, mode: int = os.O_RDWR) -> None:
+    descriptor = os.open(file, mode)
     try:
         os.fsync(descriptor)
     finally:
@@ -324,11 +321,7 @@ def _flush_folder(folder: Path) -> None:
     # Some systems cannot flush folders. By now the file is in place and safe; a power cut could at worst undo
     # the rename.
     with suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+        _flush(folder, os.O_RDONLY)
 
 
 _ALMOST_FULL = 1 << 20

@@ -15,6 +15,9 @@ from mixseq_io.isolation import loaded, open_isolated
 from mixseq_io.reader import SequenceReader
 from mixseq_io.surfaces import Rounding
 
+HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+"""First bytes of HDF5 files."""
+
 SINGLE = "float32"
 OF_VERTICES, OPAQUE = "of vertices", "of vertices, opaque"
 

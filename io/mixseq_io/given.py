@@ -9,6 +9,7 @@ from typing import Any
 
 from mixseq.errors import SettingsError
 from mixseq.sequence.frame_rates import exact_rate
+from mixseq_io.isolation import loaded
 from mixseq_io.registry import read
 
 Given = Mapping[str, Any]
@@ -27,14 +28,12 @@ def reader_of(name: str, types: Collection[str]) -> Read | None:
     return _sequence if {"Frames", "MeshSequence"} & set(types) else None
 
 
-def _sequence(path: str, _: Given) -> Any:
-    return read(path)
+def _by_path(reference: str) -> Read:
+    """Return a reader that needs the path only, "module:function", imported at first use."""
+    return lambda path, _: loaded(reference)(path)
 
 
-def _model(path: str, _: Given) -> Any:
-    from mixseq_io.loading import load
-
-    return load(path)
+_sequence, _model = _by_path("mixseq_io.registry:read"), _by_path("mixseq_io.loading:load")
 
 
 def _motion(path: str, given: Given) -> Any:
@@ -51,35 +50,11 @@ def _mesh(path: str, _: Given) -> Any:
     return mesh
 
 
-def _markers(path: str, _: Given) -> Any:
-    from mixseq_io.text.markers import read_markers
-
-    return read_markers(path)
-
-
 def _map(path: str, _: Given) -> Any:
     """Read a map; it becomes a correspondence when both meshes are known."""
     from mixseq_io.text.maps import read_map, to_correspondence
 
     return partial(to_correspondence, read_map(path))
-
-
-def _contacts(path: str, _: Given) -> Any:
-    from mixseq_io.text.markers import read_contacts
-
-    return read_contacts(path)
-
-
-def _skeleton(path: str, _: Given) -> Any:
-    from mixseq_io.rig_files import read_skeleton
-
-    return read_skeleton(path)
-
-
-def _bind_pose(path: str, _: Given) -> Any:
-    from mixseq_io.rig_files import read_bind_pose
-
-    return read_bind_pose(path)
 
 
 def _labels(path: str, given: Given) -> Any:
@@ -119,14 +94,14 @@ def _weight(path: str, given: Given) -> Any:
 
 
 _BY_NAME: dict[str, Read] = {
-    "markers": _markers,
+    "markers": _by_path("mixseq_io.text.markers:read_markers"),
     "mapping": _map,
-    "contacts": _contacts,
+    "contacts": _by_path("mixseq_io.text.markers:read_contacts"),
     "parts": _labels,
     "bones": _labels,
     "points": _mesh,
-    "skeleton": _skeleton,
-    "bind_pose": _bind_pose,
+    "skeleton": _by_path("mixseq_io.rig_files:read_skeleton"),
+    "bind_pose": _by_path("mixseq_io.rig_files:read_bind_pose"),
     "keys": _keys,
     "retiming": _retiming,
     "curve": _pairs,

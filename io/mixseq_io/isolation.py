@@ -5,10 +5,8 @@ Readers run in a reused worker (`mixseq_io.worker`), a second Python with limits
 time per answer; its death is reported as an error of the file. ``MIXSEQ_READER_SECONDS`` sets the limit of time: by
 default 120 s of processor time, and four times that by the clock.
 
-Pool of a few worker processes that read files, started on demand and reused.
-
-Each open file has its own worker. Above `MOST` files, the least recently used one gives up its worker; at its next
-request it is opened again, and iterations continue where they were.
+Workers are started on demand and reused, one for each open file. Above `MOST` files, the least recently used
+one gives up its worker; at its next request it is opened again, and iterations continue where they were.
 """
 
 from __future__ import annotations
@@ -131,6 +129,8 @@ class Worker:
             stderr=subprocess.DEVNULL,  # where C++ libraries grumble; their reports come with the answers
             env=environment,
         )
+        self._stdin: Any = self._process.stdin
+        self._stdout: Any = self._process.stdout
         # Whoever drops a reader without closing it leaves no process; without locks, which the same thread may hold.
         finalize(self, _end, self._process).atexit = False
         self._lock = threading.Lock()
@@ -188,14 +188,6 @@ class Worker:
     def alive(self) -> bool:
         """Whether it can answer requests."""
         return self._process.poll() is None
-
-    @property
-    def _stdin(self) -> Any:
-        return self._process.stdin
-
-    @property
-    def _stdout(self) -> Any:
-        return self._process.stdout
 
     def _obituary(self, path: Path) -> str:
         try:
@@ -361,11 +353,8 @@ class _IsolatedReader(SequenceReader):
     def _check_process(self) -> None:
         """Do nothing: a forked process opens the file again, in a worker of its own."""
 
-    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
-        return self._file.iterate("points", size)
-
-    def _read_velocities(self, size: int) -> Iterator[FloatArray]:
-        return self._file.iterate("velocities", size)
+    def _read(self, what: str, size: int) -> Iterator[FloatArray]:
+        return self._file.iterate(what, size)
 
 
 def _frozen(header: SequenceHeader) -> SequenceHeader:

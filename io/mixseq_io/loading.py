@@ -1,11 +1,9 @@
-"""Load models of any kind, importing only what a file needs, while it is read.
-
-HDF5 and glTF files that hold a mesh sequence or a model; a model is read as its frames.
-"""
+"""Load and open files that may hold a model (HDF5 and glTF), importing only what a file needs, while it is read."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +12,7 @@ from mixseq.errors import FormatError, SettingsError
 from mixseq.runtime.public import public
 from mixseq.types import FloatArray, PathLike
 from mixseq_io.files import check_memory, memory_limit
+from mixseq_io.format import HDF5_SIGNATURE
 from mixseq_io.hdf5.contents import MODEL_FORMAT, read_attributes, read_contents, reading_h5
 from mixseq_io.reader import SequenceReader
 
@@ -23,9 +22,6 @@ if TYPE_CHECKING:
 
 GLB, HDF5 = ".glb", (".h5", ".hdf5")
 """File extensions of models."""
-
-_SIGNATURE = b"\x89HDF\r\n\x1a\n"
-"""First bytes of HDF5 files."""
 
 
 def is_model(path: Path) -> bool:
@@ -80,7 +76,9 @@ def _load_h5(source: Path) -> Model:
         )
     if source.is_file():
         check_memory(source, source.stat().st_size, "the file itself")
-    file = read_contents(source, MODEL_FORMAT, meanwhile=_import_decoder)
+    # The decoder is imported while the worker reads the file; both take about as long.
+    decoder = partial(import_module, "mixseq_io.coded.streams")
+    file = read_contents(source, MODEL_FORMAT, meanwhile=decoder)
     if file.kind != MODEL_FORMAT:
         raise FormatError(
             f"{source} is an HDF5 file, but not a mixseq model (format = {file.kind!r}); make one with mixseq encode"
@@ -98,12 +96,7 @@ def _load_h5(source: Path) -> Model:
 
 def _is_hdf5(path: Path) -> bool:
     with path.open("rb") as file:
-        return file.read(len(_SIGNATURE)) == _SIGNATURE
-
-
-def _import_decoder() -> None:
-    """Import the decoder of compressed models while the worker reads the file; both take about as long."""
-    import_module("mixseq_io.coded.streams")
+        return file.read(len(HDF5_SIGNATURE)) == HDF5_SIGNATURE
 
 
 class ModelReader(SequenceReader):
@@ -116,7 +109,7 @@ class ModelReader(SequenceReader):
         self._most = FRAMES
         super().__init__(path, self._model.header)
 
-    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
+    def _read(self, what: str, size: int) -> Iterator[FloatArray]:
         return self._model.blocks(self._model.times, min(size, self._most))
 
 

@@ -15,9 +15,7 @@ array               shape                 meaning
 ``name``            str                   optional, the file's name
 ==================  ====================  =====================================================
 
-and those of `mixseq_io.surfaces`: texture coordinates, hard edges, face sets, objects.
-
-Arrays in npz files, whose size is compared with the limit of memory before anything is unpacked.
+And those of `mixseq_io.surfaces`: texture coordinates, hard edges, face sets, objects.
 
 A small zip file can unpack to any size, and its headers can lie. The archive's size of an array must match its shape,
 and all arrays read at once must fit the limit. Compression methods that NumPy does not write are refused, since their
@@ -95,7 +93,7 @@ class Archive:
             check_memory(self._path, sum(self._sizes.values()), f"its arrays, with {name!r},")
         with self._file.open(f"{name}.npy") as stream:
             array: NDArray[Any] = npy.read_array(stream, allow_pickle=False)
-            finish(stream)
+            stream.read(1)  # at the end zipfile compares the checksum
             return array
 
     @contextmanager
@@ -127,11 +125,6 @@ class Archive:
         raise FormatError(
             f"{self._path}: {name} are stored in npy version {version}; 1.0 and 2.0 can be read"
         )
-
-
-def finish(stream: IO[bytes]) -> None:
-    """Read an array's stream to the end, where zipfile compares the checksum."""
-    stream.read(1)
 
 
 @contextmanager
@@ -179,25 +172,19 @@ class _NpzReader(SequenceReader):
         super().__init__(path, header, resources, moving)
         self._archive = archive
 
-    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
-        return self._read("points", size)
-
-    def _read_velocities(self, size: int) -> Iterator[FloatArray]:
-        return self._read("velocities", size)
-
-    def _read(self, name: str, size: int) -> Iterator[FloatArray]:
-        with reading_archive(self.path), self._archive.open(name) as (stream, header):
+    def _read(self, what: str, size: int) -> Iterator[FloatArray]:
+        with reading_archive(self.path), self._archive.open(what) as (stream, header):
             frames = header.shape[0]
             if header.fortran:  # a frame's numbers are all over the file: there is nothing to stream
                 with memory_limit(self._limit):
-                    whole = _as_floats(self._archive.read(name))
+                    whole = _as_floats(self._archive.read(what))
                 yield from (whole[start : start + size] for start in range(0, frames, size))
                 return
             for start in range(0, frames, size):
                 block = np.empty((min(size, frames - start), *header.shape[1:]), header.dtype)
                 _read_into(stream, block)
                 if start + size >= frames:
-                    finish(stream)
+                    stream.read(1)  # at the end zipfile compares the checksum
                 yield _as_floats(block)
 
 

@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mixseq.errors import FormatError, InvalidSequenceError, OutputError
+from mixseq.errors import FormatError, InvalidSequenceError, OutputError, SettingsError
 from mixseq.sequence.frame_rates import NEAR
 from mixseq.sequence.header import SequenceHeader
 from mixseq_io.reader import warn
@@ -27,15 +27,18 @@ Fit = TypeVar("Fit")
 def opened_original(
     path: Path,
     header: SequenceHeader,
+    flatten: bool,
     onto: str | os.PathLike[str] | None,
     kind: str,
     opened: Callable[[Path], Opened],
 ) -> Opened | None:
-    """Open the original that is copied; None if there is none."""
+    """Open the original that is copied; None if there is none, or the sequence is written alone (`flatten`)."""
+    if flatten and onto is not None:
+        raise SettingsError("flatten writes the sequence alone, onto lays it over a file; give one of them")
     origin = header.surface.origin
     if onto is not None:
         file = Path(onto)
-    elif origin is not None and origin.format == kind:
+    elif origin is not None and origin.format == kind and not flatten:
         file = Path(origin.path)
     else:
         return None

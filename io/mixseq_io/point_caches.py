@@ -1,13 +1,11 @@
-r"""Point caches: positions only, with the faces in a mesh file beside.
+r"""Point caches PC2 and MDD: positions of all frames in one binary file, with the faces in a mesh file beside.
 
 A cache ``walk.pc2`` belongs to ``walk.obj``, or another mesh file of that name, or the one of the option `mesh`, which
 gives the faces, the surface, the name, the units and the up axis; an OBJ has neither of the latter, so Y is up. Points
 are those of the cache, without any transform of the mesh's file. Written are the cache and ``<name>.obj`` with the
 first frame.
 
-PC2 point caches (3ds Max, Blender, Maya): all frames in one binary file, the mesh beside it.
-
-Little-endian throughout:
+PC2 (3ds Max, Blender, Maya), little-endian:
 
 =======================  ===========================================================
 ``"POINTCACHE2\0"``       12 bytes
@@ -20,13 +18,11 @@ points                   float32, x, y, z of all points, sample after sample
 =======================  ===========================================================
 
 Times are evenly spaced frame numbers; `fps`, missing in the file, converts them to seconds. PC2 has no place for
-uneven times, units, the up axis and velocities; see `mixseq_io.point_caches` for the mesh.
+uneven times, units, the up axis and velocities.
 
 Specification: http://www.footools.com/plugins/docs/PointCache2_README.html
 
-MDD point caches (LightWave, Blender, Modo): all frames in one binary file, the mesh beside it.
-
-Big-endian throughout:
+MDD (LightWave, Blender, Modo), big-endian:
 
 =================  ===========================================================
 number of frames   int32
@@ -36,7 +32,7 @@ points             float32, x, y, z of all points, frame after frame
 =================  ===========================================================
 
 The frame rate is that of the median step. Times that are whole frames within float32 rounding become exactly that, in
-float64. MDD has no place for units, the up axis and velocities; see `mixseq_io.point_caches` for the mesh.
+float64. MDD has no place for units, the up axis and velocities.
 
 Specification: http://rodolphe-vaillant.fr/?e=134
 """
@@ -48,6 +44,7 @@ import struct
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import IO
 
@@ -70,78 +67,67 @@ MeshPath = str | os.PathLike[str] | None
 _MESHES = (".obj", ".ply", ".usdc", ".usda", ".usd", ".usdz", ".abc", ".glb", ".gltf", ".npz", ".h5", ".hdf5")
 
 
-@dataclass(frozen=True)
-class Layout:
-    """Layout of the points in a cache file."""
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Start of a cache file: its size in bytes, byte order and number of points, times ``(T,)`` in s, rate or None."""
 
-    start: int
-    frames: int
-    points: int
+    size: int
     order: str
+    points: int
+    times: NDArray[np.float64]
+    fps: float | None
 
     @property
     def frame_size(self) -> int:
         """Size of a frame in bytes."""
         return 12 * self.points
 
-    def check_size(self, file: IO[bytes]) -> None:
-        """Check the layout against the file's size before anything is allocated."""
-        if self.frames < 1 or self.points < 1:
-            raise ValueError(f"it says that it has {self.frames} frames of {self.points} points")
-        size, needed = os.fstat(file.fileno()).st_size, self.start + self.frames * self.frame_size
-        if size != needed:
-            raise ValueError(
-                f"{self.frames} frames of {self.points} points need {needed} bytes, it has {size}"
-            )
+
+def _check_size(file: IO[bytes], start: int, frames: int, points: int) -> None:
+    """Check the numbers of frames and points against the file's size before anything is allocated."""
+    if frames < 1 or points < 1:
+        raise ValueError(f"it says that it has {frames} frames of {points} points")
+    size, needed = os.fstat(file.fileno()).st_size, start + 12 * frames * points
+    if size != needed:
+        raise ValueError(f"{frames} frames of {points} points need {needed} bytes, it has {size}")
 
 
-@dataclass(frozen=True, eq=False)
-class Timing:
-    """Times ``(T,)`` of the frames in seconds, and frames per second or None."""
-
-    times: NDArray[np.float64]
-    fps: float | None
-
-
-class PointCacheReader(SequenceReader):
-    """Reader of the points of a cache whose header has been read."""
-
+class _CacheReader(SequenceReader):
     def __init__(
-        self, path: Path, header: SequenceHeader, file: IO[bytes], layout: Layout, stack: ExitStack
+        self, path: Path, header: SequenceHeader, file: IO[bytes], start: Start, stack: ExitStack
     ) -> None:
         super().__init__(path, header, stack)
-        self._file = file
-        self._layout = layout
+        self._file, self._start = file, start
 
-    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
-        layout = self._layout
-        for first in range(0, layout.frames, size):
-            count = min(size, layout.frames - first)
+    def _read(self, what: str, size: int) -> Iterator[FloatArray]:
+        start = self._start
+        for first in range(0, len(start.times), size):
+            count = min(size, len(start.times) - first)
             with reading(self.path, "a point cache", ValueError):
-                self._file.seek(layout.start + first * layout.frame_size)
-                data = self._file.read(count * layout.frame_size)
-                points = np.frombuffer(data, f"{layout.order}f4").reshape(count, layout.points, 3)
+                self._file.seek(start.size + first * start.frame_size)
+                data = self._file.read(count * start.frame_size)
+                points = np.frombuffer(data, f"{start.order}f4").reshape(count, start.points, 3)
             yield points.astype(np.float32, copy=False)
 
 
 def open_cache(
-    path: Path, kind: str, mesh: MeshPath, read_start: Callable[[IO[bytes]], tuple[Layout, Timing]]
+    path: Path, kind: str, mesh: MeshPath, read_start: Callable[[IO[bytes]], Start]
 ) -> SequenceReader:
     """Open a point cache and its mesh."""
     with ExitStack() as stack:
         with reading(path, a_file(kind), ValueError):
             file = stack.enter_context(path.open("rb"))
-            layout, timing = read_start(file)
+            start = read_start(file)
         mesh_path = _mesh_beside(path, kind) if mesh is None else Path(mesh)
         header = _header_of_mesh(mesh_path)
-        if header.vertex_count != layout.points:
+        if header.vertex_count != start.points:
             raise FormatError(
-                f"{path} has {layout.points} points, but its mesh {mesh_path} has {header.vertex_count} vertices; name "
+                f"{path} has {start.points} points, but its mesh {mesh_path} has {header.vertex_count} vertices; name "
                 "the mesh that it was made for with mesh=... (--mesh)"
             )
         with naming(path):
-            timed = header.with_times(timing.times, timing.fps or header.fps)
-        return PointCacheReader(path, timed, file, layout, stack.pop_all())
+            timed = header.with_times(start.times, start.fps or header.fps)
+        return _CacheReader(path, timed, file, start, stack.pop_all())
 
 
 def _mesh_beside(path: Path, kind: str) -> Path:
@@ -226,20 +212,19 @@ def open_pc2(path: Path, mesh: MeshPath = None, fps: float = DEFAULT_FPS) -> Seq
     """Open a PC2 file."""
     if not (np.isfinite(fps) and fps > 0):
         raise SettingsError(f"fps is {fps}; a positive number is expected")
+    return open_cache(path, "PC2", mesh, partial(_read_pc2, fps=fps))
 
-    def read_start(file: IO[bytes]) -> tuple[Layout, Timing]:
-        start = file.read(_PC2_HEADER.size)
-        if len(start) < _PC2_HEADER.size or not start.startswith(_MAGIC):
-            raise ValueError("it does not begin with POINTCACHE2 and a header")
-        _, version, points, first, step, samples = _PC2_HEADER.unpack(start)
-        if version != 1:
-            raise ValueError(f"its version is {version}, not 1")
-        layout = Layout(_PC2_HEADER.size, samples, points, "<")
-        layout.check_size(file)
-        with np.errstate(all="ignore"):
-            return layout, Timing(_seconds(first, step, samples, fps), fps)
 
-    return open_cache(path, "PC2", mesh, read_start)
+def _read_pc2(file: IO[bytes], fps: float) -> Start:
+    data = file.read(_PC2_HEADER.size)
+    if len(data) < _PC2_HEADER.size or not data.startswith(_MAGIC):
+        raise ValueError("it does not begin with POINTCACHE2 and a header")
+    _, version, points, first, step, samples = _PC2_HEADER.unpack(data)
+    if version != 1:
+        raise ValueError(f"its version is {version}, not 1")
+    _check_size(file, len(data), samples, points)
+    with np.errstate(all="ignore"):
+        return Start(len(data), "<", points, _seconds(first, step, samples, fps), fps)
 
 
 def write_pc2(
@@ -276,19 +261,19 @@ _RATE_ERROR = 2e-4
 
 def open_mdd(path: Path, mesh: MeshPath = None) -> SequenceReader:
     """Open an MDD file; parameters and errors are those of `mixseq_io.point_caches.open_cache`."""
-    return open_cache(path, "MDD", mesh, _read_start)
+    return open_cache(path, "MDD", mesh, _read_mdd)
 
 
-def _read_start(file: IO[bytes]) -> tuple[Layout, Timing]:
-    start = file.read(_MDD_HEADER.size)
-    if len(start) < _MDD_HEADER.size:
+def _read_mdd(file: IO[bytes]) -> Start:
+    data = file.read(_MDD_HEADER.size)
+    if len(data) < _MDD_HEADER.size:
         raise ValueError("it has no header")
-    frames, points = _MDD_HEADER.unpack(start)
-    layout = Layout(_MDD_HEADER.size + 4 * frames, frames, points, ">")
-    layout.check_size(file)
+    frames, points = _MDD_HEADER.unpack(data)
+    size = len(data) + 4 * frames
+    _check_size(file, size, frames, points)
     times = np.frombuffer(file.read(4 * frames), ">f4").astype(np.float64)
     rate = _rate(times)
-    return layout, Timing(on_grid(times, rate) if rate else times, rate)
+    return Start(size, ">", points, on_grid(times, rate) if rate else times, rate)
 
 
 def _rate(times: NDArray[np.float64]) -> float | None:

@@ -1,7 +1,4 @@
-"""Base of all readers: the header at once, the points in blocks, checked as they are read.
-
-Blocks of points and velocities, checked on their way to every format's writer.
-"""
+"""Base of all readers, whose blocks are checked as they are read, and the checks of blocks on their way to writers."""
 
 from __future__ import annotations
 
@@ -140,20 +137,16 @@ def as_float32(
 def warn(message: str) -> None:
     """Warn at the line of the first caller outside mixseq."""
     level, frame = 1, sys._getframe()
-    while frame.f_back is not None and _is_ours(frame.f_globals.get("__name__", "")):
+    ours = ("mixseq", "mixseq_io")
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in ours:
         level, frame = level + 1, frame.f_back
     warnings.warn(message, MixseqWarning, stacklevel=level)
-
-
-def _is_ours(module: str) -> bool:
-    return module.partition(".")[0] in ("mixseq", "mixseq_io")
 
 
 class SequenceReader(ABC):
     """Open file of a mesh sequence, used in a ``with`` statement.
 
-    Subclasses open their file, find the header, and implement `_read_blocks`, and `_read_velocities` if the format can
-    hold them.
+    Subclasses open their file, find the header, and implement `_read`.
     """
 
     def __init__(
@@ -173,22 +166,14 @@ class SequenceReader(ABC):
 
     def blocks(self, size: int = 16) -> Iterator[FloatArray]:
         """Iterate over blocks ``(B, V, 3)`` of the points, from the first frame at each call."""
-
-        def check(block: FloatArray, frame: int) -> None:
-            check_block(self.header, block, frame)
-
-        return self._checked(self._read_blocks(self._fitting(size)), check, "points")
+        return self._checked("points", self._read("points", self._fitting(size)), check_block)
 
     def velocity_blocks(self, size: int = 16) -> Iterator[FloatArray] | None:
         """Iterate over blocks ``(B, V, 3)`` of velocities, in units per second, in step with `blocks` of that size."""
         fitting = self._fitting(size)
         if not self.has_velocities:
             return None
-
-        def check(block: FloatArray, frame: int) -> None:
-            check_velocities(self.header, block, frame)
-
-        return self._checked(self._read_velocities(fitting), check, "velocities")
+        return self._checked("velocities", self._read("velocities", fitting), check_velocities)
 
     def check_whole(self) -> None:
         """Raise an error if all frames together take more than `max_memory`."""
@@ -223,12 +208,8 @@ class SequenceReader(ABC):
         return min(size, self._limit // max(frame, 1))
 
     @abstractmethod
-    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
-        """Yield the points in blocks of at most `size` frames."""
-
-    def _read_velocities(self, size: int) -> Iterator[FloatArray]:
-        """Yield the velocities, in blocks as `_read_blocks`; called if the file has any."""
-        raise NotImplementedError
+    def _read(self, what: str, size: int) -> Iterator[FloatArray]:
+        """Yield "points", or "velocities" if the file has any, in blocks of at most `size` frames."""
 
     def _check_open(self) -> None:
         if self._closed:
@@ -240,7 +221,10 @@ class SequenceReader(ABC):
             raise FormatError(f"{self.path} was opened before this process was forked; open it again here")
 
     def _checked(
-        self, blocks: Iterator[FloatArray], check: Callable[[FloatArray, int], None], what: str
+        self,
+        what: str,
+        blocks: Iterator[FloatArray],
+        check: Callable[[SequenceHeader, FloatArray, int], None],
     ) -> Iterator[FloatArray]:
         frame = 0
         while True:
@@ -249,7 +233,7 @@ class SequenceReader(ABC):
             if block is None:
                 break
             with naming(self.path):
-                check(block, frame)
+                check(self.header, block, frame)
             yield block
             frame += len(block)
         if frame != self.header.frame_count:
@@ -301,15 +285,6 @@ def read_whole(path: Path, text: bool = False) -> bytes:
         path, size * _OF_TEXT if text else size, "the file and what is made of it" if text else "the file"
     )
     return path.read_bytes()
-
-
-def refuse_newer(path: Path, version: int, known: int) -> None:
-    """Raise an error for a file version above the known one."""
-    if version > known:
-        raise FormatError(
-            f"{path} has version {version}, this mixseq reads up to {known}; a newer mixseq wrote it: "
-            "upgrade with pip install --upgrade mixseq"
-        )
 
 
 def check_regular(path: Path | str, what: str) -> None:

@@ -1,7 +1,4 @@
-"""Reading and writing by file extension.
-
-Table of formats.
-"""
+"""Table of formats, and reading and writing by file extension."""
 
 from __future__ import annotations
 
@@ -18,14 +15,12 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MeshSequence, collect
 from mixseq.types import FloatArray, PathLike
 from mixseq_io.files import memory_limit
-from mixseq_io.format import OF_VERTICES, OPAQUE, Format, Holds
+from mixseq_io.format import HDF5_SIGNATURE, OF_VERTICES, OPAQUE, Format, Holds
 from mixseq_io.reader import SequenceReader, check_regular, naming
 
 if TYPE_CHECKING:
     from mixseq.signals.model import Model
 
-
-_YES = {True: "yes", False: "no"}
 
 _FPS = "frames per second, 24 by default"
 _GAPS = "accept missing numbers; the frames keep the times of their numbers"
@@ -35,6 +30,25 @@ _PRIM = "path of a mesh or of something above it; / takes all meshes, by default
 _FLATTEN = "write a file that stands alone, not one that builds on the file that the sequence came from"
 _SOURCES = "times of the original that the frames show, where these are others than their own"
 _ONTO = "the file to build on, if it is another one than the sequence came from"
+
+
+_NO_PARTS: dict[str, Any] = {"hard_edges": False, "face_sets": False, "objects": False, "materials": "no"}
+
+
+def _numbered(name: str, module: str, *signatures: bytes, **holds: Any) -> Format:
+    """Return a format of numbered files, an object of this name in a module of `mixseq_io.numbered`."""
+    return Format(
+        name=name,
+        extensions=(f".{name.lower()}",),
+        holds=Holds(animation="a file per frame", times="no", **holds),
+        reader=f"mixseq_io.numbered.{module}:{name}.open",
+        writer=f"mixseq_io.numbered.{module}:{name}.write",
+        read_options={"fps": _FPS, "allow_gaps": _GAPS},
+        write_options={"start": _START},
+        signatures=signatures,
+        numbered=True,
+    )
+
 
 FORMATS: tuple[Format, ...] = (
     Format(
@@ -68,7 +82,7 @@ FORMATS: tuple[Format, ...] = (
         ),
         reader="mixseq_io.loading:open_h5",
         writer="mixseq_io.hdf5.sequences:write_h5",
-        signatures=(b"\x89HDF\r\n\x1a\n",),
+        signatures=(HDF5_SIGNATURE,),
     ),
     Format(
         name="Alembic",
@@ -78,7 +92,7 @@ FORMATS: tuple[Format, ...] = (
         writer="mixseq_io.alembic.writer:write_alembic",
         read_options={"prim": _PRIM},
         write_options={"flatten": _FLATTEN, "onto": _ONTO, "sources": _SOURCES},
-        signatures=(b"Ogawa", b"\x89HDF\r\n\x1a\n"),
+        signatures=(b"Ogawa", HDF5_SIGNATURE),
         isolated=True,
     ),
     Format(
@@ -132,76 +146,19 @@ FORMATS: tuple[Format, ...] = (
         writer="mixseq_io.point_caches:write_mdd",
         read_options={"mesh": _MESH},
     ),
-    Format(
-        name="OBJ",
-        extensions=(".obj",),
-        holds=Holds(animation="a file per frame", points="all digits", times="no", colours=OPAQUE),
-        reader="mixseq_io.numbered.obj:OBJ.open",
-        writer="mixseq_io.numbered.obj:OBJ.write",
-        read_options={"fps": _FPS, "allow_gaps": _GAPS},
-        write_options={"start": _START},
-        numbered=True,
-    ),
-    Format(
-        name="PLY",
-        extensions=(".ply",),
-        holds=Holds(
-            animation="a file per frame",
-            points="float32, float64",
-            times="no",
-            hard_edges=False,
-            face_sets=False,
-            objects=False,
-            materials="no",
-        ),
-        reader="mixseq_io.numbered.ply:PLY.open",
-        writer="mixseq_io.numbered.ply:PLY.write",
-        read_options={"fps": _FPS, "allow_gaps": _GAPS},
-        write_options={"start": _START},
-        signatures=(b"ply",),
-        numbered=True,
-    ),
-    Format(
-        name="STL",
-        extensions=(".stl",),
-        holds=Holds(
-            animation="a file per frame",
-            polygons="triangles",
-            times="no",
-            uvs=False,
-            colours=False,
-            hard_edges=False,
-            face_sets=False,
-            objects=False,
-            materials="no",
-        ),
-        reader="mixseq_io.numbered.stl_off:STL.open",
-        writer="mixseq_io.numbered.stl_off:STL.write",
-        read_options={"fps": _FPS, "allow_gaps": _GAPS},
-        write_options={"start": _START},
-        numbered=True,
-    ),
-    Format(
-        name="OFF",
-        extensions=(".off",),
-        holds=Holds(
-            animation="a file per frame",
-            polygons="triangles",
-            points="all digits",
-            times="no",
-            uvs=False,
-            colours=OF_VERTICES,
-            hard_edges=False,
-            face_sets=False,
-            objects=False,
-            materials="no",
-        ),
-        reader="mixseq_io.numbered.stl_off:OFF.open",
-        writer="mixseq_io.numbered.stl_off:OFF.write",
-        read_options={"fps": _FPS, "allow_gaps": _GAPS},
-        write_options={"start": _START},
-        signatures=(b"OFF", b"COFF"),
-        numbered=True,
+    _numbered("OBJ", "obj", points="all digits", colours=OPAQUE),
+    _numbered("PLY", "ply", b"ply", points="float32, float64", **_NO_PARTS),
+    _numbered("STL", "stl_off", polygons="triangles", uvs=False, colours=False, **_NO_PARTS),
+    _numbered(
+        "OFF",
+        "stl_off",
+        b"OFF",
+        b"COFF",
+        polygons="triangles",
+        points="all digits",
+        uvs=False,
+        colours=OF_VERTICES,
+        **_NO_PARTS,
     ),
 )
 
@@ -215,7 +172,10 @@ def capabilities() -> list[tuple[str, ...]]:
             form.name,
             " ".join(form.extensions),
             " ".join(form.extensions),
-            *(_word(getattr(form.holds, column)) for column in columns),
+            *(
+                {True: "yes", False: "no"}.get(held := getattr(form.holds, column), held)
+                for column in columns
+            ),
         )
         for form in FORMATS
     ]
@@ -230,10 +190,6 @@ def motions() -> list[tuple[str, ...]]:
         for form in FORMATS
     ]
     return [titles, *rows]
-
-
-def _word(value: bool | str) -> str:
-    return value if isinstance(value, str) else _YES[value]
 
 
 # Other formats that users may have under a wrong name; only for messages.
@@ -385,18 +341,16 @@ def write_blocks(
 
 
 def _format_to_read(path: Path) -> Format:
-    extension = path.suffix.lower()
     if path.is_dir():
         return _format_of_folder(path)
-    for candidate in FORMATS:
-        if extension in candidate.extensions:
-            return candidate
+    if known := _by_extension(path):
+        return known
     if not path.exists():
         raise FormatError(f"{path} does not exist")
     found = _recognised(path)
     holds = f"it holds {found} data" if found else "its contents are of no known format"
     raise FormatError(
-        f"{path}: the extension {extension!r} is not known, and {holds}; known are {_extensions()}"
+        f"{path}: the extension {path.suffix.lower()!r} is not known, and {holds}; known are {_extensions()}"
     )
 
 
@@ -417,11 +371,15 @@ def _format_of_folder(path: Path) -> Format:
 
 
 def _format_to_write(path: Path) -> Format:
-    extension = path.suffix.lower()
-    for candidate in FORMATS:
-        if extension in candidate.extensions:
-            return candidate
-    raise OutputError(f"{path}: the extension {extension!r} is not known; write one of {_extensions()}")
+    if known := _by_extension(path):
+        return known
+    raise OutputError(
+        f"{path}: the extension {path.suffix.lower()!r} is not known; write one of {_extensions()}"
+    )
+
+
+def _by_extension(path: Path) -> Format | None:
+    return next((each for each in FORMATS if path.suffix.lower() in each.extensions), None)
 
 
 def _extensions() -> str:

@@ -1,7 +1,4 @@
-"""Arrays of skins and morphs for files: four bone weights, scaled targets, names, and steadied values.
-
-Skeletons built from a file's list of joints.
-"""
+"""Arrays of skins and morphs for files, and skeletons built from a file's list of joints."""
 
 from __future__ import annotations
 
@@ -15,7 +12,10 @@ from numpy.typing import NDArray
 
 from mixseq.errors import AmbiguousError, FormatError
 from mixseq.rigging.rigs import Morph, Skin
-from mixseq.types import Float, Index
+from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.sequence import bounding_diagonal
+from mixseq.types import Float, Index, Single
+from mixseq_io.reader import as_float32
 from mixseq_io.scene_meshes import listed
 
 if TYPE_CHECKING:
@@ -80,6 +80,17 @@ def steadied(values: Float, unit: float) -> Float:
     largest = max(unit, float(np.abs(values).max(initial=0.0)))
     moved = np.abs(values - values[:1]).max(axis=(0, 2), keepdims=True)
     return np.where(moved <= _ROUNDING * largest, values[:1], values)
+
+
+def steady_joints(
+    skin: Skin, file_format: str, header: SequenceHeader | None = None
+) -> tuple[Single, Single]:
+    """Return local rotations ``(T, B, 4)`` and translations ``(T, B, 3)`` in float32; errors name the format."""
+    local = skin.local()
+    places = steadied(local.translations, bounding_diagonal(skin.rest))
+    return steadied(local.rotations, 1.0).astype(np.float32), as_float32(
+        places, 0, file_format, "bone", header
+    )
 
 
 def choose_skeleton(file: Path, names: Sequence[tuple[str, ...]], name: str | None) -> int:

@@ -20,6 +20,8 @@ USD = (".usd", ".usda", ".usdc", ".usdz")
 RIG_EXTENSIONS = (*GLTF, *USD)
 """File extensions for skins and morphs."""
 
+_LISTED = f"{', '.join(RIG_EXTENSIONS[:-1])} or {RIG_EXTENSIONS[-1]}"
+
 
 @public
 def write_rig(path: PathLike, rig: Skin | Morph) -> None:
@@ -80,10 +82,7 @@ def _write_gltf_rig(file: Path, rig: Skin | Morph) -> None:
 def check_rig_target(path: Path) -> None:
     """Raise an error for a path that cannot hold a skin or a morph."""
     if path.suffix.lower() not in RIG_EXTENSIONS:
-        raise OutputError(
-            f"{path}: skins and morphs are written as glTF or USD; end the name in {', '.join(RIG_EXTENSIONS[:-1])} "
-            f"or {RIG_EXTENSIONS[-1]}"
-        )
+        raise OutputError(f"{path}: skins and morphs are written as glTF or USD; end the name in {_LISTED}")
 
 
 @public
@@ -163,6 +162,5 @@ def _check_skeleton_file(file: Path) -> None:
     check_regular(file, "a file")
     if file.suffix.lower() not in RIG_EXTENSIONS:
         raise FormatError(
-            f"{file}: skeletons are read from glTF and USD; a file that ends in {', '.join(RIG_EXTENSIONS[:-1])} or "
-            f"{RIG_EXTENSIONS[-1]} is expected"
+            f"{file}: skeletons are read from glTF and USD; a file that ends in {_LISTED} is expected"
         )

@@ -51,9 +51,8 @@ def save(path: PathLike, model: Model | CompressedSequence, *, still: StillName 
     if target.suffix.lower() == ".glb":
         _save_glb(target, model, still)
     elif isinstance(model, CompressedSequence):
-        with creating_h5(target) as (file, store):
+        with creating_h5(target) as (file, _):
             write_container(file, pack(model))
-            store.check()
     else:
         _save_h5(target, model)
 
@@ -77,6 +76,5 @@ def _save_h5(target: Path, model: Model) -> None:
             MixseqWarning,
             stacklevel=3,
         )
-    with creating_h5(target) as (file, store):
+    with creating_h5(target) as (file, _):
         write_model(file, model)
-        store.check()

@@ -1,19 +1,15 @@
-"""Several meshes of a file joined into one sequence, and split into meshes again.
+"""Meshes of a scene: chosen among its objects, joined into one sequence, and split into meshes again.
 
-Readers make a `SceneMesh` of every mesh and `join` them; writers `split` a header into its meshes. Mesh ``i`` owns the
-vertices ``meshes[i].vertices`` of every frame.
-
-Choice of a scene's meshes: those that `prim` names, or those that move.
-
-Readers make a `SceneObject` of every mesh and its ancestors; the chosen meshes are indices in their order.
-
-Times at which any channel of a scene changes, merged into frames where they differ only by rounding.
+Readers make a `SceneObject` of every mesh and its ancestors, choose those that `prim` names or that move, make a
+`SceneMesh` of each and `join` them; writers `split` a header into its meshes. Mesh ``i`` owns the vertices
+``meshes[i].vertices`` of every frame. Times at which any channel of a scene changes are merged into frames where they
+differ only by rounding.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -72,7 +68,7 @@ def _path_of(file: Path, meshes: Sequence[SceneObject], prim: str) -> str:
     if path == prim:
         return path
     # The outermost of those that are in each other.
-    named = {each.path for mesh in meshes for each in _called(mesh, prim)[-1:]}
+    named = {each.path for mesh in meshes for each in [own for own in mesh.lineage if prim in own.names][-1:]}
     if len(named) > 1:
         raise AmbiguousError(f"{file}: {prim!r} is in several places, {listed(sorted(named))}; give its path")
     found = next(iter(named), path)
@@ -81,10 +77,6 @@ def _path_of(file: Path, meshes: Sequence[SceneObject], prim: str) -> str:
             f"{file} has no mesh at or below {prim!r}; its meshes are {listed([mesh.path for mesh in meshes])}"
         )
     return found
-
-
-def _called(mesh: SceneObject, name: str) -> list[SceneObject]:
-    return [each for each in mesh.lineage if name in each.names]
 
 
 def moving(file: Path, meshes: Sequence[SceneObject], moves: Sequence[bool]) -> list[int]:
@@ -106,10 +98,10 @@ def common_name(meshes: Sequence[SceneObject]) -> str:
     return next((each.name for each in meshes[0].lineage if each.path in shared and each.name), "")
 
 
-def listed(names: Sequence[str]) -> str:
-    """Return at most 20 names, quoted, for a message."""
+def listed(names: Sequence[str], form: Callable[[str], str] = repr) -> str:
+    """Return at most 20 names, quoted by default, for a message."""
     more = len(names) - _LONGEST_LIST
-    return ", ".join(map(repr, names[:_LONGEST_LIST])) + (f" and {more} more" if more > 0 else "")
+    return ", ".join(map(form, names[:_LONGEST_LIST])) + (f" and {more} more" if more > 0 else "")
 
 
 SAME_TIME = 1e-6
@@ -180,28 +172,37 @@ class SceneMesh:
             return int(self.vertices.stop - self.vertices.start)
         return len(self.vertices)
 
+    @property
+    def normal_groups(self) -> IntArray:
+        """Index of the shared normal at every corner: hard edges, or the vertices without any."""
+        return self.polygons.indices if self.hard_edges is None else self.hard_edges
+
     def as_numbered(self, original: Polygons) -> SceneMesh | None:
         """Return the mesh with the vertex order of a file (only compressed models renumber), None for another mesh."""
         found = numbering_of(self.polygons, original, [self.vertex_count])
         if found is None or found.order != "free":
             return None if found is None else self
         order = found.inverse.vertices
-        vertices = (
-            np.arange(self.vertices.start, self.vertices.stop)
-            if isinstance(self.vertices, slice)
-            else self.vertices
-        )
         return replace(
             self,
-            vertices=vertices[order],
+            vertices=np.r_[self.vertices][order],
             polygons=Polygons(self.polygons.counts, found.vertices[self.polygons.indices]),
         )
 
-    def matched_to(self, original: Polygons) -> tuple[SceneMesh, PolygonMatch] | None:
-        """Return the mesh as `as_numbered`, and the match of its polygons with the file's; None for another mesh."""
-        ours = self.as_numbered(original)
-        match = None if ours is None else matched(original, ours.polygons)
-        return None if ours is None or match is None else (ours, match)
+    def matched_to(
+        self, stored: Polygons, order: Index | None = None
+    ) -> tuple[SceneMesh, PolygonMatch] | None:
+        """Return the mesh as `as_numbered`, and the match of its polygons with the file's; None for another mesh.
+
+        `order` ``(C,)`` is the reversal of corners by the reader; the match is by stored corners.
+        """
+        read = stored if order is None else Polygons(stored.counts, stored.indices[order])
+        ours = self.as_numbered(read)
+        match = None if ours is None else matched(read, ours.polygons)
+        if ours is None or match is None:
+            return None
+        # Turning corners around twice changes nothing.
+        return ours, match if order is None else PolygonMatch(match.polygons, match.corners[order])
 
 
 def join(meshes: Sequence[SceneMesh], origin: Origin | None) -> tuple[Polygons, Surface]:
@@ -262,9 +263,8 @@ def _joined_hard_edges(meshes: Sequence[SceneMesh]) -> IntArray | None:
         return None
     joined, count = [], 0
     for mesh in meshes:
-        hard_edges = mesh.polygons.indices if mesh.hard_edges is None else mesh.hard_edges
-        joined.append(hard_edges + count)
-        count += int(hard_edges.max(initial=-1)) + 1
+        joined.append(mesh.normal_groups + count)
+        count += int(mesh.normal_groups.max(initial=-1)) + 1
     return np.concatenate(joined)
 
 
@@ -285,7 +285,9 @@ def split(header: SequenceHeader) -> list[SceneMesh]:
         end = polygon + each.polygon_count
         inside = slice(int(corners[polygon]), int(corners[end]))
         own = Polygons(polygons.counts[polygon:end], polygons.indices[inside] - vertex)
-        hard_edges = None if surface.hard_edges is None else _renumbered(surface.hard_edges[inside])
+        hard_edges: IntArray | None = None
+        if surface.hard_edges is not None:
+            hard_edges = np.unique(surface.hard_edges[inside], return_inverse=True)[1].astype(np.int32)
         if several and hard_edges is not None and _is_smooth(own, hard_edges):
             hard_edges = None
         meshes.append(
@@ -312,10 +314,6 @@ def _own_values(joined: CornerValues | None, corners: slice, default: Sequence[f
     rows, used = np.unique(joined.indices[corners], return_inverse=True)
     own = CornerValues(joined.values[rows], used)
     return None if default and (own.values == default).all() else own
-
-
-def _renumbered(hard_edges: IntArray) -> IntArray:
-    return np.unique(hard_edges, return_inverse=True)[1].astype(np.int32)
 
 
 def _is_smooth(polygons: Polygons, hard_edges: IntArray) -> bool:

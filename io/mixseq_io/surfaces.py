@@ -1,13 +1,8 @@
-"""Displacement of vertices by rounding points to float32, as in most formats.
+"""What formats share about surfaces: losses in words, rounding to float32, colours, and a `Surface` as named arrays.
 
 A float32 has 24 binary digits: a vertex c diagonals from the origin moves by up to about 1e-7 c diagonals. That is
-relevant for meshes that are far away or hardly larger than zero.
-
-Colours of files, with or without alpha, as bytes or floats, converted to RGBA; linear and sRGB values stay so.
-
-Contents that a format cannot hold, in words, for its writer's single warning.
-
-A `Surface` as named arrays, for formats that hold any arrays: npz, HDF5.
+relevant for meshes that are far away or hardly larger than zero. Colours are converted to RGBA; linear and sRGB values
+stay so. Formats that hold any arrays (npz, HDF5) store these:
 
 ========================  ====================  =====================================================
 array                     shape                 meaning
@@ -46,7 +41,7 @@ from mixseq.mesh.measures import Diagonal
 from mixseq.mesh.surface import WHITE, CornerValues, FaceSet, MeshObject, Origin, Surface
 from mixseq.sequence.frame_rates import NEAR
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
-from mixseq.types import Float, FloatArray
+from mixseq.types import Float, FloatArray, IntArray
 from mixseq_io.reader import warn
 
 VISIBLE = 1e-4
@@ -226,6 +221,20 @@ def warn_of_losses(path: Path, files: str, lost: Sequence[str]) -> None:
         convert = "; convert_units (--convert-axes Y, --convert-units m) turns and scales the sequence"
         hint = convert if any(each.endswith(_SCALE) for each in lost) else ""
         warn(f"{path}: {files} cannot hold {', '.join(lost)}; USD, .npz and .h5 can{hint}")
+
+
+def within(indices: NDArray[np.integer], count: int) -> bool:
+    """Whether all indices are from 0 to below `count`."""
+    return not indices.size or bool(indices.min() >= 0 and indices.max() < count)
+
+
+def numbered_by_appearance(labels: IntArray) -> tuple[IntArray, IntArray]:
+    """Renumber labels ``(n,)`` in order of first appearance; return them, and where each appears first ``(k,)``."""
+    _, first, of_label = np.unique(labels, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return rank[of_label.reshape(-1)], first[order]
 
 
 Arrays = dict[str, NDArray[Any]]

@@ -3,8 +3,6 @@ r"""Check a compressed model against its original, and against its stated error 
 With :math:`A, B` the points of the original and of the decoded frames, and d the diagonal of the bounding box of the
 original's first frame, or 1 if that is a single point, the bound is :math:`|A_{tv} - B_{tv}| \le \epsilon\, d`. The
 KG error is that of `mixseq.metrics`. Frames are decoded a few at a time, at any scale: see `mixseq.mesh.measures`.
-
-Files with compressed models: HDF5, and GLB with a mesh sequence.
 """
 
 from __future__ import annotations

@@ -71,8 +71,7 @@ class Worker:
 
     def _iterate(self, number: int, what: str, size: int, start: int) -> None:
         assert self._reader is not None
-        read = self._reader._read_blocks if what == "points" else self._reader._read_velocities
-        self._iterations[number] = blocks = iter(read(size))
+        self._iterations[number] = blocks = iter(self._reader._read(what, size))
         for _ in range(start):
             next(blocks, None)
             limit_time(1)  # each had as much

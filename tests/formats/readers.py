@@ -34,15 +34,12 @@ class _Reader(SequenceReader):
         super().__init__(path, HEADER, has_velocities=True)
         self._how = how
 
-    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
+    def _read(self, what: str, size: int) -> Iterator[FloatArray]:
         for start in range(0, 4, size):
             if start:
                 misbehave(self._how, self.path)
-            yield np.full((min(size, 4 - start), 3, 3), start, dtype=np.float32)
-
-    def _read_velocities(self, size: int) -> Iterator[FloatArray]:
-        for block in self._read_blocks(size):
-            yield -block
+            value = start if what == "points" else -start
+            yield np.full((min(size, 4 - start), 3, 3), value, dtype=np.float32)
 
 
 def misbehave(how: str, path: Path) -> None:

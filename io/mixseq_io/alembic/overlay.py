@@ -1,24 +1,17 @@
-"""Alembic, writing: an archive copied with new points in some of its meshes.
+"""Meshes of a written Alembic archive: new ones, or those of a copy of the original with new points.
 
-Points are in mesh space, below the archive's transforms, marked so that frames are at their times only. Existing
-normals are recomputed; all other contents stay.
-
-Mesh of a written Alembic file: the object, its face sets, and a sample per frame.
-
-Copy an archive object by object and property by property, except for the points of some meshes.
-
-Properties, copied with metadata and sample times, determine an object's kind. Instances stay instances.
+The original is copied object by object and property by property, with metadata and sample times, which determine an
+object's kind; instances stay instances. Points are in mesh space, below the archive's transforms, marked so that frames
+are at their times only. Existing normals are recomputed; all other contents stay.
 
 Specification: https://docs.alembic.io/reference/index.html (``Abc``)
-
-Alembic, writing: the original archive that is copied with new points, and its meshes matched with a sequence's.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -65,6 +58,11 @@ _CORNERS = AbcGeom.GeometryScope.kFacevaryingScope
 _OPAQUE = (AbcGeom.OC3fGeomParam, AbcGeom.OC3fGeomParamSample, imath.C3fArray)
 _WITH_ALPHA = (AbcGeom.OC4fGeomParam, AbcGeom.OC4fGeomParamSample, imath.C4fArray)
 
+_PER_SAMPLE = 300
+"""Size in bytes of a frame's keys, sizes, places and bounds."""
+_PER_OBJECT = 8000
+"""Size in bytes of an object's names and headers."""
+
 
 @dataclass(frozen=True, eq=False)
 class Target:
@@ -110,12 +108,14 @@ class Target:
         sample = AbcGeom.OSubDSchemaSample() if self.subdivided else AbcGeom.OPolyMeshSchemaSample()
         sample.setPositions(positions)
         if complete:
-            sample.setFaceIndices(self._corners)
-            sample.setFaceCounts(self._counts)
+            arrays = self._arrays
+            sample.setFaceIndices(arrays["corners"])
+            sample.setFaceCounts(arrays["counts"])
             if self.subdivided:
                 sample.setSubdivisionScheme(_SCHEMES[self.scene_mesh.subdivision])
             if self.scene_mesh.uvs is not None:
-                sample.setUVs(AbcGeom.OV2fGeomParamSample(self._uv_values, self._uv_indices, _CORNERS))
+                uvs = arrays["uv values"], arrays["uv indices"]
+                sample.setUVs(AbcGeom.OV2fGeomParamSample(*uvs, _CORNERS))
         return sample
 
     def add_normals(self, sample: Any, rows: FloatArray) -> Any:
@@ -124,7 +124,7 @@ class Target:
             return None
         shared = shared_normals(rows[None], self.scene_mesh.polygons, self.scene_mesh.hard_edges)[0]
         normals = array_of(imath.V3fArray, shared)
-        sample.setNormals(AbcGeom.ON3fGeomParamSample(normals, self._groups, _CORNERS))
+        sample.setNormals(AbcGeom.ON3fGeomParamSample(normals, self._arrays["normals"], _CORNERS))
         return normals
 
     @cached_property
@@ -132,26 +132,19 @@ class Target:
         return reversed_corners(self.scene_mesh.polygons.counts, keep_first=False)
 
     @cached_property
-    def _corners(self) -> Any:
-        return array_of(imath.IntArray, self.scene_mesh.polygons.indices[self._order])
-
-    @cached_property
-    def _counts(self) -> Any:
-        return array_of(imath.IntArray, self.scene_mesh.polygons.counts)
-
-    @cached_property
-    def _uv_values(self) -> Any:
-        return None if self.scene_mesh.uvs is None else array_of(imath.V2fArray, self.scene_mesh.uvs.values)
-
-    @cached_property
-    def _uv_indices(self) -> Any:
-        uvs = self.scene_mesh.uvs
-        return None if uvs is None else array_of(imath.UnsignedIntArray, uvs.indices[self._order])
-
-    @cached_property
-    def _groups(self) -> Any:
-        hard_edges = self.scene_mesh.hard_edges
-        return None if hard_edges is None else array_of(imath.UnsignedIntArray, hard_edges[self._order])
+    def _arrays(self) -> dict[str, Any]:
+        """Constant arrays, which samples only point to."""
+        scene_mesh, uvs = self.scene_mesh, self.scene_mesh.uvs
+        arrays = {
+            "counts": array_of(imath.IntArray, scene_mesh.polygons.counts),
+            "corners": array_of(imath.IntArray, scene_mesh.polygons.indices[self._order]),
+        }
+        if uvs is not None:
+            arrays["uv values"] = array_of(imath.V2fArray, uvs.values)
+            arrays["uv indices"] = array_of(imath.UnsignedIntArray, uvs.indices[self._order])
+        if scene_mesh.hard_edges is not None:
+            arrays["normals"] = array_of(imath.UnsignedIntArray, scene_mesh.hard_edges[self._order])
+        return arrays
 
     def largest_size(self, frames: int, moving: bool) -> int:
         """Return the largest possible size in the file in bytes."""
@@ -159,16 +152,16 @@ class Target:
         normals = 0 if scene_mesh.hard_edges is None else int(scene_mesh.hard_edges.max(initial=-1)) + 1
         uvs = 0 if scene_mesh.uvs is None else len(scene_mesh.uvs.values)
         colours = scene_mesh.colours
-        painted = 0 if colours is None else 16 * len(colours.values) + 4 * colours.indices.size + PER_OBJECT
-        per_frame = 12 * (scene_mesh.vertex_count * (2 if moving else 1) + normals) + PER_SAMPLE
-        sets = sum(4 * each.polygons.size + PER_OBJECT for each in scene_mesh.face_sets)
+        painted = 0 if colours is None else 16 * len(colours.values) + 4 * colours.indices.size + _PER_OBJECT
+        per_frame = 12 * (scene_mesh.vertex_count * (2 if moving else 1) + normals) + _PER_SAMPLE
+        sets = sum(4 * each.polygons.size + _PER_OBJECT for each in scene_mesh.face_sets)
         once = (
             12 * scene_mesh.polygons.indices.size
             + 4 * scene_mesh.polygons.counts.size
             + 8 * uvs
             + painted
             + sets
-            + PER_OBJECT
+            + _PER_OBJECT
         )
         return frames * per_frame + once
 
@@ -212,12 +205,6 @@ def make_meshes(top: Any, targets: Sequence[Target], sampling: int) -> list[Made
     return [target.make(made[target.place[:-1]], sampling) for target in targets]
 
 
-PER_SAMPLE = 300
-"""Size in bytes of a frame's keys, sizes, places and bounds."""
-PER_OBJECT = 8000
-"""Size in bytes of an object's names and headers."""
-
-
 _SCHEMA = ".geom"
 """Compound property of all kinds of meshes."""
 
@@ -233,28 +220,22 @@ Kept = tuple[range, int]
 """Samples of a property that are copied, and the index of their time sampling in the new archive."""
 
 
-@dataclass(frozen=True, eq=False)
-class Copied:
-    """Result of copying an archive's objects."""
-
-    schemas: dict[str, Any] = field(default_factory=dict)
-    moving: dict[str, tuple[float, float]] = field(default_factory=dict)
-    lost: list[str] = field(default_factory=list)
-
-
-def copy_archive(source: Any, target: Any, moved: Collection[str], frames: Float, room: int) -> Copied:
-    """Copy all objects of an archive, with the samples needed for frames at times ``(T,)`` in s."""
-    window = float(frames[0]), float(frames[-1])
-    return _Copier(target, moved, window, room).copy(source.getTop())
-
-
 class _Copier:
-    def __init__(self, target: Any, moved: Collection[str], window: tuple[float, float], room: int) -> None:
-        self._target, self._moved, self._window, self._room = target, moved, window, room
-        self._above = _at_or_above(moved)
-        self._copied = Copied()
+    """Copier of an archive's objects, with the samples needed for frames at times ``(T,)`` in s.
 
-    def copy(self, top: Any) -> Copied:
+    `schemas` are the copies of moved meshes by path, `moving` the first and last time of moving objects, `lost` paths.
+    """
+
+    def __init__(self, target: Any, moved: Collection[str], frames: Float, room: int) -> None:
+        self._target, self._moved, self._room = target, moved, room
+        self._window = float(frames[0]), float(frames[-1])
+        self._above = _at_or_above(moved)
+        self.schemas: dict[str, Any] = {}
+        self.moving: dict[str, tuple[float, float]] = {}
+        self.lost: list[str] = []
+
+    def copy(self, top: Any) -> None:
+        """Copy all objects below the top one."""
         new = self._target.getTop()
         for header in top.getProperties().propertyheaders:
             if not _OF_THE_ARCHIVE.fullmatch(header.getName()):
@@ -272,8 +253,7 @@ class _Copier:
         for child, parent in instances:
             original = made.get(str(child.instanceSourcePath()))
             if original is None or not parent.addChildInstance(original, child.getName()):
-                self._copied.lost.append(str(child.getFullName()))
-        return self._copied
+                self.lost.append(str(child.getFullName()))
 
     def _object(self, path: str, node: Any, parent: Any) -> Any:
         metadata = AbcCoreAbstract.MetaData(node.getMetaData())
@@ -284,7 +264,7 @@ class _Copier:
         for header in node.getProperties().propertyheaders:
             made = self._property(path, header, node.getProperties(), new.getProperties(), stale)
             if path in self._moved and header.getName() == _SCHEMA:
-                self._copied.schemas[path] = made
+                self.schemas[path] = made
         return new
 
     def _property(self, path: str, header: Any, source: Any, target: Any, stale: Collection[str]) -> Any:
@@ -331,12 +311,12 @@ class _Copier:
                 else:
                     new.setValue(self._value(stored, sample) if sample > kept[0] else value)
         except (RuntimeError, TypeError):  # types that the library has no words for in Python
-            self._copied.lost.append(f"{path}.{header.getName()}")
+            self.lost.append(f"{path}.{header.getName()}")
             return
         if not constant:
             times = sample_times(stored)
-            first, last = self._copied.moving.get(path, (times[0], times[-1]))
-            self._copied.moving[path] = min(first, times[0]), max(last, times[-1])
+            first, last = self.moving.get(path, (times[0], times[-1]))
+            self.moving[path] = min(first, times[0]), max(last, times[-1])
 
     def _value(self, stored: Any, sample: int) -> Any:
         if stored.isArray():
@@ -372,11 +352,6 @@ class Original:
     archive: Any
     fits: tuple[Fit, ...]
 
-    @property
-    def room(self) -> int:
-        """Size of the file in bytes."""
-        return self.path.stat().st_size
-
 
 def open_original(path: Path, header: SequenceHeader) -> Original:
     """Open an archive whose meshes may get new points."""
@@ -404,14 +379,8 @@ def _fitted(path: Path, header: SequenceHeader, scene_mesh: SceneMesh, mesh: Mes
         return None
     placing = Placing.at(mesh.above, header.times, header.fps)
     mirrored = determinant(placing.matrices[0]) < 0
-    theirs, order = _polygons(path, scene_mesh, mesh, mirrored)
-    read = Polygons(theirs.counts, theirs.indices[order])
-    found = scene_mesh.matched_to(read)
-    if found is None:
-        return None
-    ours, match = found
-    # Turning corners around twice changes nothing.
-    return Fit(ours, mesh, match.corners[order], placing, mirrored)
+    found = scene_mesh.matched_to(*_polygons(path, scene_mesh, mesh, mirrored))
+    return found and Fit(found[0], mesh, found[1].corners, placing, mirrored)
 
 
 def _polygons(path: Path, scene_mesh: SceneMesh, mesh: Mesh, mirrored: bool) -> tuple[Polygons, Index]:
@@ -471,18 +440,13 @@ class MovedMesh:
                 self.velocities.setValue(stored)
             if self.normals is not None:
                 polygons = self.fit.scene_mesh.polygons
-                shared = shared_normals(own[None], polygons, self._groups)[0]
+                shared = shared_normals(own[None], polygons, self.fit.scene_mesh.normal_groups)[0]
                 stored = array_of(imath.V3fArray, -shared if self.fit.mirrored else shared)
                 self.normals.set(AbcGeom.ON3fGeomParamSample(stored, self._corner_groups, _CORNERS))
 
-    @property
-    def _groups(self) -> IntArray:
-        scene_mesh = self.fit.scene_mesh
-        return scene_mesh.polygons.indices if scene_mesh.hard_edges is None else scene_mesh.hard_edges
-
     @cached_property
     def _corner_groups(self) -> Any:
-        return array_of(imath.UnsignedIntArray, self._groups[self.fit.corners])
+        return array_of(imath.UnsignedIntArray, self.fit.scene_mesh.normal_groups[self.fit.corners])
 
 
 def _bounds(points: FloatArray) -> Any:
@@ -498,8 +462,8 @@ def largest_size(original: Original, header: SequenceHeader, velocities: bool) -
     """Return the largest possible size of the copy in bytes."""
     vertices = sum(fit.scene_mesh.vertex_count for fit in original.fits)
     normals = sum(fit.corners.size for fit in original.fits)
-    per_frame = 12 * (vertices * (2 if velocities else 1) + normals) + PER_SAMPLE * len(original.fits)
-    return _GROWTH * original.room + header.frame_count * per_frame + 4 * normals
+    per_frame = 12 * (vertices * (2 if velocities else 1) + normals) + _PER_SAMPLE * len(original.fits)
+    return _GROWTH * original.path.stat().st_size + header.frame_count * per_frame + 4 * normals
 
 
 def lay_over(
@@ -517,8 +481,9 @@ def lay_over(
     frames show, `path` is for warnings.
     """
     moved = {fit.mesh.path for fit in original.fits}
-    copied = copy_archive(original.archive, archive, moved, header.times, original.room)
-    if copied.lost:
-        warn(f"{path}: of {original.path} the library cannot copy {listed(copied.lost)}; they are left out")
-    warn_of_other_times(path, header, dict(sorted(copied.moving.items())), sources)
-    return [MovedMesh.make(fit, copied.schemas[fit.mesh.path], sampling, velocities) for fit in original.fits]
+    copier = _Copier(archive, moved, header.times, original.path.stat().st_size)
+    copier.copy(original.archive.getTop())
+    if copier.lost:
+        warn(f"{path}: of {original.path} the library cannot copy {listed(copier.lost)}; they are left out")
+    warn_of_other_times(path, header, dict(sorted(copier.moving.items())), sources)
+    return [MovedMesh.make(fit, copier.schemas[fit.mesh.path], sampling, velocities) for fit in original.fits]

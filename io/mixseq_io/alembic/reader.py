@@ -1,16 +1,8 @@
-"""Alembic, reading: points of an archive's meshes over time, in world space (.abc).
+"""Alembic, reading: meshes of an archive (.abc) over time, in world space.
 
 Frames are at all samples of the points and of the transforms above, others interpolated linearly; at the points' times
 only where mixseq laid them over an archive. Points are float32, as in Alembic, which has no units and no up axis: tools
-assume Y up.
-
-Specification: https://docs.alembic.io/reference/index.html
-
-Meshes of an archive, and the choice of those to read; instances appear as the objects they stand for.
-
-Specification: https://docs.alembic.io/reference/index.html (``AbcGeom``)
-
-Faces of a PolyMesh or SubD, and its surface: texture coordinates, colours, hard edges and face sets.
+assume Y up. Instances appear as the objects they stand for.
 
 Alembic lists a face's corners clockwise seen from outside; applications write them from the last to the first. Values
 come per face, vertex or corner (their "scope"), with or without indices.
@@ -21,7 +13,7 @@ Specification: https://docs.alembic.io/reference/index.html (``IPolyMeshSchema``
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -212,6 +204,11 @@ class Source:
     mirrored: bool
     frames: Float
 
+    @property
+    def vertex_count(self) -> int:
+        """Number of vertices."""
+        return int(self.vertices.stop - self.vertices.start)
+
 
 def read_scene_mesh(source: Source) -> SceneMesh:
     """Return a mesh, its polygons counter-clockwise seen from outside."""
@@ -318,7 +315,6 @@ def _corner_values(source: Source, parameter: Any, polygons: Polygons, what: str
     if not parameter.valid() or not parameter.getNumSamples():
         return None
     rows = values(parameter.getValueProperty(), 0, source.room)
-    count = source.vertices.stop - source.vertices.start
     indices = (
         values(parameter.getIndexProperty(), 0, source.room)
         if parameter.isIndexed()
@@ -328,8 +324,8 @@ def _corner_values(source: Source, parameter: Any, polygons: Polygons, what: str
     faces = np.repeat(np.arange(len(polygons.counts)), polygons.counts)
     places = {
         scopes.kFacevaryingScope: (polygons.indices.size, np.arange(polygons.indices.size)),
-        scopes.kVertexScope: (count, polygons.indices),
-        scopes.kVaryingScope: (count, polygons.indices),
+        scopes.kVertexScope: (source.vertex_count, polygons.indices),
+        scopes.kVaryingScope: (source.vertex_count, polygons.indices),
         scopes.kUniformScope: (len(polygons.counts), faces),
         scopes.kConstantScope: (1, np.zeros_like(faces)),
     }
@@ -416,13 +412,8 @@ class _AlembicReader(SequenceReader):
         super().close()
         self._meshes = []
 
-    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
-        return self._read(_world_points, size)
-
-    def _read_velocities(self, size: int) -> Iterator[FloatArray]:
-        return self._read(_world_velocities, size)
-
-    def _read(self, values_of: Callable[[_AnimatedMesh, int], FloatArray], size: int) -> Iterator[FloatArray]:
+    def _read(self, what: str, size: int) -> Iterator[FloatArray]:
+        values_of = _world_points if what == "points" else _world_velocities
         for start in range(0, self.header.frame_count, size):
             stop = min(start + size, self.header.frame_count)
             block = np.empty((stop - start, self.header.vertex_count, 3), np.float32)
@@ -468,7 +459,7 @@ def _animated_meshes(
 
 def _sampled(animated: _AnimatedMesh, array: Any, frame: int, what: str) -> NDArray[np.float32]:
     """Return an array property at a frame, interpolated between samples if needed."""
-    count = animated.source.vertices.stop - animated.source.vertices.start
+    count = animated.source.vertex_count
     sample, weight = animated.samples.at(frame)
     rows = [
         values(array, each, animated.source.room) for each in ((sample, sample + 1) if weight else (sample,))
@@ -500,7 +491,7 @@ def _world_points(animated: _AnimatedMesh, frame: int) -> NDArray[np.float32]:
 def _world_velocities(animated: _AnimatedMesh, frame: int) -> NDArray[np.float32]:
     velocities = animated.source.mesh.schema.getVelocitiesProperty()
     if not velocities.valid():  # a mesh that stands still
-        return np.zeros((animated.source.vertices.stop - animated.source.vertices.start, 3), np.float32)
+        return np.zeros((animated.source.vertex_count, 3), np.float32)
     own = _sampled(animated, velocities, frame, "velocities")
     if animated.placing is None:
         return moved(own, animated.transforms.to_world(frame)[:3, :3])
@@ -522,11 +513,11 @@ def _have_velocities(path: Path, animated_meshes: list[_AnimatedMesh]) -> bool:
             problem = "are missing, and others have some" if mesh.moves else ""
         elif not np.array_equal(sample_times(velocities), sample_times(points)):
             problem = "are not sampled at the times of the points"
-        elif length(velocities, 0) != animated.source.vertices.stop - animated.source.vertices.start:
+        elif length(velocities, 0) != animated.source.vertex_count:
             problem = f"are {length(velocities, 0)}, not as many as its points"
         elif not (mesh.laid_over or all(schema.isConstant() for schema in mesh.above)):
             problem = "are those under a transform that moves, too"
-        elif mesh.moves and not animated.samples.exact:
+        elif mesh.moves and (animated.samples.weight.any() or (np.diff(animated.samples.before) <= 0).any()):
             problem = "are not sampled in every frame"
         else:
             problem = ""

@@ -1,17 +1,8 @@
-"""Samples of properties and transforms, interpolated at the times of frames.
+"""Samples of properties and transforms at the times of frames, and paths of meshes in a stand-alone archive.
 
 Alembic properties have their own samples, at times in seconds: uniform, cyclic (several per shutter), or arbitrary.
 Between two samples of a transform, translation, stretch and rotation angle are interpolated linearly, as in Blender.
 Matrices act on row vectors: p' = p M.
-
-Specification: https://docs.alembic.io/reference/index.html (``TimeSampling``, ``IXformSchema``)
-
-Paths of a sequence's meshes in a stand-alone archive.
-
-Original paths are kept, so that references such as cache modifiers of other programs find the meshes. Other meshes are
-below a transform of their name, because tools name imports by transforms.
-
-Placement of a mesh by its transforms in every frame: local to world and back, with velocities.
 
 New points over an archive stay in mesh space, so that other children of its transforms keep their place, and caches of
 other programs can refer to the result. With p the own points and M the matrix of a frame, world points and velocities
@@ -20,6 +11,11 @@ are
     w = p M,    w' = p' M + p M'.
 
 M' is the central difference over one frame, as renderers see a transform while the shutter is open.
+
+Stand-alone archives keep original paths, so that references such as cache modifiers of other programs find the meshes.
+Other meshes are below a transform of their name, because tools name imports by transforms.
+
+Specification: https://docs.alembic.io/reference/index.html (``TimeSampling``, ``IXformSchema``)
 """
 
 from __future__ import annotations
@@ -154,11 +150,6 @@ class SampleWeights:
     def at(self, frame: int) -> tuple[int, float]:
         """Return the sample before a frame, and the weight of the one after."""
         return int(self.before[frame]), float(self.weight[frame])
-
-    @property
-    def exact(self) -> bool:
-        """Whether every frame coincides with a sample."""
-        return not self.weight.any() and bool((np.diff(self.before) > 0).all())
 
 
 def locate(own: Float, frames: Float) -> SampleWeights:

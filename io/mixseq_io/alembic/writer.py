@@ -53,31 +53,13 @@ def write_alembic(
     onto: str | os.PathLike[str] | None = None,
     sources: ArrayLike | None = None,
 ) -> None:
-    """Write an Alembic file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    header, blocks, velocities
-        See `mixseq_io.write_blocks`.
-    flatten : bool
-        Write the sequence alone. By default, everything else of its original archive is kept.
-    onto : path-like, optional
-        The archive whose cameras, transforms and other objects are kept, in place of the original.
-    sources : (T,) array-like, optional
-        Times of the archive that the frames show, in seconds, for a warning if they differ from the frames' own.
-    """
-    if flatten and onto is not None:
-        raise SettingsError("flatten writes the sequence alone, onto lays it over a file; give one of them")
+    """Write an Alembic file; options as in `FORMATS`, `sources` ``(T,)`` in seconds for a warning if they differ."""
     if sources is not None and np.shape(sources) != header.times.shape:
         raise SettingsError(
             f"sources are {np.size(sources)} times for {header.frame_count} frames; give one each"
         )
-    original = (
-        None
-        if flatten
-        else opened_original(path, header, onto, "Alembic", lambda file: open_original(file, header))
+    original = opened_original(
+        path, header, flatten, onto, "Alembic", lambda file: open_original(file, header)
     )
     targets = [] if original else make_targets(header)
     moving = velocities is not None

@@ -1,1 +1,1 @@
-"""Compressed models in files of any kind: a text, and streams of bytes with an index."""
+"""Compressed models as a text and streams of bytes: `streams` holds the layout and reads it, `packing` writes it."""

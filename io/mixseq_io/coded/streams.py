@@ -1,4 +1,8 @@
-"""Index of a compressed model's streams in its one dataset, with the length and CRC-32 of each.
+"""Layout of a compressed model, and its reading: a text that describes the streams, and one dataset of all streams.
+
+The text is JSON: parameters, name, fps, up_axis, metres_per_unit, counts, first time. The streams are: connectivity,
+surface, times, texture coordinates if any; spatial basis by group; coefficients and residual layer chunk by chunk. The
+dataset begins with an index with the length and CRC-32 of each:
 
 ==========  =====================================================================================================
 bytes       meaning, all numbers little-endian
@@ -10,22 +14,11 @@ any         lengths, as numbers of 7 bits a byte (LEB128): number of groups of t
 any         uint32 each: CRC-32 of the attribute ``coding``, and of every stream that is not empty
 ==========  =====================================================================================================
 
-Frozen: changing this breaks old files.
+Times and surfaces are packed without loss: first differences of numbers are stored bytewise, the first bytes of all
+numbers, then the second bytes, and so on. Most are zeros, which zlib compresses well.
 
-Lossless packing of times and surfaces of compressed models.
-
-First differences of numbers are stored bytewise: the first bytes of all numbers, then the second bytes, and so on.
-Most are zeros, which zlib compresses well.
-
-Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``).
-
-Read a compressed sequence from a text that describes the streams, and the streams.
-
-The text is JSON: parameters, name, fps, up_axis, metres_per_unit, counts, first time. The index (`stream_index`) has
-the length and CRC-32 of every stream. Their order is: connectivity, surface, times, texture coordinates if any; spatial
-basis by group; coefficients and residual layer chunk by chunk. Specification: ``docs/file-format.md``.
-
-Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1*``).
+Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1*``). Specification:
+``docs/file-format.md``.
 """
 
 from __future__ import annotations
@@ -268,7 +261,10 @@ def pack_surface(surface: Surface, mesh: Mesh) -> bytes:
         else:
             little = array.astype(array.dtype.newbyteorder("<"))
             listed.append([name, little.dtype.str, little.shape])
-            data.append(_shuffled(_differences(little.reshape(-1))))
+            flat = little.reshape(-1)
+            if flat.dtype.kind == "i":  # first differences, with wrap-around
+                flat = np.diff(flat, prepend=flat.dtype.type(0))
+            data.append(_shuffled(flat))
     if not listed:
         return b""
     text = json.dumps(listed, separators=(",", ":")).encode("ascii")
@@ -333,11 +329,6 @@ def _arrays(listed: list[list[Any]], data: bytes) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-def _differences(array: NDArray[Any]) -> NDArray[Any]:
-    """Return first differences of integers, with wrap-around; floats unchanged."""
-    return np.diff(array, prepend=array.dtype.type(0)) if array.dtype.kind == "i" else array
-
-
 def _shuffled(array: NDArray[Any]) -> bytes:
     """Return the first bytes of all numbers, then their second bytes, and so on."""
     little = array.astype(array.dtype.newbyteorder("<"))
@@ -373,20 +364,17 @@ def sequence_of(path: Path, container: Container) -> CompressedSequence:
         Chunk(each.first, each.count, sound(each.coefficients), sound(each.residuals))
         for each in index.chunks
     )
-    header = read_header(path, container, index, ground)
-    return CompressedSequence(
-        header,
-        read_parameters(path, container),
-        basis,
-        chunks,
-        read_order(path, container),
-        read_between(path, container),
-    )
-
-
-def read_parameters(path: Path, container: Container) -> CodingParameters:
-    """Read the decoding parameters; raise `FormatError` if one is unknown, missing or out of range."""
     facts = facts_of(path, container)
+    parameters = _parameters(path, facts)
+    header = _header(path, facts, parameters, index, ground)
+    order: OrderName = facts.get("order", "keep")
+    if order not in ORDERS:
+        raise FormatError(f"{path}: this mixseq does not know the order {order!r}; upgrade it")
+    return CompressedSequence(header, parameters, basis, chunks, order, _between(path, facts))
+
+
+def _parameters(path: Path, facts: Mapping[str, Any]) -> CodingParameters:
+    """Return the decoding parameters; raise `FormatError` if one is unknown, missing or out of range."""
     given: dict[str, Any] = facts["coding"]
     known = {field.name for field in fields(CodingParameters)}
     unknown = sorted(set(given) - known)
@@ -403,17 +391,9 @@ def read_parameters(path: Path, container: Container) -> CodingParameters:
     return parameters
 
 
-def read_order(path: Path, container: Container) -> OrderName:
-    """Read which numbering of the original is kept; raise `FormatError` if the order is unknown."""
-    order: OrderName = facts_of(path, container).get("order", "keep")
-    if order not in ORDERS:
-        raise FormatError(f"{path}: this mixseq does not know the order {order!r}; upgrade it")
-    return order
-
-
-def read_between(path: Path, container: Container) -> BetweenFrames | None:
-    """Read the prediction of coefficients between frames, None if absent; raise `FormatError` if it is invalid."""
-    given = facts_of(path, container).get("between")
+def _between(path: Path, facts: Mapping[str, Any]) -> BetweenFrames | None:
+    """Return the prediction of coefficients between frames, None if absent; raise `FormatError` if it is invalid."""
+    given = facts.get("between")
     if given is None:
         return None
     if not (isinstance(given, dict) and set(given) == {"length", "cubic"}):
@@ -427,17 +407,19 @@ def read_between(path: Path, container: Container) -> BetweenFrames | None:
         raise FormatError(f"{path}: between: {error}; it is damaged") from error
 
 
-def read_header(
-    path: Path, container: Container, index: StreamIndex, ground: Mapping[str, bytes]
+def _header(
+    path: Path,
+    facts: Mapping[str, Any],
+    parameters: CodingParameters,
+    index: StreamIndex,
+    ground: Mapping[str, bytes],
 ) -> SequenceHeader:
-    """Read mesh and times from `StreamIndex.ground`; raise `FormatError` for contradictions or too much memory."""
-    facts = facts_of(path, container)
+    """Decode mesh and times from `StreamIndex.ground`; raise `FormatError` for contradictions or too much memory."""
     told = [facts.get(f"{what}_count") for what in ("vertex", "corner", "frame")]
     elements = sum(each for each in told if isinstance(each, int))
     on_corners = "uvs" in ground or ground["surface"]
     corner = _OF_CORNER * told[1] if on_corners and isinstance(told[1], int) else 0
     check_memory(path, _OF_ELEMENT * elements + corner, "mesh and times")
-    parameters = read_parameters(path, container)
     try:
         vertices, polygons, corners, frames = (
             int(facts[f"{what}_count"]) for what in ("vertex", "polygon", "corner", "frame")

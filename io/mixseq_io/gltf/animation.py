@@ -1,12 +1,8 @@
-"""Animations of a glTF file: properties of nodes over time.
+"""Animations of a glTF file: properties of nodes over time, frame times, and the points that follow.
+
+Points are in world space: morph targets first, then the skin, or else the node's transform.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#appendix-c-interpolation
-
-Times of the frames of a glTF animation.
-
-Points of a glTF mesh in world space: morph targets first, then the skin, or else the node's transform.
-
-Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#skins
 """
 
 from __future__ import annotations
@@ -27,23 +23,10 @@ from mixseq_io.gltf.document import Document, Fields
 from mixseq_io.gltf.primitives import Weld, deltas, influences, target_count
 from mixseq_io.gltf.scene import Pose, Scene
 from mixseq_io.reader import warn
-from mixseq_io.scene_meshes import MOST_PLAYED, SAME_TIME, on_grid, united
+from mixseq_io.scene_meshes import MOST_PLAYED, SAME_TIME, listed, on_grid, united
 
-USUAL_RATES = (
-    24.0,
-    30.0,
-    25.0,
-    60.0,
-    50.0,
-    48.0,
-    120.0,
-    100.0,
-    12.0,
-    15.0,
-    20.0,
-    10.0,
-    *NTSC_RATES,
-)
+USUAL_RATES = (24.0, 30.0, 25.0, 60.0, 50.0, 48.0, 120.0, 100.0, 12.0, 15.0, 20.0, 10.0, *NTSC_RATES)
+"""Rates in Hz, the most usual first."""
 
 _MOST_FRAMES = 1_000_000
 _FASTEST_PLAYED = 60.0
@@ -170,7 +153,6 @@ _INTERPOLATIONS = ("LINEAR", "STEP", "CUBICSPLINE")
 NO_ANIMATION = "none"
 """Choice of animation that reads the nodes without any, mostly at rest."""
 
-_LONGEST_LIST = 20
 _LATEST = 1e9
 
 
@@ -281,9 +263,7 @@ def choose_animation(document: Document, choice: str | int | None) -> Fields | N
 
 def _numbered(names: Sequence[str], first: int = 0) -> str:
     """Return at most 20 names with their numbers, from `first` on, for a message: ``1 'Dance', 2 'Death'``."""
-    shown = [f"{number} {name!r}" for number, name in enumerate(names)][first : first + _LONGEST_LIST]
-    more = len(names) - first - _LONGEST_LIST
-    return ", ".join(shown) + (f" and {more} more" if more > 0 else "")
+    return listed([f"{number} {name!r}" for number, name in enumerate(names)][first:], str)
 
 
 def told_by(animation: Fields | None, name: str, least: float = -_LATEST) -> float | None:

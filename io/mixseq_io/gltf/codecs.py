@@ -1,26 +1,17 @@
-"""Buffer of a glTF file: laid out first, then written front to back while frames arrive, with no copy in memory.
+"""Buffers of glTF files: laid out and written, and decompressed.
 
-All sizes and offsets are known beforehand, except for the bounds of the points. A ``.glb`` begins with its JSON, which
-is written last into reserved space, padded with spaces. A ``.gltf`` holds the buffer in base64 as its first member,
-since a single file can be replaced atomically.
+A buffer is laid out first, then written front to back while frames arrive, with no copy in memory. All sizes and
+offsets are known beforehand, except for the bounds of the points. A ``.glb`` begins with its JSON, which is written
+last into reserved space, padded with spaces. A ``.gltf`` holds the buffer in base64 as its first member, since a single
+file can be replaced atomically.
 
-Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#glb-file-format-specification
+Compressed files are read as uncompressed documents: views (``EXT_meshopt_compression``, ``KHR_meshopt_compression``)
+and primitives (``KHR_draco_mesh_compression``) get buffers that are unpacked when read, in a process of their own, by
+meshopt and Google's DracoPy (extra `gltf`). A primitive is read plain if it has a plain form, too.
 
-Unpack meshopt-compressed buffer views in a process of its own; package: meshopt (extra `gltf`).
-
-Specification: https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Vendor/EXT_meshopt_compression/README.md
-
-Draco-compressed primitives, unpacked by Google's library (DracoPy, extra `gltf`) in a process of its own.
-
-Specification: https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Khronos/KHR_draco_mesh_compression/README.md
-
-Draco compression of primitives, which reorders vertices and triangles, by DracoPy (extra `gltf`).
-
-Compressed glTF files as uncompressed documents: views and primitives get buffers that are unpacked when read.
-
-``EXT_meshopt_compression`` and ``KHR_meshopt_compression`` pack buffer views (`mixseq_io.gltf.codecs`),
-``KHR_draco_mesh_compression`` packs triangles and attributes of a primitive (`mixseq_io.gltf.codecs`), which is read
-plain if it has a plain form, too. Those modules have the specifications.
+Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#glb-file-format-specification,
+https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Vendor/EXT_meshopt_compression/README.md,
+https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Khronos/KHR_draco_mesh_compression/README.md
 """
 
 from __future__ import annotations
@@ -42,7 +33,7 @@ from numpy.typing import NDArray
 
 from mixseq.errors import MissingExtraError, OutputError
 from mixseq.version import __version__
-from mixseq_io.gltf.document import Document, Fields, layout_of
+from mixseq_io.gltf.document import DRACO, MESHOPT, Document, Fields, layout_of
 from mixseq_io.isolation import call_isolated
 from mixseq_io.surfaces import nearest_bytes
 
@@ -91,6 +82,12 @@ class Layout:
         kind = {1: "SCALAR", 16: "MAT4"}.get(width, f"VEC{width}")
         return self.accessor(view, len(data), kind, component=COMPONENT_OF[data.dtype.str[1:]])
 
+    def add_points(self, points: NDArray[np.float32]) -> int:
+        """Add positions of vertices ``(n, 3)``, with their bounds; return their accessor."""
+        accessor = self.add_array(points, target=VERTICES)
+        self.bounded(accessor, bounds_of(points))
+        return accessor
+
     def accessor(self, view: int, count: int, kind: str, offset: int = 0, component: int = FLOAT) -> int:
         """Add an accessor at an offset in bytes within a view; return its index."""
         accessor = {
@@ -107,6 +104,11 @@ class Layout:
         found: Json = self.document["accessors"][accessor]
         found["min"], found["max"] = bounds
         return found
+
+
+def bounds_of(points: NDArray[np.float32]) -> Bounds:
+    """Return the least and the largest coordinates of points ``(n, 3)``."""
+    return points.min(axis=0).tolist(), points.max(axis=0).tolist()
 
 
 def append(document: Json, member: str, entry: Json) -> int:
@@ -315,22 +317,19 @@ class DracoTriangles:
 
 
 def compressed_triangles(
-    triangles: NDArray[np.uint32],
-    points: NDArray[np.float32],
-    normals: NDArray[np.float32],
-    uvs: NDArray[np.float32] | None,
-    colours: NDArray[np.float32] | None,
+    triangles: NDArray[np.uint32], attributes: Mapping[str, NDArray[np.float32]]
 ) -> DracoTriangles:
-    """Compress triangles ``(F, 3)``, points, normals ``(n, 3)``, uvs ``(n, 2)``, and colours ``(n, 4)`` as bytes."""
+    """Compress triangles ``(F, 3)``, and attributes ``(n, k)`` by their glTF names, colours as bytes."""
     library = _library()
+    uvs, colours = attributes.get("TEXCOORD_0"), attributes.get("COLOR_0")
     try:
         data = library.encode(
-            points,
+            attributes["POSITION"],
             triangles,
             quantization_bits=_POSITION_BITS,
             compression_level=_BEST,
             colors=None if colours is None else nearest_bytes(colours),
-            normals=normals.astype(np.float64),
+            normals=attributes["NORMAL"].astype(np.float64),
             normal_quantization_bits=_NORMAL_BITS,
             tex_coord=None if uvs is None else uvs.astype(np.float64),
             tex_coord_quantization_bits=None if uvs is None else _UV_BITS,
@@ -357,10 +356,6 @@ def _library() -> ModuleType:
         ) from error
     library: ModuleType = DracoPy
     return library
-
-
-DRACO = "KHR_draco_mesh_compression"
-MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 
 
 def plain(document: Document) -> Document:
@@ -426,7 +421,7 @@ class _Edits:
                 primitive.object("attributes").integer(name): names.integer(name) for name in names.values
             }
             wanted = [self._wanted(indices, None), *(self._wanted(*each) for each in accessors.items())]
-            sizes = [-(-each.size // _ALIGNMENT) * _ALIGNMENT for each in wanted]
+            sizes = [_aligned(each.size) for each in wanted]
             self._compressed.check_effort(sum(sizes) // 2, packed.place)
             buffer = self._buffer(
                 sum(sizes), partial(unpacked_primitive, self._compressed, packed, wanted, sizes)

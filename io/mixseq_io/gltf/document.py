@@ -1,14 +1,9 @@
 """glTF files (.gltf, .glb): the JSON, kept unchanged for writers, and the numbers in its buffers.
 
-Every count and offset is compared with the available bytes before an array is allocated.
+Access to the JSON is checked. Buffers in a .glb chunk, in the JSON, or in files beside it are read on demand; every
+count and offset is compared with the available bytes before an array is allocated.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
-
-Checked access to the JSON of a glTF file, and the extensions that it may require.
-
-Bytes of a glTF file in a .glb chunk, its JSON, or files beside it; files are read on demand.
-
-Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#glb-file-format-specification
 """
 
 from __future__ import annotations
@@ -34,16 +29,15 @@ from mixseq.errors import FormatError
 from mixseq_io.files import check_memory
 from mixseq_io.reader import reading
 
+DAMAGE = (KeyError, IndexError, TypeError, ValueError, AttributeError, RecursionError)
+"""Exceptions of unchecked access to the JSON of damaged files, for `reading`."""
+
+DRACO = "KHR_draco_mesh_compression"
+MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 SEQUENCE_EXTENSION = "MIXSEQ_mesh_sequence"
 """Extension of meshes whose frames are streams, see `mixseq_io.gltf.mesh_sequence`."""
 
-_UNDERSTOOD = (
-    "EXT_meshopt_compression",
-    "KHR_meshopt_compression",
-    "KHR_draco_mesh_compression",
-    "KHR_mesh_quantization",
-    SEQUENCE_EXTENSION,
-)
+_UNDERSTOOD = (*MESHOPT, DRACO, "KHR_mesh_quantization", SEQUENCE_EXTENSION)
 
 # They change how a mesh looks, not where it is.
 _APPEARANCE = (

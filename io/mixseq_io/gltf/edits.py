@@ -1,9 +1,7 @@
-"""Edits of a glTF document that is written again: detach nodes, remove unused data, embed images.
+"""Edits of a glTF document that a sequence is laid over: detached nodes, pruned data, embedded images, other motion.
 
-Other motion of a glTF file that a sequence is laid over: cameras, lights and other meshes keep theirs.
-
-It keeps its own times, and gets keys at the frames of the sequence, so that the animation lasts as long. The file
-must have a single animation, since with several the matching one is unknown.
+Other motion (cameras, lights, other meshes) keeps its own times, and gets keys at the frames of the sequence, so that
+the animation lasts as long. The file must have a single animation, since with several the matching one is unknown.
 """
 
 from __future__ import annotations
@@ -196,14 +194,10 @@ def content_of_image(image: Fields) -> tuple[bytes, str]:
     uri = image.text("uri")
     file = data_of_uri(image, uri)
     data = file.read(0, file.size)
-    mime_type = _type_of(data)
+    mime_type = next((kind for beginning, kind in _BEGINNINGS.items() if data.startswith(beginning)), "")
     if not mime_type:
         raise image.error(f"is in {uri[:80]!r}, which is no PNG, JPEG, WebP or KTX2 image")
     return data, mime_type
-
-
-def _type_of(data: bytes) -> str:
-    return next((kind for beginning, kind in _BEGINNINGS.items() if data.startswith(beginning)), "")
 
 
 _SEEN = ("mesh", "camera", "extensions")
@@ -216,11 +210,6 @@ class OtherMotion:
     things: Sequence[str] = ()
     channels: Sequence[Channel] = ()
     start: float = 0.0
-
-    @property
-    def nodes(self) -> set[int]:
-        """Animated nodes."""
-        return {channel.node for channel in self.channels}
 
     def instead(self, stand_ins: Mapping[int, int | None]) -> OtherMotion:
         """Replace animated nodes by others, without their morph weights; None drops their channels."""

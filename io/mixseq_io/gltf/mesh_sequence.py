@@ -1,4 +1,4 @@
-"""The glTF extension ``MIXSEQ_mesh_sequence``, reading: a mesh whose frames are the streams of a compressed model.
+"""The glTF extension ``MIXSEQ_mesh_sequence``: a mesh whose frames are the streams of a compressed model.
 
 ::
 
@@ -15,16 +15,9 @@
 Text and streams are, byte for byte, those of an HDF5 file. Vertices, faces, texture coordinates and hard edges are in
 them; of the primitives a decoder needs the materials only. Schema and specification: ``docs/file-format.md``.
 
-Materials of a glTF file in another document: by name, with their textures, samplers and images.
-
-The still of a mesh sequence: its first frame as ordinary glTF, by material, for other viewers.
-
-Decoders use its materials only, so it may be coarse: by Draco with points at 11 bits and normals at 7; plain float32;
-or one degenerate triangle for each material.
-
-The glTF extension ``MIXSEQ_mesh_sequence``, writing: a .glb with a compressed sequence, its first frame as a still.
-
-See `mixseq_io.gltf.mesh_sequence` for the layout. Text and streams come first, before textures, for slow loading.
+The still is the first frame as ordinary glTF, by material, for other viewers. It may be coarse: by Draco with points at
+11 bits and normals at 7; plain float32; or one degenerate triangle for each material. Materials are copied from the
+original by name. Text and streams come first, before textures, for slow loading.
 """
 
 from __future__ import annotations
@@ -46,10 +39,8 @@ from mixseq.types import FloatArray
 from mixseq_io.coded.packing import pack
 from mixseq_io.coded.streams import Container
 from mixseq_io.files import check_memory, replacing
-from mixseq_io.gltf import codecs
 from mixseq_io.gltf.codecs import (
     COMPONENT_OF,
-    DRACO,
     FLOAT,
     GENERATOR,
     INDICES,
@@ -58,10 +49,21 @@ from mixseq_io.gltf.codecs import (
     Json,
     Layout,
     append,
+    bounds_of,
+    compressed_triangles,
     glb_size,
     writing_buffer,
 )
-from mixseq_io.gltf.document import SEQUENCE_EXTENSION, Document, Fields, chunks, data_of_file, load_document
+from mixseq_io.gltf.document import (
+    DAMAGE,
+    DRACO,
+    SEQUENCE_EXTENSION,
+    Document,
+    Fields,
+    chunks,
+    data_of_file,
+    load_document,
+)
 from mixseq_io.gltf.edits import content_of_image, used_extensions
 from mixseq_io.gltf.new_document import (
     SplitPrimitive,
@@ -139,16 +141,13 @@ def _content(document: Document, extension: Fields, key: str) -> bytes:
         return document.part(view)
 
 
-_DAMAGE = (KeyError, IndexError, TypeError, ValueError, AttributeError, RecursionError)
-
-
 def carried_materials(layout: Layout, names: Collection[str], origin: Origin | None) -> dict[str, int]:
     """Copy materials into a document."""
     if origin is None or origin.format != "glTF" or not names:
         return {}
     path = Path(origin.path)
     try:
-        with reading(path, "glTF", *_DAMAGE):
+        with reading(path, "glTF", *DAMAGE):
             copy = _Copy(layout, load_document(path))
             return copy.materials(names)
     except FormatError as error:
@@ -289,7 +288,7 @@ def _plain(
         name: add_colours(layout, values) if name == "COLOR_0" else layout.add_array(values, target=VERTICES)
         for name, values in attributes.items()
     }
-    layout.bounded(accessors["POSITION"], _bounds(attributes["POSITION"]))
+    layout.bounded(accessors["POSITION"], bounds_of(attributes["POSITION"]))
     return {
         "attributes": accessors,
         "indices": layout.add_array(narrow(triangles.reshape(-1)), target=INDICES),
@@ -299,13 +298,7 @@ def _plain(
 def _draco(
     layout: Layout, triangles: NDArray[np.uint32], attributes: Mapping[str, NDArray[np.float32]]
 ) -> Json:
-    coded = codecs.compressed_triangles(
-        triangles,
-        attributes["POSITION"],
-        attributes["NORMAL"],
-        attributes.get("TEXCOORD_0"),
-        attributes.get("COLOR_0"),
-    )
+    coded = compressed_triangles(triangles, attributes)
     view = layout.add([coded.data], len(coded.data))
     accessors = {
         name: _without_data(layout, len(values), f"VEC{values.shape[1]}", COMPONENT_OF[values.dtype.str[1:]])
@@ -313,7 +306,7 @@ def _draco(
     }
     if "COLOR_0" in accessors:
         layout.document["accessors"][accessors["COLOR_0"]]["normalized"] = True
-    layout.bounded(accessors["POSITION"], _bounds(coded.attributes["POSITION"]))
+    layout.bounded(accessors["POSITION"], bounds_of(coded.attributes["POSITION"]))
     return {
         "attributes": accessors,
         "indices": _without_data(layout, 3 * coded.triangle_count, "SCALAR", UNSIGNED),
@@ -337,10 +330,6 @@ def _none(
 def _without_data(layout: Layout, count: int, kind: str, component: int) -> int:
     entry = {"componentType": component, "count": count, "type": kind}
     return append(layout.document, "accessors", entry)
-
-
-def _bounds(points: NDArray[np.float32]) -> tuple[list[float], list[float]]:
-    return points.min(axis=0).tolist(), points.max(axis=0).tolist()
 
 
 _TEXT = 1000

@@ -1,16 +1,13 @@
-"""A stand-alone glTF document of a sequence: a node per object, plain materials by name.
+"""A stand-alone glTF document of a sequence: a node per object, plain materials by name, frames as morph targets.
 
 Meshes become triangles by material. Vertices are split at seams of texture coordinates, hard edges and borders of
 materials, since glTF primitives have one material and one index for all attributes. The attribute ``_VERTEX`` stores
 the sequence's vertex of each copy, so that readers can weld them again.
 
-Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#meshes
-
-Moving points as glTF morph targets: the first frame is the mesh, every further frame a target.
-
-Frame ``k`` is ``x_k = x_0 + sum_j w_j(t_k) d_j`` with ``d_j = x_j - x_0`` and weights ``w_j(t_k)`` one where ``j = k``,
-else zero. Viewers interpolate weights linearly between keys, hence points and normals too. ``x_0`` and ``d_j`` are
-rounded to float32: a point is off by at most 2**-24 of its displacement since the first frame, plus its own rounding.
+The first frame is the mesh, every further frame a target: frame ``k`` is ``x_k = x_0 + sum_j w_j(t_k) d_j`` with
+``d_j = x_j - x_0`` and weights ``w_j(t_k)`` one where ``j = k``, else zero. Viewers interpolate weights linearly
+between keys, hence points and normals too. ``x_0`` and ``d_j`` are rounded to float32: a point is off by at most 2**-24
+of its displacement since the first frame, plus its own rounding.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#morph-targets
 """
@@ -28,8 +25,8 @@ from mixseq.mesh.measures import shared_normals
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import FaceSet
 from mixseq.sequence.header import SequenceHeader
-from mixseq.types import FloatArray, IntArray
-from mixseq_io.gltf.codecs import GENERATOR, INDICES, VERTICES, BufferWriter, Json, Layout, append
+from mixseq.types import FloatArray, IntArray, Single
+from mixseq_io.gltf.codecs import GENERATOR, INDICES, VERTICES, BufferWriter, Json, Layout, append, bounds_of
 from mixseq_io.gltf.edits import NOTHING, OtherMotion
 from mixseq_io.reader import as_float32
 from mixseq_io.scene_meshes import SceneMesh, split
@@ -55,6 +52,11 @@ class MovingMesh:
     scene_mesh: SceneMesh
     primitives: Sequence[MovingPrimitive]
 
+    def normals_of(self, points: FloatArray) -> Single:
+        """Return the shared normals ``(B, G, 3)`` for points ``(B, V, 3)`` of the sequence."""
+        mesh = self.scene_mesh
+        return shared_normals(points[:, mesh.vertices], mesh.polygons, mesh.hard_edges)
+
 
 class Morphs:
     """Frames in the buffer: laid out on construction, then written one after the other."""
@@ -76,19 +78,15 @@ class Morphs:
         """Add the animation that steps through the targets."""
         if header.frame_count == 1:
             return
-        keys, extras = key_times(header, keep_start)
-        times = layout.add_array(keys)
-        layout.bounded(times, ([float(keys[0])], [float(keys[-1])]))
-        count = len(keys) * (len(keys) - 1)
-        weights = layout.accessor(layout.add(_one_hot(len(keys)), 4 * count), count, "SCALAR")
-        animation = {
-            "name": header.name or "animation",
-            "samplers": [{"input": times, "output": weights, "interpolation": "LINEAR"}],
-            "channels": [
-                {"sampler": 0, "target": {"node": mesh.node, "path": "weights"}} for mesh in self._meshes
-            ],
-            "extras": extras,
-        }
+        times, animation = new_animation(layout, header, keep_start)
+        count = header.frame_count * (header.frame_count - 1)
+        targets = np.arange(1, header.frame_count)
+        rows = ((targets == key).astype(np.float32) for key in range(header.frame_count))
+        weights = layout.accessor(layout.add(rows, 4 * count), count, "SCALAR")
+        animation["samplers"].append({"input": times, "output": weights, "interpolation": "LINEAR"})
+        animation["channels"] += [
+            {"sampler": 0, "target": {"node": mesh.node, "path": "weights"}} for mesh in self._meshes
+        ]
         others.animate(layout, animation, header)
         append(layout.document, "animations", animation)
 
@@ -118,12 +116,7 @@ class Morphs:
 
     def write(self, frame: int, points: NDArray[np.float32], writer: BufferWriter) -> None:
         """Write a frame's points ``(V, 3)``; `InvalidSequenceError` if too far from the first frame for float32."""
-        normals = [
-            shared_normals(
-                points[None, mesh.scene_mesh.vertices], mesh.scene_mesh.polygons, mesh.scene_mesh.hard_edges
-            )[0]
-            for mesh in self._meshes
-        ]
+        normals = [mesh.normals_of(points[None])[0] for mesh in self._meshes]
         if self._first is None:
             self._first = points.astype(np.float64), normals
         else:
@@ -137,15 +130,18 @@ class Morphs:
             for each in mesh.primitives:
                 here = points[mesh.scene_mesh.vertices][each.vertices]
                 accessor = next(awaiting)
-                accessor["min"], accessor["max"] = here.min(axis=0).tolist(), here.max(axis=0).tolist()
+                accessor["min"], accessor["max"] = bounds_of(here)
                 chunks.append(here)
                 if each.normals is not None:
                     chunks.append(of_mesh[each.normals])
         writer.put(start, chunks)
 
 
-def key_times(header: SequenceHeader, keep_start: bool = False) -> tuple[NDArray[np.float32], Json]:
-    """Return float32 key times ``(T,)``, and extras: ``fps``, and ``start``, the time in s at key 0, unless it is 0."""
+def new_animation(layout: Layout, header: SequenceHeader, keep_start: bool = False) -> tuple[int, Json]:
+    """Add float32 key times ``(T,)`` of the frames; return their accessor, and an animation without channels.
+
+    Its extras are ``fps``, and ``start``, the time in s at key 0, unless it is 0.
+    """
     start = time_shift(header, keep_start)
     keys = (header.times - start).astype(np.float32)
     close = np.diff(keys) <= 0
@@ -155,7 +151,10 @@ def key_times(header: SequenceHeader, keep_start: bool = False) -> tuple[NDArray
             f"frames {frame} and {frame + 1} are at {header.times[frame]:.9g} s and {header.times[frame + 1]:.9g} s, "
             "too close, or too late, for glTF's float32; let the times begin at 0, or write USD, .npz or .h5"
         )
-    return keys, {"fps": header.fps, **({"start": start} if start else {})}
+    times = layout.add_array(keys)
+    layout.bounded(times, ([float(keys[0])], [float(keys[-1])]))
+    extras = {"fps": header.fps, **({"start": start} if start else {})}
+    return times, {"name": header.name or "animation", "samplers": [], "channels": [], "extras": extras}
 
 
 def time_shift(header: SequenceHeader, keep_start: bool = False) -> float:
@@ -166,12 +165,6 @@ def time_shift(header: SequenceHeader, keep_start: bool = False) -> float:
     """
     first = float(header.times[0])
     return 0.0 if keep_start and first >= 0 and header.frame_count > 1 else first
-
-
-def _one_hot(keys: int) -> Iterator[NDArray[np.float32]]:
-    """Yield the weights of the targets ``(T - 1,)`` key by key."""
-    for key in range(keys):
-        yield (np.arange(1, keys) == key).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)

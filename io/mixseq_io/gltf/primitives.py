@@ -1,8 +1,11 @@
-r"""Primitives of a glTF mesh as arrays: triangles and vertex attributes.
+r"""Primitives of a glTF mesh as arrays, and the weld of vertices that glTF splits.
 
-``KHR_texture_transform``: texture coordinates translated, rotated and scaled by a material.
+Exporters split vertices where texture coordinates, normals or materials differ. Vertices with bit-identical position,
+joints, weights and morph deltas are one vertex, across all primitives; faces that become degenerate stay. The
+attribute ``_VERTEX`` of files written by mixseq gives the vertices directly.
 
-With scale :math:`s`, rotation :math:`r` and offset :math:`o`, texture coordinates (u, v), v downwards, are
+By ``KHR_texture_transform``, with scale :math:`s`, rotation :math:`r` and offset :math:`o`, texture coordinates (u, v),
+v downwards, are
 
 .. math::
     u' = s_u u \cos r + s_v v \sin r + o_u, \quad v' = -s_u u \sin r + s_v v \cos r + o_v
@@ -11,19 +14,13 @@ as in the specification's example and all renderers; its listing has another sig
 (https://github.com/KhronosGroup/glTF/issues/1563). The base colour's texture decides, or else the first.
 
 Specification: https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Khronos/KHR_texture_transform/README.md
-
-Weld vertices that glTF splits, and map each split vertex to its welded one.
-
-Exporters split vertices where texture coordinates, normals or materials differ. Vertices with bit-identical position,
-joints, weights and morph deltas are one vertex, across all primitives; faces that become degenerate stay. The
-attribute ``_VERTEX`` of files written by mixseq gives the vertices directly.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import Any
 
@@ -33,6 +30,7 @@ from numpy.typing import NDArray
 from mixseq.errors import FormatError
 from mixseq.types import IntArray
 from mixseq_io.gltf.document import Document, Fields
+from mixseq_io.surfaces import numbered_by_appearance
 
 _NAME = "KHR_texture_transform"
 _TEXTURES = ("normalTexture", "occlusionTexture", "emissiveTexture")
@@ -177,9 +175,6 @@ def resolved(corners: NDArray[np.int32], mode: int) -> NDArray[np.int32]:
     return corners[np.stack([first, first + 1 + odd, first + 2 - odd], axis=1)]
 
 
-Attribute = Callable[[Primitive], NDArray[Any] | None]
-
-
 @dataclass(frozen=True, eq=False)
 class Weld:
     """Welded vertices of a glTF mesh."""
@@ -241,10 +236,7 @@ def _found(primitives: Sequence[Primitive]) -> IntArray:
     labels: IntArray = np.zeros(sum(len(each.positions) for each in primitives), dtype=np.int64)
     for columns in _columns(primitives):
         labels = numbered(np.column_stack([labels, columns]))
-    first = np.unique(labels, return_index=True)[1]
-    rank = np.empty_like(first)
-    rank[np.argsort(first)] = np.arange(first.size)
-    return rank[labels]
+    return numbered_by_appearance(labels)[0]
 
 
 def target_count(primitives: Sequence[Primitive]) -> int:
@@ -272,27 +264,25 @@ def influences(primitives: Sequence[Primitive]) -> tuple[NDArray[np.int64], NDAr
     """Return joints and weights ``(n, 4 * sets)`` of all vertices by joint; joints of weight 0, and padding, are 0."""
     sets = max(min(each.sets("JOINTS"), each.sets("WEIGHTS")) for each in primitives)
     none = np.zeros((sum(len(each.positions) for each in primitives), 0))
-    joint = np.concatenate([none, *(_gathered(primitives, _joints(i), 4) for i in range(sets))], axis=1)
-    weight = np.concatenate([none, *(_gathered(primitives, _weights(i), 4) for i in range(sets))], axis=1)
+    joints = [_gathered(primitives, partial(_joints, number=i), 4) for i in range(sets)]
+    weights = [_gathered(primitives, partial(_weights, number=i), 4) for i in range(sets)]
+    joint, weight = np.concatenate([none, *joints], axis=1), np.concatenate([none, *weights], axis=1)
     joint = np.where(weight == 0, 0, joint).astype(np.int64)
     order = np.argsort(joint, axis=1, kind="stable")
     return np.take_along_axis(joint, order, axis=1), np.take_along_axis(weight, order, axis=1)
 
 
-def _joints(number: int) -> Attribute:
-    def joints(primitive: Primitive) -> NDArray[Any] | None:
-        values = primitive.attribute(f"JOINTS_{number}", 4)
-        if values is not None and values.dtype.kind != "u":
-            raise primitive.attributes.error(
-                f"has JOINTS_{number} of type {values.dtype}; unsigned integers are expected"
-            )
-        return values
-
-    return joints
+def _joints(primitive: Primitive, number: int) -> NDArray[Any] | None:
+    values = primitive.attribute(f"JOINTS_{number}", 4)
+    if values is not None and values.dtype.kind != "u":
+        raise primitive.attributes.error(
+            f"has JOINTS_{number} of type {values.dtype}; unsigned integers are expected"
+        )
+    return values
 
 
-def _weights(number: int) -> Attribute:
-    return lambda primitive: primitive.attribute(f"WEIGHTS_{number}", 4)
+def _weights(primitive: Primitive, number: int) -> NDArray[Any] | None:
+    return primitive.attribute(f"WEIGHTS_{number}", 4)
 
 
 def deltas(primitives: Sequence[Primitive], target: int) -> NDArray[np.float64]:
@@ -300,7 +290,9 @@ def deltas(primitives: Sequence[Primitive], target: int) -> NDArray[np.float64]:
     return _gathered(primitives, lambda each: each.delta(target), 3)
 
 
-def _gathered(primitives: Sequence[Primitive], attribute: Attribute, width: int) -> NDArray[np.float64]:
+def _gathered(
+    primitives: Sequence[Primitive], attribute: Callable[[Primitive], NDArray[Any] | None], width: int
+) -> NDArray[np.float64]:
     """Concatenate an attribute ``(n, width)`` of all primitives, 0 for primitives without."""
     found = ((each, attribute(each)) for each in primitives)
     return np.concatenate(

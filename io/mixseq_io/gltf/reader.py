@@ -6,21 +6,13 @@ Keys are float32; frames within that rounding of the frame grid are moved onto i
 welded (`mixseq_io.gltf.primitives`). Points are computed in float64 and rounded to float32. A .glb with a mesh sequence
 (`mixseq_io.gltf.mesh_sequence`) is decoded as a compressed model.
 
-Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
-
-Choice of the nodes to read from a glTF file, and their meshes: faces, materials, colours, joints.
-
-Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#meshes-overview
-
-Bind pose of a glTF skin: its joints, and the meshes on them.
-
-The inverse bind matrix :math:`I_j` takes the mesh to the joint's axes, so that the joint lies at :math:`I_j^{-1}` in
-mesh space. Mesh space is placed in the world by the first joint without a parent, :math:`W_r I_r`, where its node
-stands:
+In the bind pose of a skin, the inverse bind matrix :math:`I_j` takes the mesh to the joint's axes, so that the joint
+lies at :math:`I_j^{-1}` in mesh space. Mesh space is placed in the world by the first joint without a parent,
+:math:`W_r I_r`, where its node stands:
 
 .. math:: M_j = W_r I_r I_j^{-1}.
 
-Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#skins
+Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 """
 
 from __future__ import annotations
@@ -199,31 +191,14 @@ def _face_sets(document: Document, primitives: Sequence[Primitive]) -> tuple[Fac
     return tuple(face_sets)
 
 
-def skinning_of(shapes: Sequence[Shape]) -> Skinning | None:
-    """Return the joints and weights of all meshes, None without skins; unskinned meshes follow their nodes."""
-    if all(shape.skin is None for shape in shapes):
-        return None
-    return joined_skinning([_skinning(shape) for shape in shapes])
-
-
 def _skinning(shape: Shape) -> Skinning:
+    """Return a mesh's joints and weights; an unskinned mesh follows its node."""
     if shape.skin is None:
         return Skinning.rigid(shape.scene.paths[shape.node], shape.weld.count)
     joints = shape.skin.joints
-    return Skinning(
-        shape.skin.weights,
-        tuple(_path(shape.scene, joint) for joint in joints),
-        tuple(_path_above(shape.scene, joint, joints) for joint in joints),
-    )
-
-
-def _path(scene: Scene, node: int) -> str:
-    return scene.paths.get(node, f"node {node}")
-
-
-def _path_above(scene: Scene, joint: int, joints: Sequence[int]) -> str:
-    """Return the path of the nearest ancestor joint of a joint."""
-    return next((_path(scene, each) for each in scene.above(joint)[1:] if each in joints), "")
+    paths = tuple(shape.scene.paths.get(joint, f"node {joint}") for joint in joints)
+    above = tuple(paths[parent] if parent >= 0 else "" for parent in _parents(shape.scene, joints))
+    return Skinning(shape.skin.weights, paths, above)
 
 
 def read_joints(path: Path, name: str | None) -> Skeleton:
@@ -237,25 +212,25 @@ def read_joints(path: Path, name: str | None) -> Skeleton:
     return skeleton_of(labels, parents, _bind_pose(document, scene, skin, parents))
 
 
-def nodes_on(document: Document, scene: Scene, name: str | None) -> list[int]:
+def _nodes_on(document: Document, scene: Scene, skeleton: Fields) -> list[int]:
     """Return the nodes whose meshes follow a skeleton: those of its skins, and those below its joints."""
-    wanted = set(joints_of(document, _chosen(document, name)))
+    wanted = set(joints_of(document, skeleton))
     nodes = [node for node in chosen_nodes(document, scene, None) if _follows(document, scene, node, wanted)]
     if not nodes:
         raise NoMeshError(f"{document.path} has no mesh on its skeleton; export the character with its mesh")
     return nodes
 
 
-def bound(document: Document, shape: Shape, name: str | None) -> Shape:
+def _bound(document: Document, shape: Shape, skeleton: Fields) -> Shape:
     """Return a shape in its bind pose, bound to a single joint, the first without a parent.
 
     The transform is :math:`I_r` from its skin's space, :math:`I_r I_j^{-1} W_j^{-1} W_n` for a node n below a joint j.
     """
-    scene, skin, fields = shape.scene, shape.skin, _chosen(document, name)
-    joints = joints_of(document, fields)
-    if "inverseBindMatrices" not in fields:
+    scene, skin = shape.scene, shape.skin
+    joints = joints_of(document, skeleton)
+    if "inverseBindMatrices" not in skeleton:
         return shape  # bound where the joints stand
-    inverse_binds = inverse_binds_of(document, fields, len(joints))
+    inverse_binds = inverse_binds_of(document, skeleton, len(joints))
     root = _parents(scene, joints).index(-1)
     if skin is None:
         above = next(node for node in scene.above(shape.node) if node in joints)
@@ -339,8 +314,9 @@ def open_gltf_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
     with naming(path), np.errstate(all="ignore"):
         document = plain(load_document(path))
         scene = read_scene(document)
-        shapes = _shapes(document, scene, nodes_on(document, scene, skeleton), ())
-        shapes = [bound(document, shape, skeleton) for shape in shapes]
+        skin = _chosen(document, skeleton)
+        shapes = _shapes(document, scene, _nodes_on(document, scene, skin), ())
+        shapes = [_bound(document, shape, skin) for shape in shapes]
         return _GltfReader(document, shapes, (), np.zeros(1), DEFAULT_FPS, 0.0)
 
 
@@ -452,9 +428,11 @@ class _GltfReader(SequenceReader):
 
     def markings(self) -> Markings:
         """Return the sets of polygons and the joints of the meshes."""
-        return replace(super().markings(), skinning=skinning_of(self._shapes))
+        skinned = any(shape.skin is not None for shape in self._shapes)
+        skinning = joined_skinning([_skinning(shape) for shape in self._shapes]) if skinned else None
+        return replace(super().markings(), skinning=skinning)
 
-    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
+    def _read(self, what: str, size: int) -> Iterator[FloatArray]:
         for start in range(0, self.header.frame_count, size):
             times = self._times[start : start + size]
             with np.errstate(all="ignore"):

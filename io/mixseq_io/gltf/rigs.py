@@ -1,12 +1,8 @@
-r"""A base mesh with the targets of a `Morph` in glTF.
+r"""Skins and morphs in glTF: a base mesh with morph targets, which may follow bones.
 
 A target is displacements ``d_m`` and weights ``w_tm``, scaled to sliders' range (`mixseq_io.rig_arrays.shape_of`).
 glTF blends normals as it does points, ``n_t ~ n_0 + sum_m w_tm e_m`` before normalisation. The ``e_m`` are fitted to
 the true normals ``N_t`` of all frames by least squares: with the matrix ``W`` of weights, ``E = W^+ (N - n_0)``.
-
-Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#morph-targets
-
-A mesh that follows bones in glTF.
 
 Joints are nodes in a tree. The node of joint b has the rotation and translation of `mixseq.rigging.rigs.Skin.local`
 relative to its parent; in the world it takes the axes ``A_b`` at the pivot ``p_b`` to ``R_tb A_b`` at ``c_tb``. Its
@@ -30,15 +26,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import OutputError
-from mixseq.mesh.measures import shared_normals
 from mixseq.rigging.rigs import Morph, Skin, rotation_matrices
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import bounding_diagonal
-from mixseq.types import Float, Single
+from mixseq.types import Single
 from mixseq_io.gltf.codecs import VERTICES, Json, Layout, append
-from mixseq_io.gltf.new_document import MovingMesh, key_times, named, new_meshes, new_scene, upright
+from mixseq_io.gltf.new_document import MovingMesh, named, new_animation, new_meshes, new_scene, upright
 from mixseq_io.reader import as_float32
-from mixseq_io.rig_arrays import four_influences, numbered_names, shape_of, steadied
+from mixseq_io.rig_arrays import four_influences, numbered_names, shape_of, steady_joints
 
 _KINDS = {"translation": "VEC3", "rotation": "VEC4", "weights": "SCALAR"}
 
@@ -51,43 +45,28 @@ class Track:
     path: str
     values: NDArray[np.float32]
 
-    @property
-    def moves(self) -> bool:
-        """Whether the property changes over time."""
-        return bool((self.values != self.values[0]).any())
-
 
 def animate(layout: Layout, header: SequenceHeader, tracks: Sequence[Track]) -> None:
     """Add the linear animation of a sequence, with keys at its frames and rotations on the short arc, to a document.
 
     Constant tracks, and an animation without tracks, are left out: nodes have the values of the first frame.
     """
-    moving = [track for track in tracks if track.moves]
+    moving = [track for track in tracks if (track.values != track.values[0]).any()]
     if not moving:
         return
-    keys, extras = key_times(header)
-    times = layout.add_array(keys)
-    layout.bounded(times, ([float(keys[0])], [float(keys[-1])]))
+    times, animation = new_animation(layout, header)
     # One view for all of them, since there may be hundreds.
     values = [np.ascontiguousarray(track.values) for track in moving]
     view, offset = layout.add(values, sum(each.nbytes for each in values)), 0
-    samplers: list[Json] = []
-    channels: list[Json] = []
     for number, (track, each) in enumerate(zip(moving, values, strict=True)):
         kind = _KINDS[track.path]
         count = each.size if kind == "SCALAR" else len(each)
         output = layout.accessor(view, count, kind, offset)
-        samplers.append({"input": times, "output": output, "interpolation": "LINEAR"})
-        channels += [
+        animation["samplers"].append({"input": times, "output": output, "interpolation": "LINEAR"})
+        animation["channels"] += [
             {"sampler": number, "target": {"node": node, "path": track.path}} for node in track.nodes
         ]
         offset += each.nbytes
-    animation = {
-        "name": header.name or "animation",
-        "samplers": samplers,
-        "channels": channels,
-        "extras": extras,
-    }
     append(layout.document, "animations", animation)
 
 
@@ -123,10 +102,7 @@ def _add(layout: Layout, mesh: MovingMesh, morph: Morph, base: Single, targets: 
         shapes = [(base, normals), *zip(targets, normal_targets, strict=True)]
         for number, (points, directions) in enumerate(shapes):
             attributes = each.entry["attributes"] if number == 0 else {}
-            here = points[mesh.scene_mesh.vertices][each.vertices]
-            attributes["POSITION"] = layout.add_array(here, target=VERTICES)
-            bounds = here.min(axis=0).tolist(), here.max(axis=0).tolist()
-            layout.bounded(attributes["POSITION"], bounds)
+            attributes["POSITION"] = layout.add_points(points[mesh.scene_mesh.vertices][each.vertices])
             if each.normals is not None:
                 attributes["NORMAL"] = layout.add_array(directions[each.normals], target=VERTICES)
             if number > 0:
@@ -135,19 +111,13 @@ def _add(layout: Layout, mesh: MovingMesh, morph: Morph, base: Single, targets: 
 
 def _normals(mesh: MovingMesh, morph: Morph) -> tuple[Single, Single]:
     """Return the normals of the base ``(G, 3)`` and of the targets ``(M, G, 3)``, see the module's head."""
-
-    def normals_of(points: Float) -> Single:
-        return shared_normals(
-            points[:, mesh.scene_mesh.vertices], mesh.scene_mesh.polygons, mesh.scene_mesh.hard_edges
-        )
-
-    (base,) = normals_of(morph.base[None])
+    (base,) = mesh.normals_of(morph.base[None])
     targets = np.zeros((len(morph.targets), base.size))
     if len(targets):
         inverse = np.linalg.pinv(morph.weights, rcond=_ILL_DEFINED)
         frame = 0
         for block in morph.blocks():
-            turned = (normals_of(block) - base.astype(np.float64)).reshape(len(block), -1)
+            turned = (mesh.normals_of(block) - base.astype(np.float64)).reshape(len(block), -1)
             targets += inverse[:, frame : frame + len(block)] @ turned
             frame += len(block)
     return base, targets.reshape(-1, *base.shape).astype(np.float32)
@@ -188,10 +158,8 @@ def skinned_scene(skin: Skin) -> Layout:
 
 def _add_bones(document: Json, skin: Skin) -> tuple[int, list[int], list[Track]]:
     """Add a node for every bone in its first-frame pose, and a common root; return root, nodes and tracks."""
-    local, skeleton = skin.local(), skin.skeleton
-    rotations = steadied(local.rotations, 1.0).astype(np.float32)
-    places = steadied(local.translations, bounding_diagonal(skin.rest))
-    translations = as_float32(places, 0, "glTF", "bone")
+    skeleton = skin.skeleton
+    rotations, translations = steady_joints(skin, "glTF")
     root = append(document, "nodes", {"name": "skeleton", "children": [], **upright(skin.header)})
     joints: list[int] = []
     tracks: list[Track] = []

@@ -1,12 +1,9 @@
-"""Inverse transforms of nodes whose mesh is in world space, below transformed parents: such a mesh keeps its path.
+"""Node tree of a glTF file: names, paths and world transforms, as matrices on column vectors, ``p' = M p``.
 
+A mesh whose points are in world space below transformed parents gets the inverse transform, so that it keeps its path.
 The inverse is rounded, and unevenly scaled parents have none as translation, rotation and scale; nearly inverse
 transforms are accepted, since exporters write scales such as 0.9999999. A mark in the node's ``extras`` makes the
 reader take the points as world space, as long as the transforms still nearly cancel.
-
-Node tree of a glTF file: names, paths and world transforms.
-
-Matrices act on column vectors, ``p' = M p``.
 """
 
 from __future__ import annotations
@@ -20,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from mixseq.rigging.rigs import rotation_matrices
 from mixseq.types import Float
 from mixseq_io.gltf.document import Document, Fields
 from mixseq_io.scene_meshes import SceneObject
@@ -57,8 +55,6 @@ def nearly_undone(world: Float) -> bool:
     off = np.abs(world - np.eye(4))
     return bool((off[:, :3, :3] < _NEARLY).all() and (off[:, :3, 3] < _HERE).all())
 
-
-"""``(B, 4, 4)``, or ``(1, 4, 4)`` if constant over the B frames."""
 
 Pose = Mapping[tuple[int, str], NDArray[np.float64]]
 """Animated values ``(B, k)`` by node and property: "translation", "rotation", "scale", "weights"."""
@@ -99,7 +95,7 @@ class Scene:
         return found - {-1}
 
     def world(self, wanted: Iterable[int], pose: Pose) -> dict[int, Float]:
-        """Return the local-to-world matrices of nodes."""
+        """Return the local-to-world matrices of nodes, ``(B, 4, 4)``, or ``(1, 4, 4)`` if they are constant."""
         found: dict[int, Float] = {-1: np.eye(4)[None]}
         for node in wanted:
             missing = []
@@ -108,7 +104,8 @@ class Scene:
                 node = self.parents[node]
             for each in reversed(missing):
                 matrices = found[self.parents[each]] @ _local(self.nodes[each], each, pose)
-                undone = _is_marked(self.nodes[each]) and nearly_undone(matrices)
+                extras = self.nodes[each].values.get("extras")
+                undone = isinstance(extras, dict) and MARK in extras and nearly_undone(matrices)
                 found[each] = np.eye(4)[None] if undone else matrices
         return found
 
@@ -193,11 +190,6 @@ def _hidden(nodes: Sequence[Fields], parents: Sequence[int], order: Sequence[int
     return hidden
 
 
-def _is_marked(node: Fields) -> bool:
-    extras = node.values.get("extras")
-    return isinstance(extras, dict) and MARK in extras
-
-
 def _local(node: Fields, index: int, pose: Pose) -> Float:
     """Return the local matrices of a node, relative to its parent."""
     animated = [name for name in _REST if (index, name) in pose]
@@ -210,7 +202,7 @@ def _local(node: Fields, index: int, pose: Pose) -> Float:
         return matrix.reshape(1, 4, 4).transpose(0, 2, 1)
     translation, rotation, scale = (_property(node, index, name, pose) for name in _REST)
     matrices = np.zeros((max(map(len, (translation, rotation, scale))), 4, 4))
-    matrices[:, :3, :3] = rotation_matrices(rotation) * scale[:, None, :]
+    matrices[:, :3, :3] = _rotations(rotation) * scale[:, None, :]
     matrices[:, :3, 3] = translation
     matrices[:, 3, 3] = 1.0
     return matrices
@@ -223,15 +215,8 @@ def _property(node: Fields, index: int, name: str, pose: Pose) -> NDArray[np.flo
     return np.array(_REST[name] if values is None else values)[None]
 
 
-def rotation_matrices(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return rotation matrices ``(n, 3, 3)`` of quaternions ``(n, 4)``, x, y, z, w; the identity for zero length."""
+def _rotations(quaternions: NDArray[np.float64]) -> Float:
+    """Return rotation matrices ``(n, 3, 3)`` of quaternions ``(n, 4)``; the identity for zero length."""
     lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
-    x, y, z, w = np.where(
-        lengths > 0, quaternions / np.where(lengths > 0, lengths, 1), [0.0, 0.0, 0.0, 1.0]
-    ).T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
+    unit = quaternions / np.where(lengths > 0, lengths, 1)
+    return rotation_matrices(np.where(lengths > 0, unit, _REST["rotation"]))

@@ -1,14 +1,12 @@
-"""glTF, writing: morph targets, laid over the original file, or in a document of its own.
+"""glTF, writing: morph targets in a document of its own, or in that of the original, whose other contents are kept.
+
+In the original's document, meshes of the sequence get new world-space positions, and new normals where they had some;
+they lose skins, morph targets and tangents. Primitives and vertex order stay. Their nodes get the inverse transform of
+their parents; where a parent moves or shears, they become a root of the scene, or several below one root, which comes
+first. Former children keep their place. All animations are replaced by the sequence and by other motion of the file,
+and unreferenced data are removed, so that repeated writing does not grow the file.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
-
-A glTF document of a sequence laid over its original file, whose other contents are kept.
-
-Meshes of the sequence get new world-space positions, and new normals where they had some; they lose skins, morph
-targets and tangents. Primitives and vertex order stay. Their nodes get the inverse transform of their parents; where a
-parent moves or shears, they become a root of the scene, or several below one root, which comes first. Former children
-keep their place. All animations are replaced by the sequence and by other motion of the file, and unreferenced data
-are removed, so that repeated writing does not grow the file.
 """
 
 from __future__ import annotations
@@ -24,13 +22,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mixseq.errors import SettingsError
 from mixseq.mesh.polygons import Polygons, difference
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, Index
 from mixseq_io.files import replacing
 from mixseq_io.gltf.codecs import GENERATOR, INDICES, Json, Layout, append, plain, writing_buffer
-from mixseq_io.gltf.document import Document, Fields, load_document
+from mixseq_io.gltf.document import DAMAGE, Document, Fields, load_document
 from mixseq_io.gltf.edits import (
     NOTHING,
     OtherMotion,
@@ -145,7 +142,8 @@ def lay_over(
     roots = {scene.above(place.node)[-1] for place in places}
     shown_in = [each for each in carried.get("scenes", ()) if roots.intersection(each.get("nodes", ()))]
     above = {scene.parents[place.node] for place in places}
-    inverses = [None if upright(header) else _inverse(scene, place.node, others.nodes) for place in places]
+    animated = {channel.node for channel in others.channels}
+    inverses = [None if upright(header) else _inverse(scene, place.node, animated) for place in places]
     stay = None not in inverses
     others = others.instead({place.node: detach(carried, place.node, stay) for place in places})
     for place, inverse in zip(places, inverses, strict=True):
@@ -225,10 +223,8 @@ def _new_mesh(carried: Json, document: Document, place: Place) -> MovingMesh:
 
 def _groups(place: Place, primitive: Primitive, corners: slice) -> NDArray[np.int32]:
     """Return the index of the shared normal of every vertex ``(n,)`` of a primitive."""
-    polygons, hard_edges = place.scene_mesh.polygons, place.scene_mesh.hard_edges
     groups = np.zeros(len(primitive.positions), dtype=np.int32)
-    of_corner = polygons.indices if hard_edges is None else hard_edges
-    groups[place.triangles(primitive).reshape(-1)] = of_corner[place.corners[corners]]
+    groups[place.triangles(primitive).reshape(-1)] = place.scene_mesh.normal_groups[place.corners[corners]]
     return groups
 
 
@@ -258,9 +254,6 @@ def _with_data(carried: Json, document: Document) -> Layout:
     return layout
 
 
-_DAMAGE = (KeyError, IndexError, TypeError, ValueError, AttributeError, RecursionError)
-
-
 def write_gltf(
     path: Path,
     header: SequenceHeader,
@@ -271,26 +264,17 @@ def write_gltf(
     keep_start: bool = False,
     sources: ArrayLike | None = None,
 ) -> None:
-    """Write a glTF file: ``.glb`` is binary, ``.gltf`` text with everything in it.
+    """Write a glTF file, ``.glb`` binary, ``.gltf`` text with everything in it; options as in `FORMATS`.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    header, blocks, velocities
-        See `mixseq_io.write_blocks`; velocities are lost.
-    flatten : bool
-        Write the sequence alone. By default, everything else of its original glTF file is kept.
-    onto : path-like, optional
-        The file whose materials, textures and other nodes are kept, in place of the original.
-    keep_start : bool
-        Start the animation at the sequence's first time. By default it starts at 0, and its extras store that time.
-    sources : (T,) array-like, optional
-        Times of the original that the frames show, in seconds; where they differ, a warning lists other motion.
+    By default everything else of the sequence's original file is kept; `sources` are ``(T,)`` in seconds. Velocities
+    are lost.
     """
-    if flatten and onto is not None:
-        raise SettingsError("flatten writes the sequence alone, onto lays it over a file; give one of them")
-    overlay = None if flatten else _overlay(path, header, onto, sources)
+
+    def opened(file: Path) -> tuple[Layout, list[MovingMesh], OtherMotion]:
+        with reading(file, "glTF", *DAMAGE):
+            return lay_over(plain(load_document(file)), header, sources)
+
+    overlay = opened_original(path, header, flatten, onto, "glTF", opened)
     layout, meshes, others = overlay or (*new_scene(header), NOTHING)
     lost = [] if overlay else lost_alone(header)
     warn_of_changes(path, header, [*(["velocities"] if velocities is not None else []), *lost], keep_start)
@@ -302,18 +286,6 @@ def write_gltf(
             # One by one, because a block may be the whole sequence.
             for frame, points in enumerate(block, start=first):
                 morphs.write(frame, as_float32(points[None], frame, "glTF", header=header)[0], writer)
-
-
-def _overlay(
-    path: Path, header: SequenceHeader, onto: str | os.PathLike[str] | None, sources: ArrayLike | None
-) -> tuple[Layout, list[MovingMesh], OtherMotion] | None:
-    """Return the document of the file that the sequence is laid over, None if there is none."""
-
-    def opened(file: Path) -> tuple[Layout, list[MovingMesh], OtherMotion]:
-        with reading(file, "glTF", *_DAMAGE):
-            return lay_over(plain(load_document(file)), header, sources)
-
-    return opened_original(path, header, onto, "glTF", opened)
 
 
 # Of browsers: WebGL holds weights in uniforms, usually 1024 or 4096, and targets in layers of a texture, usually 2048.

@@ -2,8 +2,6 @@
 
 A flipped bit can make HDF5 loop forever, and a crafted file can crash it, so the user's process does not import it: see
 `mixseq_io.isolation`, and `mixseq_io.hdf5.permitted` for the worker's side.
-
-Versions and sequence headers of mixseq's HDF5 files; `h5_writing` writes them.
 """
 
 from __future__ import annotations

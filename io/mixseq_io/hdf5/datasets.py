@@ -1,6 +1,6 @@
-"""Arrays and settings of a model in HDF5, with checksums; errors of kind, shape and range are `FormatError`.
+"""Arrays and settings in HDF5: written with checksums, read with checks of kind, shape and range.
 
-HDF5 files written with Fletcher-32 checksums of datasets, and those of the HDF5 1.10 layout for the structure.
+Datasets have Fletcher-32 checksums, and the structure those of the HDF5 1.10 layout.
 
 Specification: https://support.hdfgroup.org/documentation/hdf5/latest/_f_m_t3.html
 """
@@ -8,7 +8,7 @@ Specification: https://support.hdfgroup.org/documentation/hdf5/latest/_f_m_t3.ht
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from math import prod
 from pathlib import Path
@@ -22,7 +22,6 @@ from mixseq.errors import FormatError
 from mixseq.runtime.interrupts import unbroken
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import LARGEST, SMALLEST
-from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.types import Float, Index
 from mixseq_io.files import replacing
 from mixseq_io.hdf5.contents import Contents
@@ -158,15 +157,14 @@ def put(file: h5py.File, name: str, array: NDArray[Any]) -> None:
 
 
 def put_lists(file: h5py.File, group: str, name: str, lists: Sequence[NDArray[Any]]) -> None:
-    """Store lists of indices: their concatenation and their lengths."""
-    sizes = np.array([len(items) for items in lists], dtype=np.int32)
-    put_joined(file, group, name, sizes, np.concatenate([*lists, np.zeros(0, dtype=np.int32)]))
+    """Store lists of indices as `put_joined`."""
+    put_joined(file, group, name, np.array(list(map(len, lists))), np.concatenate([*lists, np.zeros(0)]))
 
 
 def put_joined(
-    file: h5py.File, group: str, name: str, sizes: NDArray[np.integer], items: NDArray[np.integer]
+    file: h5py.File, group: str, name: str, sizes: NDArray[np.integer], items: NDArray[Any]
 ) -> None:
-    """Store lists as `put_lists`, given their lengths and their concatenation."""
+    """Store lists of indices by their lengths and their concatenation."""
     put(file, f"{group}/sizes", sizes.astype(np.int32))
     put(file, f"{group}/{name}", items.astype(np.int32))
 
@@ -260,11 +258,6 @@ def read_scale(path: Path, file: Contents) -> float:
     return scale
 
 
-def write_settings(file: h5py.File, settings: Mapping[str, Mapping[str, Any]]) -> None:
-    """Store settings by group."""
-    put_text(file, "settings", json.dumps(settings, sort_keys=True))
-
-
 def read_settings(path: Path, file: Contents, about: str, known: Collection[str]) -> dict[str, Any]:
     """Read all settings of a group."""
     found: dict[str, Any] = json.loads(file.text("settings"))[about]
@@ -272,8 +265,3 @@ def read_settings(path: Path, file: Contents, about: str, known: Collection[str]
     if others:
         raise FormatError(f"{path}: the setting {others[0]!r} is missing or not known; it is damaged")
     return found
-
-
-def read_shell(path: Path, file: Contents) -> ShellSettings:
-    """Read the settings of fits to lengths and angles."""
-    return ShellSettings(**read_settings(path, file, "shell", ShellSettings.__dataclass_fields__))

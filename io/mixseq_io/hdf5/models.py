@@ -1,10 +1,4 @@
-"""Mixed space of a model in HDF5: its parts, joints, and skinning weights.
-
-Shape space of a model in HDF5, and the blocks of its vectors.
-
-Signals of a model in HDF5, readable and editable by hand: see ``docs/file-format.md``.
-
-HDF5 models: a shape space and the signals of a sequence in it. Layout in ``docs/file-format.md``.
+"""HDF5 models: a shape space and the signals of a sequence in it, readable and editable by hand.
 
 ::
 
@@ -24,11 +18,12 @@ HDF5 models: a shape space and the signals of a sequence in it. Layout in ``docs
     /signals/placement/        times, rotations, translations
     /signals/correction/       times, rotations, translations               (mixed space)
 
-Compressed models have a layout of their own: `mixseq_io.coded.streams`.
+See ``docs/file-format.md``. Compressed models have a layout of their own: `mixseq_io.coded.streams`.
 """
 
 from __future__ import annotations
 
+import json
 from dataclasses import asdict
 from pathlib import Path
 
@@ -42,6 +37,7 @@ from mixseq.errors import FormatError, InvalidSequenceError, OutputError, Recons
 from mixseq.mesh.topology import Topology
 from mixseq.segmentation.joints import Decomposition, make_joint
 from mixseq.sequence.header import SequenceHeader
+from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
@@ -52,7 +48,7 @@ from mixseq.spaces.lri import LRISpace
 from mixseq.spaces.mixed.articulation import STEADINESS_RANGE, Steadiness
 from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
 from mixseq.spaces.vertex import BasisSpace, VertexSpace
-from mixseq.types import Float
+from mixseq.types import Float, Index
 from mixseq.version import __version__
 from mixseq_io.hdf5.contents import MODEL_FORMAT, Contents, check_version, read_header
 from mixseq_io.hdf5.datasets import (
@@ -68,26 +64,10 @@ from mixseq_io.hdf5.datasets import (
     put_text,
     read_scale,
     read_settings,
-    read_shell,
     write_header,
-    write_settings,
 )
 
 _SUM = 1e-9  # how far the weights of a vertex may be from one
-
-
-def mixed_blocks(space: MixedSpace) -> dict[str, tuple[int, ...]]:
-    """Return the blocks of a shape, as `shape_blocks`."""
-    parts, relations = len(space.decomposition.parts), len(space.articulation.pairs)
-    return {
-        "lengths": (len(space.edge_ids),),
-        "angles": (len(space.hinge_ids),),
-        "unposed": (space.vertex_count, 3),
-        "part_rotations": (parts, 4),
-        "part_centres": (parts, 3),
-        "relation_rotations": (relations, 4),
-        "relation_points": (relations, 3),
-    }
 
 
 def write_mixed_space(file: h5py.File, space: MixedSpace) -> None:
@@ -116,7 +96,9 @@ def read_mixed_space(path: Path, file: Contents, header: SequenceHeader) -> Mixe
         reference=diagonals(path, file, "space/reference", (header.vertex_count, 3)),
         skinning_weights=_read_skinning(path, file, header.vertex_count, len(decomposition.parts)),
         steadiness=steadiness,
-        joint_faces=_read_marks(path, file, "space/joint_faces", len(topology.faces)),
+        joint_faces=_mask(
+            integers(path, file, "space/joint_faces", (None,), 0, len(topology.faces)), len(topology.faces)
+        ),
         projection=_read_projection(path, file),
     )
     counts = len(decomposition.parts), len(space.articulation.pairs)
@@ -143,11 +125,11 @@ def _read_projection(path: Path, file: Contents) -> Projection:
     return Projection(**found)
 
 
-def _read_marks(path: Path, file: Contents, name: str, count: int) -> NDArray[np.bool_]:
-    """Return a mask ``(count,)`` from stored indices."""
-    marks = np.zeros(count, dtype=bool)
-    marks[integers(path, file, name, (None,), 0, count)] = True
-    return marks
+def _mask(indices: Index, count: int) -> NDArray[np.bool_]:
+    """Return a mask ``(count,)`` that is true at some indices."""
+    mask = np.zeros(count, dtype=bool)
+    mask[indices] = True
+    return mask
 
 
 def _read_skinning(path: Path, file: Contents, vertices: int, parts: int) -> sparse.csr_array:
@@ -178,17 +160,12 @@ def _read_segmentation(path: Path, file: Contents, topology: Topology) -> Decomp
     parts = get_lists(path, file, "segmentation/parts", "vertices", vertices)
     if not parts:
         raise FormatError(f"{path}: the segmentation has no parts; it is damaged")
-    held = np.zeros(vertices, dtype=bool)
-    held[np.concatenate(parts)] = True
-    joints = []
-    for joint_faces in get_lists(path, file, "segmentation/joints", "faces", faces):
-        inside = np.zeros(faces, dtype=bool)
-        inside[joint_faces] = True
-        joints.append(make_joint(topology, inside, held))
+    held = _mask(np.concatenate(parts), vertices)
+    joint_faces = get_lists(path, file, "segmentation/joints", "faces", faces)
     return Decomposition(
         part_of_face=integers(path, file, "segmentation/part_of_face", (faces,), 0, len(parts)),
         parts=tuple(parts),
-        joints=tuple(joints),
+        joints=tuple(make_joint(topology, _mask(each, faces), held) for each in joint_faces),
         widths=integers(path, file, "segmentation/widths", (len(parts),), 1),
     )
 
@@ -228,7 +205,16 @@ def shape_blocks(space: StoredSpace) -> Blocks:
                 for name, size in zip(("lengths", "angles", "volumes"), space.sizes, strict=True)
             }
         case MixedSpace():
-            return mixed_blocks(space)
+            parts, relations = len(space.decomposition.parts), len(space.articulation.pairs)
+            return {
+                "lengths": (len(space.edge_ids),),
+                "angles": (len(space.hinge_ids),),
+                "unposed": (space.vertex_count, 3),
+                "part_rotations": (parts, 4),
+                "part_centres": (parts, 3),
+                "relation_rotations": (relations, 4),
+                "relation_points": (relations, 3),
+            }
 
 
 def placement_blocks(space: StoredSpace) -> Blocks:
@@ -250,7 +236,7 @@ def write_space(file: h5py.File, space: StoredSpace) -> None:
     if isinstance(space, EdgeSpace):
         edge = {name: getattr(space.settings, name) for name in EDGE}
         settings = {"shell": asdict(space.shell), "edge": edge}
-    write_settings(file, settings)
+    put_text(file, "settings", json.dumps(settings, sort_keys=True))
     put_text(file, "space", space.name)
     file.require_group("space").attrs["scale"] = space.scale
     file.flush()
@@ -301,7 +287,8 @@ def _read_edge_space(
     lengths = diagonals(path, file, "space/reference_lengths", (len(topology.edges),))
     if (lengths < 0).any():
         raise FormatError(f"{path}: space/reference_lengths has lengths below zero")
-    settings = EdgeSettings(**read_settings(path, file, "edge", EDGE), shell=read_shell(path, file))
+    shell = ShellSettings(**read_settings(path, file, "shell", ShellSettings.__dataclass_fields__))
+    settings = EdgeSettings(**read_settings(path, file, "edge", EDGE), shell=shell)
     return EdgeSpace(topology, scale, reference, lengths, settings)
 
 
@@ -333,7 +320,9 @@ def read_signals(path: Path, file: Contents, header: SequenceHeader, space: Stor
     _check_frames(path, header, time=time, placement=placement)
     if not space.correction_dim:
         return Model(header, space, time, pose, shapes, placement)
-    correction = _read_correction(path, file, space)
+    knots = increasing(path, file, "signals/correction/times")
+    blocks = _get_blocks(path, file, "signals/correction", correction_blocks(space), len(knots))
+    correction = Curve(knots, blocks)
     _check_frames(path, header, correction=correction)
     return Model(header, space, time, pose, shapes, placement, correction)
 
@@ -358,11 +347,6 @@ def _read_placement(path: Path, file: Contents, space: StoredSpace) -> Curve:
             f"{path}: signals/placement/rotations has quaternions that are nearly zero, no rotations"
         )
     return Curve(knots, placements)
-
-
-def _read_correction(path: Path, file: Contents, space: StoredSpace) -> Curve:
-    knots = increasing(path, file, "signals/correction/times")
-    return Curve(knots, _get_blocks(path, file, "signals/correction", correction_blocks(space), len(knots)))
 
 
 def _put_blocks(file: h5py.File, group: str, blocks: Blocks, values: Float) -> None:

@@ -1,10 +1,8 @@
-"""Inspection of an HDF5 file before any value is read; contents that mixseq never writes are refused.
+"""Worker's side of `mixseq_io.hdf5.contents`: reads HDF5 files after inspecting them; unusual contents are refused.
 
 HDF5 files can refer to other files, link in circles, load code for unknown filters, and announce terabytes that were
 never written. Names, types, shapes and storage, all under checksums of the 1.10 layout, are checked first. A dataset
 may unpack to at most gzip's limit of 1032 bytes per stored byte; still sequences of mixseq reach 1023.
-
-Worker's side of `mixseq_io.hdf5.contents`: reads HDF5 files.
 """
 
 from __future__ import annotations
@@ -41,12 +39,9 @@ _NUMBERS = (h5t.INTEGER, h5t.FLOAT)
 _LINKS = {h5l.TYPE_SOFT: "a soft link", h5l.TYPE_EXTERNAL: "a link to another file"}
 
 
-def check_permitted(path: Path, file: h5py.File) -> None:
-    """Check every object of a newly opened file."""
-    _Inspection(path).group(file.id, "")
-
-
 class _Inspection:
+    """Check of every object of a newly opened file."""
+
     def __init__(self, path: Path) -> None:
         self._path = path
         self._left = path.stat().st_size
@@ -201,5 +196,5 @@ def _objects(file: h5py.File) -> tuple[dict[str, h5py.Group], dict[str, h5py.Dat
 def opened_h5(path: Path) -> Iterator[h5py.File]:
     """Open a file in this process after checking that it holds only permitted contents."""
     with reading_h5(path), h5py.File(path, "r") as file:
-        check_permitted(path, file)
+        _Inspection(path).group(file.id, "")
         yield file

@@ -27,7 +27,7 @@ from mixseq.errors import FormatError
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray
 from mixseq_io.hdf5.contents import check_version, read_attributes, read_header, reading_h5
-from mixseq_io.hdf5.datasets import CHECKED, Store, creating_h5, put_array, put_text, write_header
+from mixseq_io.hdf5.datasets import CHECKED, creating_h5, put_array, put_text, write_header
 from mixseq_io.hdf5.permitted import contents_of, opened_h5
 from mixseq_io.isolation import open_isolated
 from mixseq_io.reader import SequenceReader, brief, checked, naming
@@ -82,15 +82,9 @@ class _H5Reader(SequenceReader):
         super().__init__(path, header, resources, has_velocities="velocities" in file)
         self._file = file
 
-    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
-        return self._read("points", size)
-
-    def _read_velocities(self, size: int) -> Iterator[FloatArray]:
-        return self._read("velocities", size)
-
-    def _read(self, name: str, size: int) -> Iterator[FloatArray]:
+    def _read(self, what: str, size: int) -> Iterator[FloatArray]:
         with reading_h5(self.path):
-            dataset = self._file[name]
+            dataset = self._file[what]
         for start in range(0, len(dataset), size):
             stop = min(start + size, len(dataset))
             try:
@@ -98,7 +92,7 @@ class _H5Reader(SequenceReader):
             except (OSError, RuntimeError, ValueError) as error:
                 first, last = (self.header.frame_number(index) for index in (start, stop - 1))
                 raise FormatError(
-                    f"{self.path}: {name} of frames {first} to {last} are damaged ({brief(error)}); restore the file"
+                    f"{self.path}: {what} of frames {first} to {last} are damaged ({brief(error)}); restore the file"
                 ) from error
             yield block.astype(block.dtype.newbyteorder("="), copy=False)
 
@@ -111,31 +105,21 @@ def write_h5(
 ) -> None:
     """Write an HDF5 sequence, one block at a time; see `mixseq_io.write_blocks`."""
     with creating_h5(path) as (file, store):
-        _fill(file, header, blocks, velocities, store)
-
-
-def _fill(
-    file: h5py.File,
-    header: SequenceHeader,
-    blocks: Iterable[FloatArray],
-    velocities: Iterable[FloatArray] | None,
-    store: Store,
-) -> None:
-    dtype, numbered = checked(header, blocks, velocities)
-    put_text(file, "format", FORMAT)
-    file.attrs["version"] = VERSION
-    write_header(file, header)
-    put_array(file, "times", header.times)
-    shape = (header.frame_count, header.vertex_count, 3)
-    frame_bytes = header.vertex_count * 3 * dtype.itemsize
-    frames = min(max(1, _CHUNK_BYTES // frame_bytes), header.frame_count)
-    names = _BY_FRAME[:1] if velocities is None else _BY_FRAME
-    datasets = [
-        file.create_dataset(name, shape, dtype, chunks=(frames, *shape[1:]), **CHECKED) for name in names
-    ]
-    for first, points, speeds in numbered:
-        for dataset, block in zip(datasets, (points, speeds), strict=False):
-            dataset[first : first + len(points)] = block
-        store.check()
-    for dataset in datasets:  # one after the other, not as they happen to be closed: see `put_array`
-        dataset.flush()
+        dtype, numbered = checked(header, blocks, velocities)
+        put_text(file, "format", FORMAT)
+        file.attrs["version"] = VERSION
+        write_header(file, header)
+        put_array(file, "times", header.times)
+        shape = (header.frame_count, header.vertex_count, 3)
+        frame_bytes = header.vertex_count * 3 * dtype.itemsize
+        frames = min(max(1, _CHUNK_BYTES // frame_bytes), header.frame_count)
+        names = _BY_FRAME[:1] if velocities is None else _BY_FRAME
+        datasets = [
+            file.create_dataset(name, shape, dtype, chunks=(frames, *shape[1:]), **CHECKED) for name in names
+        ]
+        for first, points, speeds in numbered:
+            for dataset, block in zip(datasets, (points, speeds), strict=False):
+                dataset[first : first + len(points)] = block
+            store.check()
+        for dataset in datasets:  # one after the other, not as they happen to be closed: see `put_array`
+            dataset.flush()

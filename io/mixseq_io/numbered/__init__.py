@@ -1,1 +1,1 @@
-"""Numbered files of one frame each: OBJ, PLY, STL, OFF."""
+"""Numbered files of one frame each: `files` is the driver of `obj`, `ply` and `stl_off`."""

@@ -1,11 +1,8 @@
-"""File names with frame numbers: ``walk_####.obj``, ``walk_%04d.obj``, ``walk_*.obj``, or a folder.
+"""Driver of numbered files of one frame each: names, frames, and what OBJ, PLY, STL and OFF share.
 
-Sequences of numbered files of one frame each: the driver of OBJ, PLY, STL and OFF.
-
-A format is a parser of one file and an encoder of one frame. Parsers of later files get the first frame's mesh, and
-skip faces stored in the same bytes.
-
-Lines of OBJ, OFF and STL text: numbers with all digits, colours behind coordinates, excerpts for messages.
+Files are named by a pattern or a folder: ``walk_####.obj``, ``walk_%04d.obj``, ``walk_*.obj``. A format is a parser of
+one file and an encoder of one frame. Parsers of later files get the first frame's mesh, and skip faces stored in the
+same bytes.
 """
 
 from __future__ import annotations
@@ -222,7 +219,7 @@ class _FilesReader(SequenceReader):
         self._first = first
         self._form = form
 
-    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
+    def _read(self, what: str, size: int) -> Iterator[FloatArray]:
         for start in range(0, len(self._files), size):
             frames = range(start, min(start + size, len(self._files)))
             yield np.stack([self._points(frame) for frame in frames], dtype=self._first.points.dtype)

@@ -23,10 +23,6 @@ path. OBJ has no place for times, frame rate, units, the up axis, velocities, su
 vertex, and two materials on one polygon; the library of materials (``mtllib``) is not kept.
 
 Specification: https://paulbourke.net/dataformats/obj/
-
-Face sets and objects from the statements ``o``, ``g`` and ``usemtl`` of OBJ files.
-
-Parser of OBJ files: points, polygons and surface.
 """
 
 from __future__ import annotations
@@ -152,15 +148,14 @@ def parse_obj(file: Path, data: bytes, like: MeshFile | None) -> MeshFile:
     lines = _read_lines(file, data, like)
     faces = (lines.faces, lines.vertices_before)
     if like is not None and len(lines.points) == len(like.points) and faces == like.source:
-        surface = Surface(colours=_colours(file, like.polygons, lines, like))
-        return MeshFile(points=lines.points, polygons=like.polygons, source=faces, surface=surface)
-    counts, corners = _parse_faces(file, lines)
-    polygons = Polygons(counts, corners[:, 0])
+        polygons = like.polygons
+    else:
+        counts, corners = _parse_faces(file, lines)
+        polygons = Polygons(counts, corners[:, 0])
     colours = _colours(file, polygons, lines, like)
     if like is not None:
-        return MeshFile(
-            points=lines.points, polygons=polygons, source=faces, surface=Surface(colours=colours)
-        )
+        surface = Surface(colours=colours)
+        return MeshFile(points=lines.points, polygons=polygons, source=faces, surface=surface)
     name, face_sets, objects = grouped(lines.statements, polygons, len(lines.points))
     surface = Surface(
         uvs=_uvs(file, polygons, lines.uvs, corners[:, 1]),

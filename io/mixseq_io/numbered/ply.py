@@ -9,13 +9,10 @@ Written are little-endian binary files in the precision of the points: texture c
 has a single one, else as ``texcoord``; colours alike, as ``uchar`` if exact, else ``float``, and as ``color`` where a
 vertex has several. Lists of corners are as in MeshLab. PLY has no place for the name, times, frame rate, units, the up
 axis, velocities, hard edges, face sets, objects and subdivision. The parser is mixseq's own since trimesh refuses
-binary files with triangles and quads, and triangulates polygons of text files.
+binary files with triangles and quads, and triangulates polygons of text files. Counts are checked against the file's
+size first.
 
 Specification: https://paulbourke.net/dataformats/ply/
-
-Header of PLY files: the elements and the properties of their rows.
-
-Elements of PLY files: their rows, as text or binary; counts are checked against the file's size first.
 """
 
 from __future__ import annotations
@@ -27,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mixseq.errors import FormatError
 from mixseq.mesh.polygons import Polygons
@@ -62,11 +59,6 @@ class Property:
     name: str
     type: np.dtype[Any]
     count: np.dtype[Any] | None = None
-
-    @property
-    def least(self) -> int:
-        """Minimum size in bytes of a row's entry."""
-        return (self.type if self.count is None else self.count).itemsize
 
 
 @dataclass(frozen=True)
@@ -187,12 +179,26 @@ def _of_types(columns: Columns, element: Element) -> Columns:
 
 def _read_rows(data: bytes, start: int, element: Element) -> tuple[Columns, int]:
     """Return the columns of an element whose rows begin at the byte `start`, and their end."""
-    least = sum(each.least for each in element.properties)
+    least = sum((each.type if each.count is None else each.count).itemsize for each in element.properties)
     if element.count and not element.properties:
         raise ValueError(f"element {element.name} has no properties")
     if element.count * least > len(data) - start:
         raise ValueError(f"the file is too short for {element.count} times element {element.name}")
-    return _equal_rows(data, start, element) or _any_rows(data, start, element)
+    equal = _equal_rows(data, start, element) if element.count else None
+    return equal or _any_rows(data, start, element)
+
+
+def _columns(
+    element: Element, values: Mapping[str, NDArray[Any]], counts: Mapping[str, ArrayLike]
+) -> Columns:
+    return {
+        each.name: Column(
+            values[each.name],
+            each.type,
+            None if each.count is None else np.asarray(counts[each.name], dtype=np.int64),
+        )
+        for each in element.properties
+    }
 
 
 def _equal_rows(data: bytes, start: int, element: Element) -> tuple[Columns, int] | None:
@@ -200,7 +206,7 @@ def _equal_rows(data: bytes, start: int, element: Element) -> tuple[Columns, int
     fields: list[Any] = []
     lengths: dict[str, int] = {}
     at = start
-    for each in element.properties if element.count else ():
+    for each in element.properties:
         if each.count is None:
             fields.append((each.name, each.type))
             at += each.type.itemsize
@@ -219,21 +225,12 @@ def _equal_rows(data: bytes, start: int, element: Element) -> tuple[Columns, int
     row = np.dtype(fields)
     if element.count * row.itemsize > len(data) - start:
         return None
-    if not element.count:
-        rows = np.zeros(0, dtype=[(each.name, each.type) for each in element.properties])
-    else:
-        rows = np.frombuffer(data, row, element.count, start)
+    rows = np.frombuffer(data, row, element.count, start)
     if any((rows[f"number of {name}"] != length).any() for name, length in lengths.items()):
         return None
-    columns = {
-        each.name: Column(
-            rows[each.name].reshape(-1),
-            each.type,
-            None if each.count is None else np.full(element.count, lengths.get(each.name, 0), dtype=np.int64),
-        )
-        for each in element.properties
-    }
-    return columns, start + element.count * row.itemsize
+    values = {each.name: rows[each.name].reshape(-1) for each in element.properties}
+    counts = {name: np.full(element.count, length) for name, length in lengths.items()}
+    return _columns(element, values, counts), start + element.count * row.itemsize
 
 
 def _any_rows(data: bytes, start: int, element: Element) -> tuple[Columns, int]:
@@ -266,15 +263,8 @@ def _any_rows(data: bytes, start: int, element: Element) -> tuple[Columns, int]:
             at += length * size
     if at > len(data):
         raise ValueError(f"the file ends within element {element.name}")
-    columns = {
-        each.name: Column(
-            np.frombuffer(b"".join(parts[each.name]), each.type),
-            each.type,
-            None if each.count is None else np.array(counts[each.name], dtype=np.int64),
-        )
-        for each in element.properties
-    }
-    return columns, at
+    joined = {each.name: np.frombuffer(b"".join(parts[each.name]), each.type) for each in element.properties}
+    return _columns(element, joined, counts), at
 
 
 def _code(kind: np.dtype[Any]) -> str:
@@ -494,8 +484,10 @@ def _face_bytes(polygons: Polygons, lists: Sequence[NDArray[np.float32]]) -> byt
     return words.tobytes()
 
 
-def _lost(header: SequenceHeader) -> list[str]:
-    return lost_surface(header, held=("uvs", "colours")) + lost_colours(header)
-
-
-PLY = FrameFormat("PLY", parse_ply, _encoder, _lost, damage=(ValueError, OverflowError))
+PLY = FrameFormat(
+    "PLY",
+    parse_ply,
+    _encoder,
+    lambda header: lost_surface(header, held=("uvs", "colours")) + lost_colours(header),
+    damage=(ValueError, OverflowError),
+)

@@ -1,23 +1,18 @@
-"""Numbered OFF files: one text file per frame, read by trimesh, which triangulates quads.
+"""Numbered OFF and STL files, which hold triangles only.
 
-Vertices and faces of OFF and COFF files are read, with colours of vertices. Points are written with the digits that
-give back the same float32 or float64, stated by a comment; points of other files are read as float64. OFF has no place
-for polygons, the name, times, frame rate, units, the up axis, velocities, and the surface but one colour per vertex.
-
-Specification: http://www.geomview.org/docs/html/OFF.html
-
-Numbered STL files: one file per frame, triangles without connectivity, text or binary.
+OFF and COFF files are text, read by trimesh, which triangulates quads, with colours of vertices. Points are written
+with the digits that give back the same float32 or float64, stated by a comment; points of other files are read as
+float64. Specification: http://www.geomview.org/docs/html/OFF.html
 
 STL holds the three positions of every triangle. Equal positions in the first frame become one vertex, numbered in order
 of appearance. Sequences are refused if a vertex's corners separate later, as parts that only touch at first do.
 Binary files are float32; text is read as float64, with all solids as one mesh. Written are binary files with normals.
-STL has no place for polygons (they are triangulated), the numbers of vertices, the name, times, frame rate, units, the
-up axis, velocities, texture coordinates, hard edges, face sets, objects and subdivision.
-
 The text parser is mixseq's own: trimesh 5.2 skips data after an unclosed solid and lines that are no vertices (of 732
 damaged files it read 100 that are refused here), and refuses a solid with "vertex" in its name.
-
 Specification: https://www.loc.gov/preservation/digital/formats/fdd/fdd000504.shtml
+
+Neither has a place for polygons, the name, times, frame rate, units, the up axis, velocities, and the surface (but one
+colour per vertex in OFF); STL also loses the numbers of vertices.
 """
 
 from __future__ import annotations
@@ -45,7 +40,14 @@ from mixseq_io.numbered.files import (
     number_lines,
 )
 from mixseq_io.reader import as_float32, warn
-from mixseq_io.surfaces import colours_of_vertices, lost_colours, lost_polygons, lost_surface, with_alpha
+from mixseq_io.surfaces import (
+    colours_of_vertices,
+    lost_colours,
+    lost_polygons,
+    lost_surface,
+    numbered_by_appearance,
+    with_alpha,
+)
 
 _COLOUR = 4
 """Largest number of values behind the corners of a face."""
@@ -123,17 +125,15 @@ def _off_encoder(path: Path, header: SequenceHeader) -> Encoder:
     return encode
 
 
-def _lost_by_off(header: SequenceHeader) -> list[str]:
-    return (
-        lost_surface(header, held=("colours",)) + lost_colours(header, corners=False) + lost_polygons(header)
-    )
-
-
 OFF = FrameFormat(
     "OFF",
     parse_off,
     _off_encoder,
-    _lost_by_off,
+    lambda header: [
+        *lost_surface(header, held=("colours",)),
+        *lost_colours(header, corners=False),
+        *lost_polygons(header),
+    ],
     is_text=True,
     damage=(ValueError, TypeError, IndexError, NameError, OverflowError),
 )
@@ -147,7 +147,7 @@ def parse_stl(file: Path, data: bytes, like: MeshFile | None) -> MeshFile:
     """Parse an STL file, with the vertices of the first frame `like` for later frames."""
     corners = _read_corners(file, data)
     if like is None:
-        first, indices = _weld(corners)
+        indices, first = _weld(corners)
         polygons = Polygons(np.full(len(corners) // 3, 3), indices)
         return MeshFile(points=corners[first], polygons=polygons, source=first)
     indices = like.polygons.indices
@@ -171,12 +171,8 @@ def parse_stl(file: Path, data: bytes, like: MeshFile | None) -> MeshFile:
 
 
 def _weld(corners: FloatArray) -> tuple[IntArray, IntArray]:
-    """Merge equal corners ``(3 F, 3)`` in order of appearance: return first corners ``(V,)``, vertices ``(3 F,)``."""
-    _, first, indices = np.unique(corners + 0.0, axis=0, return_index=True, return_inverse=True)  # -0 is 0
-    order = np.argsort(first)
-    rank = np.empty_like(order)
-    rank[order] = np.arange(len(order))
-    return first[order], rank[indices.reshape(-1)]
+    """Merge equal corners ``(3 F, 3)`` in order of appearance: return vertices ``(3 F,)``, first corners ``(V,)``."""
+    return numbered_by_appearance(np.unique(corners + 0.0, axis=0, return_inverse=True)[1])  # -0 is 0
 
 
 def _read_corners(file: Path, data: bytes) -> FloatArray:
@@ -254,7 +250,7 @@ def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _warn_of_other_vertices(path: Path, header: SequenceHeader, corners: FloatArray) -> None:
-    first, indices = _weld(corners)
+    indices, first = _weld(corners)
     if len(first) != header.vertex_count:
         warn(
             f"{path}: STL holds no vertices; {len(first)} will be read instead of {header.vertex_count}, because "
@@ -264,8 +260,4 @@ def _warn_of_other_vertices(path: Path, header: SequenceHeader, corners: FloatAr
         warn(f"{path}: STL holds no vertices; they will be read in another order; OBJ and PLY keep it")
 
 
-def _lost_by_stl(header: SequenceHeader) -> list[str]:
-    return lost_surface(header) + lost_polygons(header)
-
-
-STL = FrameFormat("STL", parse_stl, _stl_encoder, _lost_by_stl)
+STL = FrameFormat("STL", parse_stl, _stl_encoder, lambda header: lost_surface(header) + lost_polygons(header))

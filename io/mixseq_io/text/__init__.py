@@ -1,1 +1,4 @@
-"""Files of text and arrays about faces and vertices: labels of parts, markers, contacts and maps."""
+"""Files of text and arrays about faces and vertices.
+
+`labels`, `derived_labels`, `label_files`: parts; `markers`: markers and contacts; `maps`: correspondences.
+"""

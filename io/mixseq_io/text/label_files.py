@@ -1,4 +1,4 @@
-"""Read labels: choose among a file's sources, and check that they fit the mesh.
+"""Files of labels: read from one of a file's sources, checked to fit the mesh, and written.
 
 =============  ==========================================================================================
 source         meaning
@@ -14,9 +14,8 @@ source         meaning
 
 `labels` come first, since they were made as labels. Sources with one label for all faces count only on request.
 
-Write parts as arrays (npz), as subsets of the faces (USD), or as groups (OBJ, Alembic, HDF5).
-
-npz files store triangles. The other formats store polygons, each in the part of most of its triangles.
+Parts are written as arrays of triangles (npz), or of polygons, each in the part of most of its triangles: as subsets of
+the faces (USD), or as groups (OBJ, Alembic, HDF5).
 """
 
 from __future__ import annotations
@@ -40,6 +39,7 @@ from mixseq_io.files import replacing
 from mixseq_io.npz import opened_archive
 from mixseq_io.reader import SequenceReader, warn
 from mixseq_io.registry import FORMATS, open_sequence, write_blocks
+from mixseq_io.surfaces import within
 from mixseq_io.text.labels import (
     COLOURS,
     FAMILY,
@@ -178,17 +178,13 @@ def _of_array(
             + (f" and {count} polygons" if count != triangles else "")
             + "; give one for each"
         )
-    if names is not None and values.dtype.kind != "U" and _within(values, np.size(names)):
+    if names is not None and values.dtype.kind != "U" and values.size and within(values, np.size(names)):
         dense, texts = values, tuple(str(each) for each in np.ravel(names).tolist())
     else:
         kinds, dense = np.unique(values, return_inverse=True)
         texts = tuple(str(each) for each in kinds.tolist())
     whole = len(values) != triangles
     return Labels(triangle_labels(dense, polygons) if whole else dense, texts)
-
-
-def _within(values: NDArray[Any], count: int) -> bool:
-    return bool(values.size and values.min() >= 0 and values.max() < count)
 
 
 def _marked(reader: SequenceReader, header: SequenceHeader, smallest: float) -> Sources:
@@ -321,7 +317,11 @@ def _write_subsets(
     parts = Parts(tuple(np.split(of_polygon, ends)), names)
     origin = header.surface.origin
     untouched = (
-        isinstance(sequence, SequenceReader) and origin is not None and _same(origin.path, sequence.path)
+        isinstance(sequence, SequenceReader)
+        and origin is not None
+        and Path(origin.path).exists()
+        and sequence.path.exists()
+        and sequence.path.samefile(origin.path)
     )
     if untouched and not flatten and file.suffix.lower() != ".usdz" and write_usd_parts(file, header, parts):
         return
@@ -335,10 +335,6 @@ def _without(header: SequenceHeader, old: Sequence[FaceSet]) -> SequenceHeader:
     parts = {(each.name, each.polygons.tobytes()) for each in old}
     kept = (each for each in header.surface.face_sets if (each.name, each.polygons.tobytes()) not in parts)
     return replace(header, surface=replace(header.surface, face_sets=tuple(kept)))
-
-
-def _same(a: str, b: Path) -> bool:
-    return Path(a).exists() and b.exists() and b.samefile(a)
 
 
 def _values(

@@ -1,7 +1,4 @@
-"""Labels of triangles and of their polygons.
-
-Named sets of faces and joints of skeletons, from which labels are derived, by a sequence's vertices and polygons.
-"""
+"""Labels of triangles and of polygons, and what they are derived from: named sets of faces, joints of skeletons."""
 
 from __future__ import annotations
 

@@ -1,27 +1,22 @@
-"""USD, writing: layers with samples, and packages of them (.usdz), uncompressed zip files of a layer and textures.
+"""USD layers with samples: values of every frame in the spaces of their prims, in one file, clips or a package.
 
 Values go into Sdf layers directly, so that an overlay need not compose its file anew for every sample. Binary layers
 are saved repeatedly while written, which frees samples: 400 frames of 50 000 vertices (240 MB) took 34 MB when saved
-every 20 frames, 268 MB when saved once. Text layers are held in memory. Since original files may be untrusted, only
-textures in their folder, or in folders that the user names, are packed.
-
-Specifications: https://openusd.org/release/api/class_sdf_layer.html, https://openusd.org/release/spec_usdz.html
-
-USD, writing: values of every frame in the spaces of their prims.
+every 20 frames, 268 MB when saved once. Text layers are held in memory.
 
 World-space points and velocities of the sequence are multiplied by the inverse of the prim's local-to-world transform.
 Extents are computed from the written values, normals from every frame's points.
 
-Specification: https://openusd.org/release/api/class_usd_geom_point_based.html
-
-USD, writing: samples in several files, stitched together by value clips.
+Packages (.usdz) are uncompressed zip files of a layer and textures. Since original files may be untrusted, only
+textures in their folder, or in folders that the user names, are packed.
 
 Clip ``i`` holds the frames from its first one to the first one of clip ``i + 1``, inclusive, so that USD interpolates
 within a clip. Clip times equal stage times and are authored for every frame: USD before 26.11 otherwise loses the
 offset of referencing shots, and rounds times between the first and the last. A manifest lists the attributes in clips,
 so that USD need not open all of them.
 
-Specification: https://openusd.org/release/api/_usd__page__value_clips.html
+Specifications: https://openusd.org/release/api/class_sdf_layer.html, https://openusd.org/release/spec_usdz.html,
+https://openusd.org/release/api/_usd__page__value_clips.html
 """
 
 from __future__ import annotations
@@ -38,7 +33,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Ar, Gf, Sdf, UsdUtils, Vt
+from pxr import Ar, Gf, Sdf, Usd, UsdUtils, Vt
 
 from mixseq.errors import OutputError
 from mixseq.mesh.measures import shared_normals
@@ -253,6 +248,11 @@ def attribute_in(
     """Return the spec of an attribute in a layer, created with overs above it if missing."""
     Sdf.JustCreatePrimAttributeInLayer(layer, Sdf.Path(path), kind, variability)
     return layer.GetAttributeAtPath(path)
+
+
+def override(layer: Sdf.Layer, attribute: Usd.Attribute) -> Sdf.AttributeSpec:
+    """Return the spec in a layer of an attribute of a file below."""
+    return attribute_in(layer, str(attribute.GetPath()), attribute.GetTypeName(), attribute.GetVariability())
 
 
 def pack(layer: Sdf.Layer, package: Path, name: str, folders: Sequence[Path]) -> list[str]:

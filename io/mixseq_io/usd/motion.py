@@ -1,24 +1,18 @@
-"""USD, skinning: skeletons and blend shapes that move meshes (UsdSkel), computed by USD's own implementation.
+"""Motion of USD meshes: skins, welded points, sources of motion, and the map of a layer's time to the file below.
 
 The points of a skinned mesh are blended from its shapes, taken by ``geomBindTransform`` into skeleton space, moved by
-the joints (linear or dual quaternion skinning), and placed by the skeleton's transform instead of the mesh's.
+the joints (linear or dual quaternion skinning), and placed by the skeleton's transform instead of the mesh's. USD's own
+implementation (UsdSkel) computes them.
 
-Specification: https://openusd.org/release/api/_usd_skel__intro.html
-
-USD, seams: weld points that are split where texture coordinates or normals differ.
-
-Meshes of skeletons are welded where position, joints, weights and blend shapes are bit-identical; game-engine
-characters would otherwise be cut open along all seams. Other meshes are not, since points with time samples would all
-have to be read. A layer with new points stores the vertex of every point in the attribute `VERTICES`.
-
-USD, writing: map from a layer's time to the time of the file below.
+Points are split where texture coordinates or normals differ. Meshes of skeletons are welded where position, joints,
+weights and blend shapes are bit-identical; game-engine characters would otherwise be cut open along all seams. Other
+meshes are not, since points with time samples would all have to be read. A layer with new points stores the vertex of
+every point in the attribute `VERTICES`.
 
 A sublayer keeps its seconds at any rate of the layer above. When the whole stage is retimed, its moving attributes get
 samples in the layer, taken at the times that the frames show; a layer offset suffices for constant speed forwards only.
 
-USD, motion: sources of a mesh's motion, and its points in world space.
-
-Specification: https://openusd.org/release/api/class_usd_geom_point_based.html (velocities)
+Specification: https://openusd.org/release/api/_usd_skel__intro.html
 """
 
 from __future__ import annotations
@@ -36,6 +30,7 @@ from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.mesh.polygons import Polygons
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import IntArray
+from mixseq_io.surfaces import numbered_by_appearance, within
 from mixseq_io.usd.stage import Notes, Placement, lineage, time_codes, varies
 
 
@@ -114,10 +109,6 @@ class Skin:
                 yield self.query.GetGeomBindTransformAttr()
         if self.has_shapes and animation is not None:
             yield animation.GetBlendShapeWeightsAttr()
-
-    def bind_transform(self, code: float) -> Gf.Matrix4d:
-        """Return the mesh-to-skeleton transform at bind time."""
-        return self.query.GetGeomBindTransform(Usd.TimeCode(code))
 
     def deformed(self, points: Vt.Vec3fArray, pose: Pose, code: float) -> Vt.Vec3fArray:
         """Return the mesh's posed points, in skeleton space if it has joints, else in mesh space.
@@ -221,11 +212,7 @@ def weld(mesh: UsdGeom.Mesh, points: NDArray[np.float32]) -> Weld:
     labels = _told(mesh, len(points))
     if labels is None:
         labels = _found(mesh, points)
-    _, first, of_point = np.unique(labels, return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    rank = np.empty_like(order)
-    rank[order] = np.arange(len(order))
-    return Weld(rank[of_point.reshape(-1)], first[order])
+    return Weld(*numbered_by_appearance(labels))
 
 
 def _told(mesh: UsdGeom.Mesh, count: int) -> IntArray | None:
@@ -266,7 +253,7 @@ def _influences(mesh: UsdGeom.Mesh, count: int) -> Iterator[NDArray[np.float32] 
             continue  # the shape at weight 0
         rows = indices[query.GetBlendShapeIndex(subshape)]
         rows = rows if rows.size else np.arange(count)
-        if len(rows) != len(offsets) or (rows.size and (rows.min() < 0 or rows.max() >= count)):
+        if len(rows) != len(offsets) or not within(rows, count):
             yield None
             continue
         dense = np.zeros((count, 3), dtype=np.float32)
@@ -398,8 +385,10 @@ class AnimatedMesh:
     def mirrored(self) -> bool:
         """Whether the transform to the world mirrors."""
         skin = self.mover.skin
-        bind = skin.bind_transform(self.start).GetDeterminant3() if skin and skin.has_joints else 1.0
-        return bool(self._first_determinant * bind < 0)
+        sign = self._first_determinant
+        if skin and skin.has_joints:
+            sign *= skin.query.GetGeomBindTransform(Usd.TimeCode(self.start)).GetDeterminant3()
+        return sign < 0
 
     def points(self, code: float, pose: Pose | None) -> NDArray[np.float32]:
         """Return the vertices ``(V, 3)`` in world space at a time code, with the skeleton in a pose."""

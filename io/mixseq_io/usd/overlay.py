@@ -1,22 +1,15 @@
-"""USD, writing: a layer with new points over an existing file, which keeps everything else.
+"""A USD layer with new points over an existing file, which keeps everything else.
 
 The file is a sublayer; the layer overrides points, extents, velocities, and authored normals that renderers use. USD
 scales time codes of sublayers with another ``timeCodesPerSecond``, so that its cameras keep their seconds. Meshes are
 unbound from skeletons and blend shapes, old velocities and accelerations are blocked
 (https://openusd.org/release/api/class_sdf_value_block.html), and instances are made unique.
 
-USD, writing: hold meshes still below moving transforms, since the layer's points are their whole motion.
-
-Operations that move this mesh only are held at their first frame. Others are inverted: the outermost prim with nothing
-but the mesh below it gets their inverses with the same samples (`transforms`). ``!resetXformStack!`` is unsuitable:
-Blender 5 ignores it, Hydra 2 does where it stands alone (https://github.com/PixarAnimationStudios/OpenUSD/issues/3781),
-and it would detach the mesh from any referencing prim.
-
-USD, writing: the original file that new points are laid over, and its meshes matched with a sequence's.
-
-USD, writing: other motion in the file below: cameras, hair, lights, materials.
-
-Attributes authored by the layer itself, such as points and held transforms, are excluded.
+Meshes are held still below moving transforms, since the layer's points are their whole motion. Operations that move
+this mesh only are held at their first frame. Others are inverted: the outermost prim with nothing but the mesh below it
+gets their inverses with the same samples. ``!resetXformStack!`` is unsuitable: Blender 5 ignores it, Hydra 2 does where
+it stands alone (https://github.com/PixarAnimationStudios/OpenUSD/issues/3781), and it would detach the mesh from any
+referencing prim. Other motion of the file (cameras, hair, lights, materials) keeps its times, or is retimed.
 """
 
 from __future__ import annotations
@@ -37,7 +30,19 @@ from mixseq.types import FloatArray, IntArray
 from mixseq_io.originals import fit_meshes, is_retimed
 from mixseq_io.reader import warn
 from mixseq_io.scene_meshes import SceneMesh
-from mixseq_io.usd.layers import WORLD, Bounds, Cast, Normals, Placed, Samples, Space, SpaceAt, attribute_in
+from mixseq_io.surfaces import within
+from mixseq_io.usd.layers import (
+    WORLD,
+    Bounds,
+    Cast,
+    Normals,
+    Placed,
+    Samples,
+    Space,
+    SpaceAt,
+    attribute_in,
+    override,
+)
 from mixseq_io.usd.motion import VERTICES, Mover, Shown, Skin, Weld, skins_of, unwelded, weld
 from mixseq_io.usd.stage import (
     Notes,
@@ -85,8 +90,7 @@ class Holding:
         # The outermost operation comes first, and the first to be undone is the innermost.
         undoing = [("" if each.IsInverseOp() else _INVERSE) + copies[each.GetAttr()] for each in self.undone]
         order = UsdGeom.Xformable(self.carrier).GetXformOpOrderAttr()
-        authored = attribute_in(layer, str(order.GetPath()), order.GetTypeName(), order.GetVariability())
-        authored.default = Vt.TokenArray([*undoing, *(order.Get() or ())])
+        override(layer, order).default = Vt.TokenArray([*undoing, *(order.Get() or ())])
 
     def _copy(self, layer: Sdf.Layer, attribute: Usd.Attribute, shown: Shown) -> str:
         """Copy an attribute of an ancestor to the carrier, and return its name."""
@@ -196,7 +200,7 @@ def _difference(scene_mesh: SceneMesh, mesh: UsdGeom.Mesh) -> str:
         return ""
     for seams in (weld(mesh, places), unwelded(len(places))):
         if seams.vertex_count == scene_mesh.vertex_count:
-            theirs = Polygons(stored.counts, seams.of_point[stored.indices])
+            theirs = seams.polygons(stored)
             return difference(scene_mesh.polygons, theirs, ("the sequence", str(mesh.GetPath())))
     return f"it has {len(places)} points, the sequence {scene_mesh.vertex_count} vertices"
 
@@ -206,22 +210,17 @@ def _fitted(scene_mesh: SceneMesh, mesh: UsdGeom.Mesh) -> Fit | None:
     stored, places = _stored(mesh)
     if stored is None:
         return None
-    points = stored.indices
     reverse = reversed_corners(stored.counts, keep_first=True)
     # The sequence may have come from elsewhere, with a vertex for every point.
     for seams in (weld(mesh, places), unwelded(len(places))):
         if seams.vertex_count != scene_mesh.vertex_count:
             continue
-        theirs = Polygons(stored.counts, seams.of_point[points])
         # Readers reverse left-handed faces.
         for turned in (False, True):
-            read = Polygons(theirs.counts, theirs.indices[reverse]) if turned else theirs
-            found = scene_mesh.matched_to(read)
+            found = scene_mesh.matched_to(seams.polygons(stored), reverse if turned else None)
             if found is not None:
                 ours, match = found
-                # Turning corners around twice changes nothing.
-                corners = match.corners[reverse] if turned else match.corners
-                return Fit(ours, mesh, points, PolygonMatch(match.polygons, corners), turned, seams)
+                return Fit(ours, mesh, stored.indices, match, turned, seams)
     return None
 
 
@@ -231,12 +230,8 @@ def _stored(mesh: UsdGeom.Mesh) -> tuple[Polygons | None, FloatArray]:
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get(earliest) or (), dtype=np.int32)
     points = np.array(mesh.GetFaceVertexIndicesAttr().Get(earliest) or (), dtype=np.int32)
     places = np.array(mesh.GetPointsAttr().Get(earliest) or (), dtype=np.float32).reshape(-1, 3)
-    sound = counts.min(initial=3) >= 3 and counts.sum() == points.size and _within(points, len(places))
+    sound = counts.min(initial=3) >= 3 and counts.sum() == points.size and within(points, len(places))
     return (Polygons(counts, points) if sound else None), places
-
-
-def _within(indices: IntArray, count: int) -> bool:
-    return not indices.size or bool(indices.min() >= 0 and indices.max() < count)
 
 
 _COPIED = (
@@ -343,22 +338,19 @@ def _normals(fit: Fit) -> Normals | None:
         attribute, interpolation = "normals", mesh.GetNormalsInterpolation()
     else:
         return None
-    groups = scene_mesh.polygons.indices if scene_mesh.hard_edges is None else scene_mesh.hard_edges
-    if interpolation == UsdGeom.Tokens.faceVarying:
-        return Normals(
-            attribute=attribute, interpolation=interpolation, groups=groups, order=groups[fit.match.corners]
-        )
+    of_corner = scene_mesh.normal_groups[fit.match.corners]
+    groups: IntArray | None = scene_mesh.normal_groups
+    order: IntArray | None = of_corner
     if interpolation == UsdGeom.Tokens.uniform:
-        faces = np.arange(len(scene_mesh.polygons.counts))
-        groups = np.repeat(faces, scene_mesh.polygons.counts)
-        return Normals(
-            attribute=attribute, interpolation=interpolation, groups=groups, order=fit.match.polygons
-        )
-    if fit.weld.is_identity:
-        return Normals(attribute=attribute, interpolation=UsdGeom.Tokens.vertex)
-    of_point = np.zeros(len(fit.weld.of_point), dtype=np.int64)  # all corners of a point share their normal
-    of_point[fit.corner_points] = groups[fit.match.corners]
-    return Normals(attribute=attribute, interpolation=UsdGeom.Tokens.vertex, groups=groups, order=of_point)
+        counts = scene_mesh.polygons.counts
+        groups, order = np.repeat(np.arange(len(counts)), counts), fit.match.polygons
+    elif interpolation != UsdGeom.Tokens.faceVarying:
+        interpolation = UsdGeom.Tokens.vertex
+        order = np.zeros(len(fit.weld.of_point), dtype=np.int64)
+        order[fit.corner_points] = of_corner  # all corners of a point share their normal
+        if fit.weld.is_identity:
+            groups = order = None
+    return Normals(attribute=attribute, interpolation=interpolation, groups=groups, order=order)
 
 
 def _switch_off(layer: Sdf.Layer, mesh: UsdGeom.Mesh, placed: Placed) -> None:
@@ -369,7 +361,7 @@ def _switch_off(layer: Sdf.Layer, mesh: UsdGeom.Mesh, placed: Placed) -> None:
     deforming = [each for each in prim.GetAuthoredAttributes() if _is_of_skeletons(each.GetName())]
     for attribute in [*stale, *(deforming if skinned else [])]:
         if attribute.HasAuthoredValue() and attribute.GetName() not in placed.attributes:
-            _block(layer, attribute)
+            override(layer, attribute).default = Sdf.ValueBlock()
     if skinned:  # also by a binding above it, which can be undone only where the schema is applied
         over = Sdf.CreatePrimInLayer(layer, placed.path)
         if not UsdSkel.BindingAPI(prim):
@@ -381,7 +373,7 @@ def _switch_off(layer: Sdf.Layer, mesh: UsdGeom.Mesh, placed: Placed) -> None:
     for each in lineage(prim):
         hint = each.GetAttribute("extentsHint")
         if hint and hint.HasAuthoredValue():
-            _block(layer, hint)
+            override(layer, hint).default = Sdf.ValueBlock()
 
 
 def _is_of_skeletons(name: str) -> bool:
@@ -397,10 +389,7 @@ def _orient(layer: Sdf.Layer, fit: Fit, placed: Placed, start: float) -> None:
     # of the sequence, whose faces are counter-clockwise, the mesh has the reverse if it is turned
     left_handed = fit.turned != mirrored
     if left_handed != (orientation.Get() == tokens.leftHanded):
-        turned = attribute_in(
-            layer, str(orientation.GetPath()), orientation.GetTypeName(), orientation.GetVariability()
-        )
-        turned.default = tokens.leftHanded if left_handed else tokens.rightHanded
+        override(layer, orientation).default = tokens.leftHanded if left_handed else tokens.rightHanded
 
 
 def _tell_vertices(layer: Sdf.Layer, fit: Fit) -> None:
@@ -411,12 +400,6 @@ def _tell_vertices(layer: Sdf.Layer, fit: Fit) -> None:
     vertices = attribute_in(layer, path, Sdf.ValueTypeNames.IntArray, Sdf.VariabilityUniform)
     vertices.custom = True
     vertices.default = Vt.IntArrayFromBuffer(fit.weld.of_point.astype(np.int32))
-
-
-def _block(layer: Sdf.Layer, attribute: Usd.Attribute) -> None:
-    attribute_in(
-        layer, str(attribute.GetPath()), attribute.GetTypeName(), attribute.GetVariability()
-    ).default = Sdf.ValueBlock()
 
 
 def _bounds(original: Original, shown: Shown) -> tuple[Bounds, ...]:
@@ -455,22 +438,17 @@ def _others(root: Usd.Prim, shown: Shown, count: int) -> Callable[[float], Float
     return extent
 
 
-def what_else_moves(original: Original) -> list[str]:
-    """Return the paths of visible prims, other than the sequence's meshes, that move or change."""
-    ours = {fit.mesh.GetPath() for fit in original.fits}
-    prims = [each for each in prims_of(original.path, original.stage) if each.GetPath() not in ours]
-    skins = skins_of([mesh for each in prims if (mesh := UsdGeom.Mesh(each))], Notes(original.path))
-    return [str(each.GetPath()) for each in prims if _is_seen(each) and _changes(each, skins)]
-
-
 def warn_of_rest(
     target: Path, header: SequenceHeader, original: Original, times: NDArray[np.float64]
 ) -> None:
-    """Warn of other motion in a file if a sequence shows `times` ``(T,)`` in s that differ from its own."""
+    """Warn of visible prims of a file that move or change, if a sequence shows other `times` ``(T,)`` in s."""
     if not is_retimed(header, times):
         return
     cure = "; whole_stage=True (--whole-stage) retimes everything" if np.isfinite(times).all() else ""
-    if paths := what_else_moves(original):
+    ours = {fit.mesh.GetPath() for fit in original.fits}
+    prims = [each for each in prims_of(original.path, original.stage) if each.GetPath() not in ours]
+    skins = skins_of([mesh for each in prims if (mesh := UsdGeom.Mesh(each))], Notes(original.path))
+    if paths := [str(each.GetPath()) for each in prims if _is_seen(each) and _changes(each, skins)]:
         warn(f"{target}: what else moves in {original.path} is not retimed: {shortened(paths)}{cure}")
 
 
@@ -484,7 +462,7 @@ def retime_rest(layer: Sdf.Layer, target: Path, original: Original, shown: Shown
     samples = Samples(layer)
     for attribute in moving:
         path = str(attribute.GetPath())
-        attribute_in(layer, path, attribute.GetTypeName(), attribute.GetVariability())
+        override(layer, attribute)
         for code, value in shown.samples(attribute):
             samples.put((code, {path: _as_named_from(target, value)}))
 

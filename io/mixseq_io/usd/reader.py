@@ -112,18 +112,11 @@ class _UsdReader(SequenceReader):
         super().close()
         self._shot = None
 
-    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
-        return self._read(_Shot.points, size)
-
-    def _read_velocities(self, size: int) -> Iterator[FloatArray]:
-        return self._read(_Shot.velocities, size)
-
-    def _read(
-        self, values_of: Callable[[_Shot, float], Iterator[FloatArray]], size: int
-    ) -> Iterator[FloatArray]:
+    def _read(self, what: str, size: int) -> Iterator[FloatArray]:
         shot = self._shot
         if shot is None:
             return
+        values_at = shot.points if what == "points" else shot.velocities
         ends = np.cumsum([mesh.vertex_count for mesh in shot.meshes])
         for start in range(0, self.header.frame_count, size):
             stop = min(start + size, self.header.frame_count)
@@ -132,7 +125,7 @@ class _UsdReader(SequenceReader):
                 for frame, code in enumerate(shot.codes[start:stop].tolist(), start):
                     number = self.header.frame_number(frame)
                     with naming(f"{self.path}: frame {number} (time code {code:g})"):
-                        for end, values in zip(ends, values_of(shot, code), strict=True):
+                        for end, values in zip(ends, values_at(code), strict=True):
                             block[frame - start, end - len(values) : end] = values
             yield block
 

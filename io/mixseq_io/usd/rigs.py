@@ -1,28 +1,19 @@
-"""Joints of a UsdSkel skeleton in the bind pose.
+"""Skins and morphs in USD (UsdSkel): stand-alone files with joints and blend shapes, and skeletons read.
 
 Bind transforms are in skeleton space, placed in the world by the skeleton's transform at the start of the stage. USD's
 matrices act on row vectors.
 
-Specification: https://openusd.org/release/api/_usd_skel__schemas.html#UsdSkel_Skeleton
-
-USD, writing: a mesh that follows joints and blend shapes (UsdSkel).
-
-A SkelRoot holds the meshes, a Skeleton and a SkelAnimation. Bind transforms are in world space, with the axes ``A_b``
-at the pivot ``p_b``. The animation moves joints relative to their parents by `mixseq.rigging.rigs.Skin.local`, so that
-UsdSkel takes a point from the bind pose to ``R_tb (r_v - p_b) + c_tb``, the formula of `mixseq.rigging.rigs.Skin`;
-blend shapes come before joints. A morph has a Skeleton without joints. Joints are named by paths (``hips/leg``) of
-valid names; ``jointNames`` keeps the others.
+Written, a SkelRoot holds the meshes, a Skeleton and a SkelAnimation. Bind transforms are in world space, with the axes
+``A_b`` at the pivot ``p_b``. The animation moves joints relative to their parents by `mixseq.rigging.rigs.Skin.local`,
+so that UsdSkel takes a point from the bind pose to ``R_tb (r_v - p_b) + c_tb``, the skin's formula; blend shapes come
+before joints. A morph has a Skeleton without joints. Joints are named by paths (``hips/leg``) of
+valid names; ``jointNames`` keeps the others. Materials are copied from the sequence's original USD file.
 
 Specification: https://openusd.org/release/api/_usd_skel__schemas.html
-
-USD, writing: stand-alone files of skins and morphs (.usd and .usdc binary, .usda text, .usdz packages).
-
-Materials are copied from the sequence's original USD file.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +23,6 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from mixseq.errors import FormatError
 from mixseq.rigging.rigs import Morph, Skeleton, Skin, rotation_matrices
-from mixseq.sequence.sequence import bounding_diagonal
 from mixseq.types import Float
 from mixseq_io.files import replacing
 from mixseq_io.reader import as_float32
@@ -42,7 +32,7 @@ from mixseq_io.rig_arrays import (
     numbered_names,
     shape_of,
     skeleton_of,
-    steadied,
+    steady_joints,
 )
 from mixseq_io.usd.layers import Cast, Placed, declare, extent_of, frames, pack
 from mixseq_io.usd.motion import shown_by
@@ -87,7 +77,9 @@ def read_skel_joints(path: Path, name: str | None) -> Skeleton:
         parents = [int(each) for each in topology.GetParentIndices()]
         to_world = np.array(Placement(prim).to_world(stage.GetStartTimeCode()))
         bind = (np.array(binds, dtype=np.float64).reshape(-1, 4, 4) @ to_world).swapaxes(1, 2)
-        return skeleton_of(_names(skeleton, list(joints)), parents, bind)
+        told = list(skeleton.GetJointNamesAttr().Get() or [])
+        names = told if len(told) == len(joints) else [Sdf.Path(joint).name for joint in joints]
+        return skeleton_of(names, parents, bind)
 
 
 def skeleton_prim(path: Path, stage: Usd.Stage, name: str | None) -> Usd.Prim:
@@ -95,12 +87,6 @@ def skeleton_prim(path: Path, stage: Usd.Stage, name: str | None) -> Usd.Prim:
     prims = [prim for prim in prims_of(path, stage) if UsdSkel.Skeleton(prim)]
     names = [(str(prim.GetPath()), prim.GetName(), prim.GetDisplayName()) for prim in prims]
     return prims[choose_skeleton(path, names, name)]
-
-
-def _names(skeleton: UsdSkel.Skeleton, joints: list[str]) -> list[str]:
-    """Return the display names of joints: their `jointNames`, or the ends of their paths."""
-    told = list(skeleton.GetJointNamesAttr().Get() or [])
-    return told if len(told) == len(joints) else [Sdf.Path(joint).name for joint in joints]
 
 
 def define_rig(layer: Sdf.Layer, target: Path, rig: Skin | Morph) -> None:
@@ -128,8 +114,9 @@ def define_rig(layer: Sdf.Layer, target: Path, rig: Skin | Morph) -> None:
         if isinstance(rig, Skin):
             _add_influences(binding, mesh, rig)
     extent = UsdGeom.Boundable(root).CreateExtentAttr()
-    for code, box in zip(codes.tolist(), _extents(rig), strict=True):
-        extent.Set(box, code)
+    every = (points for block in rig.blocks() for points in block)
+    for code, points in zip(codes.tolist(), every, strict=True):
+        extent.Set(extent_of(points), code)
 
 
 def _put_base(layer: Sdf.Layer, cast: Cast, shape: Morph) -> None:
@@ -164,10 +151,7 @@ def _matrices(rotations: Float, translations: Float) -> Any:
 def _animate_joints(
     animation: UsdSkel.Animation, skeleton: UsdSkel.Skeleton, skin: Skin, codes: NDArray[np.float64]
 ) -> None:
-    local = skin.local()
-    rotations = steadied(local.rotations, 1.0).astype(np.float32)
-    places = steadied(local.translations, bounding_diagonal(skin.rest))
-    translations = as_float32(places, 0, "USD", "bone", header=skin.header)
+    rotations, translations = steady_joints(skin, "USD", skin.header)
     animation.CreateJointsAttr(skeleton.GetJointsAttr().Get())
     # The numbers of a Gf.Quatf lie in memory as x, y, z, w.
     _set(animation.CreateRotationsAttr(), [Vt.QuatfArrayFromBuffer(each) for each in rotations], codes)
@@ -223,13 +207,6 @@ def _add_shapes(
     if used:
         binding.CreateBlendShapesAttr(Vt.TokenArray(used))
         binding.CreateBlendShapeTargetsRel().SetTargets(paths)
-
-
-def _extents(rig: Skin | Morph) -> Iterator[Vt.Vec3fArray]:
-    """Yield the bounding box of every frame."""
-    for block in rig.blocks():
-        for points in block:
-            yield extent_of(points)
 
 
 def write_usd_rig(path: Path, rig: Skin | Morph) -> None:

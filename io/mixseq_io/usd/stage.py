@@ -1,26 +1,10 @@
-"""USD's diagnostics, printed to stderr from C++ or raised with C++ file names, turned into mixseq's errors.
+"""Stages of USD: diagnostics, names and paths, prims, transforms, and the choice of meshes.
 
-Specification: https://openusd.org/release/api/page_tf__diagnostic.html
-
-USD, writing: names of prims, time codes, and paths between files.
-
-Specification: https://openusd.org/release/api/class_sdf_asset_path.html
-
-USD, prims: open a stage, traverse and define prims, and collect warnings about them.
+USD's diagnostics, printed to stderr from C++ or raised with C++ file names, are turned into mixseq's errors.
+Transforming operations that invert the next one at all times, as written by `mixseq_io.usd.overlay`, are dropped with
+it, so that the transform is exact and their samples make no frames.
 
 Specification: https://openusd.org/release/api/class_usd_stage.html
-
-USD, transforms: placement of prims in the world, and its sources of motion.
-
-Operations that invert the next one at all times, as written by `mixseq_io.usd.overlay`, are dropped with it, so that
-the transform is exact and their samples make no frames.
-
-Specification: https://openusd.org/release/api/class_usd_geom_xformable.html
-
-USD, choosing: which meshes of a stage to read.
-
-Specifications: https://openusd.org/release/api/class_usd_geom_imageable.html (visibility and purpose),
-https://openusd.org/release/api/class_usd_geom_point_instancer.html
 """
 
 from __future__ import annotations
@@ -44,7 +28,7 @@ from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdUtils
 from mixseq.errors import FormatError, NoMeshError, OutputError
 from mixseq_io.files import out_of_memory, raise_system_error
 from mixseq_io.reader import check_regular, warn
-from mixseq_io.scene_meshes import SceneObject, chosen
+from mixseq_io.scene_meshes import SceneObject, chosen, listed
 
 _LONGEST_REASON = 200
 
@@ -208,8 +192,6 @@ def clips_of(path: Path) -> list[Path]:
 _MOST_PRIMS = 1_000_000
 """Largest number of prims visited; nested instances multiply without bound in a few lines."""
 
-_LONGEST_LIST = 20
-
 
 def open_stage(path: Path) -> Usd.Stage:
     """Open a file as it is on disk, with all payloads."""
@@ -276,8 +258,7 @@ class Notes:
 
 def shortened(paths: list[str]) -> str:
     """Return a list of paths for a message, truncated if long."""
-    more = len(paths) - _LONGEST_LIST
-    return ", ".join(paths[:_LONGEST_LIST]) + (f" and {more} more" if more > 0 else "")
+    return listed(paths, str)
 
 
 Operations = tuple[UsdGeom.XformOp, ...]

@@ -1,17 +1,11 @@
-"""USD, writing: materials of a stand-alone file, copied from the original.
+"""Surfaces of USD meshes: faces, primvars and subsets are read; materials and parts are written.
 
-Networks are taken from the composed file, flattened. Connections that leave the material are lost. Textures stay in
-place; asset paths are rewritten.
+Materials of a stand-alone file are copied from the original, as networks of the composed file, flattened. Connections
+that leave the material are lost. Textures stay in place; asset paths are rewritten. Parts are a family of subsets that
+partitions every mesh's faces.
 
-Specification: https://openusd.org/release/api/class_usd_shade_material.html
-
-USD, labels of parts: reads families of subsets and joints, writes a family that partitions every mesh's faces.
-
-Specification: https://openusd.org/release/api/class_usd_geom_subset.html (families and their types)
-
-USD, surfaces: polygons, texture coordinates, colours, hard edges and face sets of a mesh.
-
-Specification: https://openusd.org/release/api/class_usd_geom_primvar.html (interpolation)
+Specification: https://openusd.org/release/api/class_usd_geom_subset.html (families and their types),
+https://openusd.org/release/api/class_usd_geom_primvar.html (interpolation)
 """
 
 from __future__ import annotations
@@ -33,7 +27,7 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.types import IntArray
 from mixseq_io.reader import naming, warn
 from mixseq_io.scene_meshes import SceneMesh, material_of_the_rest
-from mixseq_io.surfaces import with_alpha
+from mixseq_io.surfaces import with_alpha, within
 from mixseq_io.text.labels import (
     FAMILY,
     GROUPS,
@@ -171,7 +165,7 @@ NUMBER = "mixseq:part"
 def markings_of(header: SequenceHeader, meshes: Sequence[AnimatedMesh]) -> Markings:
     """Return the families of subsets and the joints of a stage's meshes."""
     polygons = [_polygons_in_file(animated) for animated in meshes]
-    skinned = any(_is_skinned(animated) for animated in meshes)
+    skinned = any(animated.mover.skin and animated.mover.skin.has_joints for animated in meshes)
     materials = {source: sets for source, sets in sets_of(header).items() if source == MATERIALS}
     return Markings(
         sets=_families(meshes, polygons) | materials,
@@ -198,7 +192,9 @@ def _families(meshes: Sequence[AnimatedMesh], polygons: Sequence[Polygons]) -> d
             faces = faces[(faces >= 0) & (faces < len(own.counts))]
             number = subset.GetPrim().GetCustomDataByKey(NUMBER)
             face_set = FaceSet(display_name(subset.GetPrim()), faces + first)
-            found.setdefault(_source(subset), []).append((number if isinstance(number, int) else 0, face_set))
+            family = str(subset.GetFamilyNameAttr().Get() or GROUPS)
+            source = LABELS if family == FAMILY else family
+            found.setdefault(source, []).append((number if isinstance(number, int) else 0, face_set))
         first += len(own.counts)
     return {
         source: tuple(each for _, each in sorted(sets, key=lambda pair: pair[0]))
@@ -212,15 +208,6 @@ def _subsets(mesh: UsdGeom.Mesh) -> Iterator[UsdGeom.Subset]:
         of_faces = subset.GetElementTypeAttr().Get() == UsdGeom.Tokens.face
         if of_faces and subset.GetFamilyNameAttr().Get() != UsdShade.Tokens.materialBind:
             yield subset
-
-
-def _source(subset: UsdGeom.Subset) -> str:
-    family = str(subset.GetFamilyNameAttr().Get() or "")
-    return LABELS if family == FAMILY else family or GROUPS
-
-
-def _is_skinned(animated: AnimatedMesh) -> bool:
-    return animated.mover.skin is not None and animated.mover.skin.has_joints
 
 
 def _skinning(animated: AnimatedMesh) -> Skinning:
@@ -458,11 +445,6 @@ def rows_of_corners(interpolation: str, polygons: Polygons) -> NDArray[np.int32]
     if interpolation == UsdGeom.Tokens.constant:
         return np.zeros(polygons.indices.size, dtype=np.int32)
     return np.asarray(polygons.indices, dtype=np.int32)
-
-
-def within(rows: IntArray, count: int) -> bool:
-    """Whether all rows are in range."""
-    return not rows.size or bool(rows.min() >= 0 and rows.max() < count)
 
 
 def _face_sets(mesh: UsdGeom.Mesh, polygon_count: int, code: Usd.TimeCode, notes: Notes) -> list[FaceSet]:

@@ -1,16 +1,10 @@
-"""USD, writing (.usd and .usdc binary, .usda text, .usdz packages).
+"""USD, writing (.usd and .usdc binary, .usda text, .usdz packages), points rounded to float32.
 
-Sequences from a USD file become a layer over it (`overlay`), others a stand-alone file (`component`). Samples
-(`frame_values`) are in the file itself (`layers`) or in value clips (`clips`). Points are rounded to float32.
-
-USD, writing: a stand-alone component file, textures apart.
-
-The default prim ``/<name>`` is an Xform with one Mesh per object and the materials in ``/<name>/Looks``. Meshes are
-right-handed and in world space. Normals are written only for hard edges on meshes without subdivision.
+Sequences from a USD file become a layer over it (`overlay`), others a stand-alone component file: the default prim
+``/<name>`` is an Xform with one Mesh per object and the materials in ``/<name>/Looks``. Meshes are right-handed and in
+world space. Normals are written only for hard edges on meshes without subdivision.
 
 Specification: https://openusd.org/release/glossary.html#usdglossary-component
-
-USD, writing: frame rate and time range of a file.
 """
 
 from __future__ import annotations
@@ -253,27 +247,10 @@ def write_usd(
     whole_stage: bool = False,
     parts: Parts | None = None,
 ) -> None:
-    """Write a USD file; see `mixseq_io.write_blocks`.
+    """Write a USD file; options as in `FORMATS`.
 
-    Parameters
-    ----------
-    path, header, blocks, velocities
-        See `mixseq_io.write_blocks`.
-    flatten : bool
-        Write a file that stands alone, even if the sequence was read from a USD file; .usdz always does.
-    onto : path-like, optional
-        The USD file to lay the points over; by default the one that the sequence was read from.
-    clips : int
-        Frames per sample file in a folder ``<file>.clips`` beside the file; 0: all samples in the file itself.
-    pack_from : path-like, optional
-        Folder from which textures may be packed into a .usdz, besides the original file's folder and those below.
-    sources : (T,) array-like, optional
-        Time of the original that every frame shows, in seconds, if it differs from its own; NaN for no single time.
-        Other motion of the original is reported, or retimed.
-    whole_stage : bool
-        Retime all other motion of the original, too: cameras, hair, lights, other meshes.
-    parts : Parts, optional
-        Parts to write as subsets of the faces, see `mixseq_io.text.label_files`.
+    `sources` are ``(T,)`` in seconds, NaN for frames that show no single time of the original; `parts` are written as
+    subsets of the faces, see `mixseq_io.text.label_files`.
     """
     packed = path.suffix.lower() == ".usdz"
     _check_options(packed, flatten, onto, clips, pack_from)
@@ -317,18 +294,16 @@ def write_usd(
         quiet(),
         writing_usd(path),
     ):
-        if packed:
-            unpacked = temporary.with_suffix(".usdc")
-            layer, _, samples = begun(unpacked)
-            save(layer, samples)
-            elsewhere = pack(layer, temporary, path.with_suffix(".usdc").name, folders_of(header, pack_from))
-        elif clips:
+        if clips:
             folder.make()
             save_in_clips(*begun(temporary), clips, folder)
             folder.install()
         else:
-            layer, _, samples = begun(temporary)
+            layer, _, samples = begun(temporary.with_suffix(".usdc") if packed else temporary)
             save(layer, samples)
+            if packed:
+                name = path.with_suffix(".usdc").name
+                elsewhere = pack(layer, temporary, name, folders_of(header, pack_from))
     warn_of_unpacked(path, elsewhere)
     if not clips:
         folder.warn_if_unused()

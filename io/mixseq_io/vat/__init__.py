@@ -1,1 +1,1 @@
-"""Vertex animation textures: frames in pictures for vertex shaders."""
+"""Vertex animation textures for vertex shaders: `textures` encodes frames as pictures, `writer` writes the folder."""

@@ -1,4 +1,4 @@
-r"""Vertex animation textures of points and normals, plain or as sums of basis vectors.
+r"""Vertex animation textures of points and normals, plain or as sums of basis vectors, encoded as pictures.
 
 Plain
     A texel per vertex and frame: its point between the bounds of all frames, and its normal.
@@ -7,23 +7,16 @@ Low rank
     after one with its part; coefficients are a separate texture of two rows per frame. Normals are sums with the same
     coefficients, their basis vectors fitted by least squares.
 
-Numbers as pixels, decoded by shaders as :math:`o + s\,p` of a pixel :math:`p` between 0 and 1.
-
-PNG holds `p` in 16 bits (8 for normals of single frames), EXR the numbers themselves, with o = 0 and s = 1. Decoded
-numbers are returned with the pixels, for measuring errors.
-
-Pictures of numbers: PNG with 8 or 16 bits, and EXR with 32-bit floats.
-
-PNG is written here with zlib, since Pillow has no 16 bits in three channels. Each row is filtered by none, the pixel to
-the left, or the one above, whichever has the smallest sum of magnitudes, as in libpng.
-
-Specifications: https://www.w3.org/TR/png-3/, https://openexr.com/en/latest/OpenEXRFileLayout.html
-
-Texels: places of vertices in a texture, and the mesh that refers to them.
+Shaders decode numbers as :math:`o + s\,p` of a pixel :math:`p` between 0 and 1. PNG holds `p` in 16 bits (8 for normals
+of single frames), EXR the numbers themselves, with o = 0 and s = 1. PNG is written here with zlib, since Pillow has no
+16 bits in three channels. Each row is filtered by none, the pixel to the left, or the one above, whichever has the
+smallest sum of magnitudes, as in libpng.
 
 A texel is a vertex with one normal; glTF vertices that differ only by texture coordinates or materials share it. A
 *layer* is one value of all texels, a frame or four basis vectors, in some rows of the texture. Layers are stacked:
 shaders find a vertex in layer `n` by an offset in rows from the first one, the second set of texture coordinates.
+
+Specifications: https://www.w3.org/TR/png-3/, https://openexr.com/en/latest/OpenEXRFileLayout.html
 """
 
 from __future__ import annotations
@@ -39,7 +32,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import MissingExtraError, SettingsError
-from mixseq.mesh.measures import shared_normals
 from mixseq.rigging.low_rank import LowRank
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, Index
@@ -202,14 +194,7 @@ class Texels:
 
     def normals_of(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return the normals ``(n, N, 3)`` of texels for points ``(n, V, 3)``."""
-        found = [
-            shared_normals(
-                points[:, mesh.scene_mesh.vertices].astype(np.float32),
-                mesh.scene_mesh.polygons,
-                mesh.scene_mesh.hard_edges,
-            )
-            for mesh in self.meshes
-        ]
+        found = [mesh.normals_of(points.astype(np.float32)) for mesh in self.meshes]
         return np.asarray(np.concatenate(found, axis=1)[:, self.normals])
 
     @cached_property
@@ -245,9 +230,7 @@ class Texels:
         numbers = iter(self.of_primitive)
         for each in (primitive for mesh in self.meshes for primitive in mesh.primitives):
             texels, attributes = next(numbers), each.entry["attributes"]
-            attributes["POSITION"] = self.layout.add_array(here[texels], target=VERTICES)
-            bounds = here[texels].min(axis=0).tolist(), here[texels].max(axis=0).tolist()
-            self.layout.bounded(attributes["POSITION"], bounds)
+            attributes["POSITION"] = self.layout.add_points(here[texels])
             attributes["NORMAL"] = self.layout.add_array(normals[texels], target=VERTICES)
             if "TEXCOORD_0" not in attributes:  # glTF counts sets of texture coordinates from 0 on
                 none = np.zeros((len(texels), 2), np.float32)

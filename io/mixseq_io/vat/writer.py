@@ -1,9 +1,7 @@
-"""Vertex animation textures, writing: pictures, the mesh that refers to them, ``vat.json``, shaders.
+"""Vertex animation textures, writing: pictures, the mesh that refers to them, ``vat.json``, and shaders.
 
 `mixseq_io.vat.textures` describes the encoding. Errors are those of the pictures' numbers, without float32 rounding in
 shaders.
-
-Shaders for vertex animation textures, with the numbers of one filled in.
 """
 
 from __future__ import annotations
@@ -26,7 +24,6 @@ from mixseq_io.files import replacing_folder
 from mixseq_io.gltf.codecs import writing_buffer
 from mixseq_io.reader import warn
 from mixseq_io.vat.textures import (
-    Encoded,
     Frames,
     Kind,
     Texels,
@@ -210,15 +207,9 @@ def _measured(frames: Frames, diagonal: float, textures: Textures) -> VatReport:
         rms_error=float(np.sqrt(squares.mean())) / diagonal,
         normal_degrees=float(np.sqrt(np.square(angles).mean())),
         file_bytes=0,
-        memory_bytes=sum(_memory(each) for each in textures.images.values()),
+        # On a graphics card pixels have four channels.
+        memory_bytes=sum(4 * each.pixels[..., 0].nbytes for each in textures.images.values()),
     )
-
-
-def _memory(texture: Encoded) -> int:
-    """Return the size in bytes of a texture on a graphics card, with four channels."""
-    pixels = texture.pixels
-    height, width, _ = pixels.shape
-    return int(height * width * 4 * pixels.itemsize)
 
 
 def _write_images(folder: Path, textures: Textures, texture: TextureName) -> list[int]:
