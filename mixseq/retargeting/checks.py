@@ -1,32 +1,22 @@
-r"""Check markers: refuse invalid ones, and warn of those that seem wrong.
+r"""Check markers: refuse invalid ones, and warn of those that seem wrong; refuse meshes that are inside out.
+
+*Inside out?* Triangles of source and target must have the same orientation. A closed component encloses the volume
+:math:`\frac16 \sum_t a_t \cdot (b_t \times c_t)`, negative if its triangles run clockwise seen from outside. With holes
+it depends on the origin, by the sum of the vector areas: the sign of a component counts if it is the same for all
+origins in its bounding sphere. More open surfaces are checked after registration, by the normals of closest points.
 
 *Mirrored?* With centred sources X and targets Y and singular values :math:`\sigma` of :math:`X^T Y`, the share of Y
 that the best similarity leaves is :math:`1 - (\sigma_1 + \sigma_2 \pm \sigma_3)^2 / (\|X\|^2 \|Y\|^2)`, with one sign
 for rotations, the other for reflections (Umeyama 1991).
 
-*Exchanged?* Two markers are left out, and predicted by a thin-plate spline through the others
-(`mixseq.retargeting.checks`). They are exchanged if that fits far better the other way round. The best pair is
-exchanged, and the search repeated. Then groups of markers are compared alike.
+*Exchanged?* Two markers are left out, and predicted by a thin-plate spline through the others. They are exchanged if
+that fits far better the other way round. The best pair is exchanged, and the search repeated. Then groups of markers
+are compared alike: exchanging the left leg for the right one exchanges all its markers. No two of them then look wrong
+among the others, but leaving both groups out predicts the side of either centre. *Wrong?* The same with one marker.
 
-*Wrong?* The same with one marker at a time.
-
-On the markers of horse and camel (107, 124 and 17 pairs) and of cat and lion (55), which are right, no exchange of two
-markers brings them closer than 0.57 times their distance, none of two groups closer than 1.08, and no marker is further
-than 0.35 from its prediction. Of two markers of a left and a right leg, exchanged, 99 % are named, and nothing else; of
-three such pairs at a time, 95 % (fewer among 17 markers).
-
-Refuse meshes that are inside out: triangles of source and target must have the same orientation.
-
-A closed component encloses the volume :math:`\frac16 \sum_t a_t \cdot (b_t \times c_t)`, negative if its triangles run
-clockwise seen from outside. With holes it depends on the origin, by the sum of the vector areas: the sign of a
-component counts if it is the same for all origins in its bounding sphere. More open surfaces are checked after
-registration, by the normals of closest points.
-
-Find markers that do not fit the others: single wrong ones, and two, or two groups, that are exchanged.
-
-Markers are left out, and predicted by a thin-plate spline through the others. The smoothest map of space that takes
-sources :math:`x_i` to targets :math:`y_i`, up to a little slack :math:`\lambda`, has the bending energy (Duchon 1977;
-in three dimensions the kernel is :math:`-\|x\|`)
+Sources and targets are normalised: centred, with a root mean square distance of 1. The smoothest map of space that
+takes sources :math:`x_i` to targets :math:`y_i`, up to a little slack :math:`\lambda`, has the bending energy (Duchon
+1977; in three dimensions the kernel is :math:`-\|x\|`)
 
 .. math::
     E = \operatorname{tr} Y^T B\, Y, \qquad B = Z (Z^T K Z)^{-1} Z^T, \qquad
@@ -39,11 +29,10 @@ takes these to where the energy is least,
 
 so that leaving out needs no other solution (Wahba 1990, chapter 4).
 
-Exchanging the left leg for the right one exchanges all its markers. No two of them then look wrong among the others,
-but leaving both groups out predicts the side of either centre.
-
-Sources and targets are normalised: centred, with a root mean square distance of 1. `mixseq.retargeting.checks` has
-the results of the chosen numbers.
+On the markers of horse and camel (107, 124 and 17 pairs) and of cat and lion (55), which are right, no exchange of two
+markers brings them closer than 0.57 times their distance, none of two groups closer than 1.08, and no marker is further
+than 0.35 from its prediction. Of two markers of a left and a right leg, exchanged, 99 % are named, and nothing else; of
+three such pairs at a time, 95 % (fewer among 17 markers).
 """
 
 from __future__ import annotations
@@ -59,6 +48,7 @@ from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.markers import Markers
+from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float, FloatArray, Index, IntArray
 
 NO_VOLUME = 1e-9
@@ -372,6 +362,14 @@ def check_markers(
     _check_hand(_normalised(source), _normalised(target))
     for each in suspicions(markers, source, target, float(np.linalg.norm(np.ptp(other, axis=0)))):
         _warn(each.why)
+
+
+def check_rest(source: MeshSequence, rest: int) -> None:
+    """Raise `SettingsError` if a source does not have the frame of the rest pose."""
+    if not -source.frame_count <= rest < source.frame_count:
+        raise SettingsError(
+            f"the source has no frame {rest}; the rest pose is one of 0 ... {source.frame_count - 1}"
+        )
 
 
 def check_numbers(markers: Markers, source: Topology, target: Topology) -> None:

@@ -83,14 +83,12 @@ class LowRank:
     def blocks(self, size: int = 16) -> Iterator[Float]:
         """Iterate over the points in blocks ``(n, V, 3)`` of at most `size` frames."""
         for start in range(0, self.header.frame_count, size):
-            yield np.stack([self._frame(each) for each in self.coefficients[start : start + size]])
+            frames = self.coefficients[start : start + size]
+            yield np.stack([np.einsum("vk,vki->vi", self.basis, frame[self.parts]) for frame in frames])
 
     def points(self) -> Float:
         """Return all frames ``(T, V, 3)``."""
         return np.concatenate(list(self.blocks()))
-
-    def _frame(self, coefficients: Float) -> Float:
-        return np.asarray(np.einsum("vk,vki->vi", self.basis, coefficients[self.parts]))
 
 
 @public

@@ -2,14 +2,10 @@
 
 A residual is a displacement of a vertex at a frame, in whole units :math:`w` per coordinate; nearly all vertices have
 none. Residuals are coded frame by frame, in contexts of adjacent vertices and of the frame before, as errors of
-a truncated basis persist over frames.
+a truncated basis persist over frames. All values are integers.
 
 Frozen: changing this breaks old files (golden: ``tests/compression/golden/bounded.npz``,
 ``tests/formats/golden/compressed-v1.h5``).
-
-The compiled loop of `mixseq.compression.bitstream.residual_layer`: the residuals of a frame, node by node.
-
-Frozen: changing this breaks old files (golden: ``tests/compression/golden/bounded.npz``). All values are integers.
 """
 
 from __future__ import annotations
@@ -22,7 +18,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.compression.bitstream.arithmetic import BitModels, Coded, bit_models, code, code_number
+from mixseq.compression.bitstream.arithmetic import (
+    BitModels,
+    Coded,
+    bit_length,
+    bit_models,
+    code,
+    code_number,
+)
 from mixseq.compression.bitstream.signal_coder import Reader, Writer
 from mixseq.compression.bitstream.signal_graph import MOST, SignalGraph, mesh_graph
 from mixseq.errors import FormatError
@@ -117,9 +120,8 @@ def _code_coordinate(coded: Coded, models: BitModels, number: int) -> int:
     while found < _LONGEST and code(coded, models, 4 + found, 1 if rest > found else 0):
         found += 1
     if found == _LONGEST:
-        beyond, bits, length = max(rest - _LONGEST, 0), 0, 0
-        while beyond >> bits:
-            bits += 1
+        beyond, length = max(rest - _LONGEST, 0), 0
+        bits = bit_length(beyond)
         while length < _MOST and code_number(coded, 1, 1 if bits > length else 0):
             length += 1
         found += code_number(coded, length, beyond)

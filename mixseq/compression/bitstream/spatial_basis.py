@@ -13,18 +13,14 @@ shapes
 
 Basis vectors are split into streams (groups), each with twice as many as the one before, so that a damaged file keeps
 the most important ones; every stream has vectors of all parts. Coefficients have one stream per chunk of frames, coded
-independently. The first group begins with the part of every vertex (`part_labels`).
+independently.
+
+The first group begins with the part of every vertex, in the order of the mesh's graph: whether a vertex has the most
+frequent label of its known neighbours, or the second most frequent, and else the label itself, from its highest bit.
+The contexts of both questions are the number of neighbours, and the numbers with either label.
 
 Frozen: changing this breaks old files (golden: ``tests/compression/golden/*.npz``; ``parts.npz`` has several parts,
 ``shapes.npz`` several groups, ``long.npz`` several chunks). `mixseq.compression.encoder.trial` writes these streams.
-
-Code the part of the mesh to which every vertex belongs.
-
-In the order of the mesh's graph: whether a vertex has the most frequent label of its known neighbours, or the second
-most frequent, and else the label itself, from its highest bit. The contexts of both questions are the number of
-neighbours, and the numbers with either label.
-
-Frozen: changing this breaks old files (golden: ``tests/compression/golden/parts.npz``).
 """
 
 from __future__ import annotations
@@ -251,9 +247,8 @@ def read_basis(
     if len(ranks) > 1:
         labels = read_labels(readers[0], len(ranks), graph)
     parts, vectors = vertices_of(labels), [list[Float]() for _ in ranks]
-    coders: dict[
-        int, SignalCoder
-    ] = {}  # made on demand and freed after use, as a coder takes more than a kilobyte a vertex
+    # Made on demand and freed after use, as a coder takes more than a kilobyte a vertex.
+    coders: dict[int, SignalCoder] = {}
     for reader, of_parts in zip(readers, groups_of_parts(ranks), strict=True):
         for place, group in of_parts:
             coder = coders.pop(place, None)
