@@ -180,16 +180,6 @@ ALIKE = 2.5
 
 
 @dataclass(frozen=True, eq=False)
-class Exchanges:
-    """Fits of all pairs of markers, unchanged and with their targets exchanged."""
-
-    first: Index  # (m,) first marker of every pair
-    second: Index  # (m,) second marker of every pair
-    straight: Float  # (m,) root mean square distance of both from their prediction by the others
-    exchanged: Float  # (m,) the same distance with the two targets exchanged
-
-
-@dataclass(frozen=True, eq=False)
 class Bending:
     """The bending energy of thin-plate splines through fixed sources."""
 
@@ -211,8 +201,12 @@ class Bending:
         own = np.where(known, own, 1.0)
         return np.where(known, force / own, 0.0), np.where(known, force / np.sqrt(own), 0.0)
 
-    def exchanges(self, targets: Float) -> Exchanges:
-        """Leave out all pairs of markers in turn, and exchange their targets ``(n, 3)``."""
+    def exchanges(self, targets: Float) -> tuple[Index, Index, Float, Float]:
+        """Leave out all pairs of markers in turn, and exchange their targets ``(n, 3)``.
+
+        Return both markers of every pair ``(m,)``, and their root mean square distances ``(m,)`` from the predictions
+        by the others, unchanged and with their targets exchanged.
+        """
         force, own = self.matrix @ targets, np.diag(self.matrix)
         i, j = np.triu_indices(len(targets), 1)
         both = self.matrix[i, j]
@@ -222,7 +216,7 @@ class Bending:
         at_i = (own[j, None] * force[i] - both * force[j]) / determinant
         at_j = (own[i, None] * force[j] - both * force[i]) / determinant
         apart = targets[j] - targets[i]
-        return Exchanges(i, j, _mean_size(at_i, at_j), _mean_size(at_i + apart, at_j - apart))
+        return i, j, _mean_size(at_i, at_j), _mean_size(at_i + apart, at_j - apart)
 
 
 def _mean_size(a: Float, b: Float) -> Float:
@@ -233,16 +227,15 @@ def exchanged_pairs(bending: Bending, target: Float) -> list[tuple[int, int, flo
     """Find markers whose targets ``(n, 3)`` seem exchanged, the most striking first."""
     target, found = target.copy(), []
     for _ in range(min(len(target) // 4, MOST_FOUND)):
-        pairs = bending.exchanges(target)
+        first, second, straight, exchanged = bending.exchanges(target)
         typical = np.median(bending.left_out(target)[0])
-        better = pairs.exchanged < EXCHANGED * pairs.straight
-        better &= pairs.straight > max(STRIKING * typical, NOTHING)
+        better = (exchanged < EXCHANGED * straight) & (straight > max(STRIKING * typical, NOTHING))
         if not better.any():
             break
-        ratio = pairs.exchanged / np.where(better, pairs.straight, np.inf)
+        ratio = exchanged / np.where(better, straight, np.inf)
         best = int(np.argmin(np.where(better, ratio, np.inf)))
-        i, j = int(pairs.first[best]), int(pairs.second[best])
-        found.append((i, j, float(pairs.straight[best]), float(pairs.exchanged[best])))
+        i, j = int(first[best]), int(second[best])
+        found.append((i, j, float(straight[best]), float(exchanged[best])))
         target[[i, j]] = target[[j, i]]
     return found
 
@@ -350,9 +343,7 @@ def check_markers(
         ("source", markers.source, source_points, source_topology),
         ("target", markers.target, target_points, target_topology),
     ):
-        _check_vertices(markers, side, vertices, len(points))
-        if topology is not None:
-            _check_used(markers, side, vertices, topology)
+        _check_vertices(markers, side, vertices, len(points), topology)
     _check_pairs(markers)
     own, other = _used(source_points, source_topology), _used(target_points, target_topology)
     source = np.asarray(source_points[markers.source], np.float64)
@@ -375,8 +366,7 @@ def check_rest(source: MeshSequence, rest: int) -> None:
 def check_numbers(markers: Markers, source: Topology, target: Topology) -> None:
     """Raise `SettingsError` for markers on missing vertices, or on vertices without triangles."""
     for side, vertices, topology in (("source", markers.source, source), ("target", markers.target, target)):
-        _check_vertices(markers, side, vertices, topology.vertex_count)
-        _check_used(markers, side, vertices, topology)
+        _check_vertices(markers, side, vertices, topology.vertex_count, topology)
 
 
 def suspicions(markers: Markers, source: Float, target: Float, diagonal: float) -> list[Suspicion]:
@@ -388,21 +378,20 @@ def suspicions(markers: Markers, source: Float, target: Float, diagonal: float) 
     return list(_compared(markers, once, _normalised(source[once]), _normalised(target[once]), unit))
 
 
-def _check_vertices(markers: Markers, side: str, vertices: Index, count: int) -> None:
+def _check_vertices(
+    markers: Markers, side: str, vertices: Index, count: int, topology: Topology | None
+) -> None:
+    """Raise for vertices that do not exist, or that no triangle uses."""
     outside = np.flatnonzero((vertices < 0) | (vertices >= count))
-    if not outside.size:
-        return
-    message = (
-        f"{_listed(markers, outside)}: the {side} has {count} vertices, 0 to {count - 1}; choose others, "
-        "or see that source and target are not exchanged"
-    )
-    if vertices.max() == count and vertices.min() > 0:
-        message += ", or subtract 1 from all: the file may count from 1"
-    raise SettingsError(message)
-
-
-def _check_used(markers: Markers, side: str, vertices: Index, topology: Topology) -> None:
-    unused = np.flatnonzero(np.isin(vertices, topology.unused_vertices))
+    if outside.size:
+        message = (
+            f"{_listed(markers, outside)}: the {side} has {count} vertices, 0 to {count - 1}; choose others, "
+            "or see that source and target are not exchanged"
+        )
+        if vertices.max() == count and vertices.min() > 0:
+            message += ", or subtract 1 from all: the file may count from 1"
+        raise SettingsError(message)
+    unused = np.flatnonzero(np.isin(vertices, () if topology is None else topology.unused_vertices))
     if unused.size:
         raise SettingsError(
             f"{_listed(markers, unused)}: no triangle of the {side} uses the vertex; choose others nearby"

@@ -334,9 +334,9 @@ def remove_footskate(
     after = _paths(body, contacts, result.rotations, result.centres)
     residuals = np.linalg.norm(result.left, axis=2).max(axis=0)
     groups = _groups(contacts, found, before, after, residuals, diagonal)
-    report = ContactReport(
-        groups, float(np.linalg.norm(shift, axis=1).max()) / diagonal, _angle(result.turns)
-    )
+    lowest = np.trace(result.turns, axis1=2, axis2=3).min(initial=3.0)
+    turn = float(np.degrees(np.arccos(np.clip((lowest - 1.0) / 2.0, -1.0, 1.0))))
+    report = ContactReport(groups, float(np.linalg.norm(shift, axis=1).max()) / diagonal, turn)
     return PlantedMotion(result.rotations, result.centres, report)
 
 
@@ -344,12 +344,6 @@ def _paths(body: ArticulatedBody, contacts: Sequence[Contact], rotations: Float,
     """Return the middles ``(g, T, 3)`` of contacts."""
     paths = [body.path(each, rotations, centres).mean(axis=1) for each in contacts]
     return np.array(paths).reshape(len(contacts), len(centres), 3)
-
-
-def _angle(turns: Float) -> float:
-    """Return the largest angle of rotations, in degrees."""
-    lowest = np.trace(turns, axis1=2, axis2=3).min(initial=3.0)
-    return float(np.degrees(np.arccos(np.clip((lowest - 1.0) / 2.0, -1.0, 1.0))))
 
 
 def _groups(

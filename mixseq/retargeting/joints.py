@@ -189,19 +189,14 @@ class JointSolver:
             for joint, patch in zip(self.solved.joints, self.solved.patches, strict=True)
         )
 
-    @cached_property
-    def _systems(self) -> list[tuple[Joint, Patch, slice, slice, slice, HarmonicSkin]]:
-        """Solved joints, with the places of their lengths, angles and free vertices."""
-        solved = self.solved
-        slices = solved.edge_slices, solved.hinge_slices, solved.vertex_slices
-        return list(zip(solved.joints, solved.patches, *slices, self._skins, strict=True))
-
     def solve(self, frame: JointFrame, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Return the mesh ``(V, 3)`` of a frame, with the mean of shared vertices, and a report per solved joint."""
         points = self._placed(frame)
         moves, shifts = self._moves(frame.rotations, frame.translations)
-        reports = []
-        for joint, patch, edges, hinges, free, skin in self._systems:
+        reports, solved = [], self.solved
+        slices = zip(solved.edge_slices, solved.hinge_slices, solved.vertex_slices, strict=True)
+        systems = zip(solved.joints, solved.patches, slices, self._skins, strict=True)
+        for joint, patch, (edges, hinges, free), skin in systems:
             guess = skin.place(moves, shifts) + turned(frame.rotations[skin.nearest], frame.offsets[free])
             rebuilt, report = rebuild(
                 patch,

@@ -254,7 +254,7 @@ def _contacts(faces: Index, weights: sparse.csr_array, rest: Float, mass: Float)
     return touch, np.where(touching, middles / np.maximum(shared, 1e-300)[..., None], lighter)
 
 
-def _from_root(links: Mask, mass: Float) -> tuple[Index, Index]:
+def _from_root(links: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], mass: Float) -> tuple[Index, Index]:
     """Return the bones, parents first, and the places of their parents in that order."""
     bones = len(mass)
 

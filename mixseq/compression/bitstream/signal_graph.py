@@ -26,6 +26,9 @@ from mixseq.types import Float, Index, Mask
 MOST = 12
 """Largest number of neighbours that predict a node. Frozen: breaks old files."""
 
+NEIGHBOUR_COUNTS = MOST + 1
+"""Number of possible counts of these neighbours, from none on. Frozen: breaks old files."""
+
 WIDEST = 6
 """Largest number of neighbours of a removed node, if there are any such nodes. Frozen: breaks old files."""
 
