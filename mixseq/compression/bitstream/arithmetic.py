@@ -118,10 +118,9 @@ def written(coded: Coded) -> bytes:
     return coded.data[: coded.place[0]].tobytes() + last
 
 
-@joined
 def is_beyond(coded: Coded) -> bool:
-    """Return whether more bits were read than there are."""
-    return bool(coded.place[0] > len(coded.data) + BYTES_BEYOND)
+    """Return whether more bits were read than there are; not compiled, as `has_failed` is."""
+    return int(coded.place[0]) > len(coded.data) + BYTES_BEYOND
 
 
 @joined
@@ -315,6 +314,6 @@ def code_hashed(bits: Bits, kind: int, bit: int) -> int:
 @joined
 def has_failed(bits: Bits) -> bool:
     """Return whether the stream is damaged or ends early; loops check once a corner, to save time."""
-    if is_beyond(bits.coded):
+    if bits.coded.place[0] > len(bits.coded.data) + BYTES_BEYOND:
         bits.failed[0] = 1
     return bool(bits.failed[0])
