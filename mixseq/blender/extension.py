@@ -2,9 +2,8 @@
 
 https://docs.blender.org/manual/en/latest/advanced/extensions/getting_started.html
 
-The wheels of an extension: mixseq's own, of the installed package, and those of the libraries that decode models.
-
-NumPy is left to Blender, which has it and would not run with two.
+The wheels are mixseq's own, of the installed package, and those of the libraries that decode models. NumPy is left to
+Blender, which has it and would not run with two.
 """
 
 from __future__ import annotations
@@ -54,11 +53,6 @@ def own_wheel(folder: Path) -> Path:
 def add(archive: ZipFile, inside: str, content: bytes, compression: int = ZIP_DEFLATED) -> None:
     """Add a file to an archive, with a fixed date."""
     archive.writestr(ZipInfo(inside, _DATE), content, compression)
-
-
-def licence() -> bytes:
-    """Return the text of mixseq's licence."""
-    return next(content for inside, content in _information("") if inside.endswith("LICENSE"))
 
 
 def _modules() -> Iterator[tuple[str, bytes]]:
@@ -170,12 +164,10 @@ def write_extension(path: Path, platform: str, release: Release) -> None:
         found = download(folder, release.python, release.numpy, PLATFORMS[platform])
         wheels = [own_wheel(folder), *found]
         with ZipFile(temporary, "w") as archive:
-            add(
-                archive,
-                "blender_manifest.toml",
-                manifest(platform, release, [each.name for each in wheels]).encode(),
-            )
-            add(archive, "LICENSE", licence())
+            text = manifest(platform, release, [each.name for each in wheels])
+            add(archive, "blender_manifest.toml", text.encode())
+            licence = next(content for inside, content in _information("") if inside.endswith("LICENSE"))
+            add(archive, "LICENSE", licence)
             for module in sorted(ADDON.glob("*.py")):
                 add(archive, module.name, module.read_bytes())
             for wheel in wheels:  # they are compressed themselves
@@ -184,24 +176,21 @@ def write_extension(path: Path, platform: str, release: Release) -> None:
 
 def manifest(platform: str, release: Release, wheels: Sequence[str]) -> str:
     """Return the manifest of the extension in TOML; `wheels` are names of files in the folder ``wheels``."""
-    return "".join(f"{line}\n" for line in _lines(platform, release, wheels))
-
-
-def _lines(platform: str, release: Release, wheels: Sequence[str]) -> Iterator[str]:
-    yield 'schema_version = "1.0.0"'
-    yield 'id = "mixseq"'
-    yield f'version = "{mixseq.__version__}"'
-    yield 'name = "mixseq Models"'
-    yield 'tagline = "Deforming meshes, live at any frame and sub-frame"'
-    yield 'maintainer = "The mixseq authors"'
-    yield 'type = "add-on"'
-    yield 'tags = ["Animation", "Import-Export", "Mesh"]'
-    yield f'blender_version_min = "{release.first}"'
-    if release.end:
-        yield f'blender_version_max = "{release.end}"'
-    yield 'license = ["SPDX:MIT"]'
-    yield 'copyright = ["2026 The mixseq authors"]'
-    yield f'platforms = ["{platform}"]'
-    yield f"wheels = {json.dumps([f'./wheels/{wheel}' for wheel in wheels], indent=2)}"
-    yield "[permissions]"
-    yield 'files = "Read models, write Alembic files"'
+    end = f'blender_version_max = "{release.end}"\n' if release.end else ""
+    return f"""\
+schema_version = "1.0.0"
+id = "mixseq"
+version = "{mixseq.__version__}"
+name = "mixseq Models"
+tagline = "Deforming meshes, live at any frame and sub-frame"
+maintainer = "The mixseq authors"
+type = "add-on"
+tags = ["Animation", "Import-Export", "Mesh"]
+blender_version_min = "{release.first}"
+{end}license = ["SPDX:MIT"]
+copyright = ["2026 The mixseq authors"]
+platforms = ["{platform}"]
+wheels = {json.dumps([f"./wheels/{wheel}" for wheel in wheels], indent=2)}
+[permissions]
+files = "Read models, write Alembic files"
+"""

@@ -1,10 +1,7 @@
-"""A model in Blender's axes and units, at any time; the first and the last pose are held beyond the ends.
+"""A model in Blender's axes and units: vertices at any time, held at the ends; polygons and their attributes; caches.
 
-Caches of models and decoded frames, up to a limit, for fast scrubbing.
-
-Blender draws on one thread and renders on another, so both are behind a lock.
-
-Polygons of a mesh in Blender and their attributes, from a model's header.
+Caches of models and of decoded frames, up to a limit, make scrubbing fast. Blender draws on one thread and renders on
+another, so both are behind a lock.
 """
 
 from __future__ import annotations
@@ -142,10 +139,8 @@ class Motion:
 
     def points(self, time: float) -> Single:
         """Return the vertices ``(V, 3)``, in Blender's axes and units, at a time in seconds."""
-        points: Single = np.ascontiguousarray(
-            self._conversion.values(self.model(self.held(time))), np.float32
-        )
-        return points
+        points = self._conversion.values(self.model(self.held(time)))
+        return np.ascontiguousarray(points, np.float32)
 
 
 def part_of(header: SequenceHeader, name: str) -> tuple[slice, slice]:
@@ -239,9 +234,8 @@ class MeshParts:
             return hard
         after = np.arange(1, len(edges) + 1)
         after[self.starts + self.counts - 1] = self.starts
-        ends = np.concatenate(
-            [np.arange(len(edges)), after]
-        )  # the two corners of a polygon at every edge of it
+        # The two corners of a polygon at every edge of it.
+        ends = np.concatenate([np.arange(len(edges)), after])
         rows = np.column_stack([np.tile(edges, 2), self.corners[ends], self.groups[ends]])
         rows = rows[np.lexsort(rows.T[::-1])]
         beside = (rows[1:, :2] == rows[:-1, :2]).all(axis=1)

@@ -1,1 +1,4 @@
-"""Compress mesh sequences with guaranteed error bounds."""
+"""Compress mesh sequences with guaranteed error bounds.
+
+`bitstream` decodes files and codes their contents, `encoder` chooses what is coded, `numbering` the order of vertices.
+"""

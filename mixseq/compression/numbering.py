@@ -1,10 +1,8 @@
 """Choose the numbering of vertices and polygons in a compressed file that takes the fewest bytes.
 
-Renumber vertices and polygons of meshes, with all attributes of vertices, corners and polygons.
-
 Numbers take more bytes than connectivity, twenty times as many if random. So a compressed file may leave out the order
 of polygons, or of vertices, too, and use that of `mixseq.compression.bitstream.connectivity`. It is a function of the
-mesh, so it is not stored, and originals can be renumbered in the same way.
+mesh, so it is not stored, and originals can be renumbered in the same way, with all attributes.
 
 Triangles stay triangles with the same winding: a triangle may begin at another corner, a quad at the one opposite, and
 larger polygons keep their first corner, so that all are cut into the same triangles. Hard edges only record which
@@ -19,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mixseq.choices import ORDERS, OrderName
-from mixseq.compression.bitstream.connectivity import encode_polygons
+from mixseq.compression.bitstream.connectivity import encode_polygons, walk_polygons
 from mixseq.errors import SettingsError
 from mixseq.mesh.polygons import Polygons, matched
 from mixseq.mesh.surface import FaceSet, Surface, by_first_use
@@ -95,8 +93,6 @@ def as_it_is(polygons: Polygons, vertex_count: int) -> Renumbering:
 
 def by_walk(polygons: Polygons, sizes: Sequence[int], *, vertices: bool) -> Renumbering:
     """Return the numbering in which connectivity takes few bits."""
-    from mixseq.compression.bitstream.connectivity import walk_polygons
-
     order, entered = walk_polygons(polygons, sum(sizes))
     counts, starts = polygons.counts.astype(np.int64), np.cumsum(polygons.counts) - polygons.counts
     counts, starts = counts[order], starts[order]
@@ -109,6 +105,21 @@ def by_walk(polygons: Polygons, sizes: Sequence[int], *, vertices: bool) -> Renu
         when[met] = first
         numbers = np.lexsort((when, np.repeat(np.arange(len(sizes)), sizes)))
     return Renumbering(numbers, order, _corners(starts, counts, begin))
+
+
+def cheapest_numbering(header: SequenceHeader, order: OrderName) -> Renumbering:
+    """Return the numbering in which polygons take the fewest bytes."""
+    if order not in ORDERS:
+        raise SettingsError(f"order is {order!r}; one of {', '.join(ORDERS)} is expected")
+    polygons, sizes = header.polygons, object_sizes(header)
+    kept = as_it_is(polygons, header.vertex_count)
+    if order == "keep":
+        return kept
+    walks = [by_walk(polygons, sizes, vertices=each) for each in (False, True)[: ORDERS.index(order)]]
+    return min(
+        [kept, *walks],
+        key=lambda each: len(encode_polygons(each.of_polygons(polygons), header.vertex_count)),
+    )
 
 
 def numbering_of(other: Polygons, polygons: Polygons, sizes: Sequence[int]) -> Renumbering | None:
@@ -154,18 +165,3 @@ def _inverse(order: Index) -> Index:
     inverse = np.empty(len(order), dtype=np.int64)
     inverse[order] = np.arange(len(order))
     return inverse
-
-
-def cheapest_numbering(header: SequenceHeader, order: OrderName) -> Renumbering:
-    """Return the numbering in which polygons take the fewest bytes."""
-    if order not in ORDERS:
-        raise SettingsError(f"order is {order!r}; one of {', '.join(ORDERS)} is expected")
-    polygons, sizes = header.polygons, object_sizes(header)
-    kept = as_it_is(polygons, header.vertex_count)
-    if order == "keep":
-        return kept
-    walks = [by_walk(polygons, sizes, vertices=each) for each in (False, True)[: ORDERS.index(order)]]
-    return min(
-        [kept, *walks],
-        key=lambda each: len(encode_polygons(each.of_polygons(polygons), header.vertex_count)),
-    )

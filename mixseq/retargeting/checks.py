@@ -1,32 +1,22 @@
-r"""Check markers: refuse invalid ones, and warn of those that seem wrong.
+r"""Check markers: refuse invalid ones, and warn of those that seem wrong; refuse meshes that are inside out.
+
+*Inside out?* Triangles of source and target must have the same orientation. A closed component encloses the volume
+:math:`\frac16 \sum_t a_t \cdot (b_t \times c_t)`, negative if its triangles run clockwise seen from outside. With holes
+it depends on the origin, by the sum of the vector areas: the sign of a component counts if it is the same for all
+origins in its bounding sphere. More open surfaces are checked after registration, by the normals of closest points.
 
 *Mirrored?* With centred sources X and targets Y and singular values :math:`\sigma` of :math:`X^T Y`, the share of Y
 that the best similarity leaves is :math:`1 - (\sigma_1 + \sigma_2 \pm \sigma_3)^2 / (\|X\|^2 \|Y\|^2)`, with one sign
 for rotations, the other for reflections (Umeyama 1991).
 
-*Exchanged?* Two markers are left out, and predicted by a thin-plate spline through the others
-(`mixseq.retargeting.checks`). They are exchanged if that fits far better the other way round. The best pair is
-exchanged, and the search repeated. Then groups of markers are compared alike.
+*Exchanged?* Two markers are left out, and predicted by a thin-plate spline through the others. They are exchanged if
+that fits far better the other way round. The best pair is exchanged, and the search repeated. Then groups of markers
+are compared alike: exchanging the left leg for the right one exchanges all its markers. No two of them then look wrong
+among the others, but leaving both groups out predicts the side of either centre. *Wrong?* The same with one marker.
 
-*Wrong?* The same with one marker at a time.
-
-On the markers of horse and camel (107, 124 and 17 pairs) and of cat and lion (55), which are right, no exchange of two
-markers brings them closer than 0.57 times their distance, none of two groups closer than 1.08, and no marker is further
-than 0.35 from its prediction. Of two markers of a left and a right leg, exchanged, 99 % are named, and nothing else; of
-three such pairs at a time, 95 % (fewer among 17 markers).
-
-Refuse meshes that are inside out: triangles of source and target must have the same orientation.
-
-A closed component encloses the volume :math:`\frac16 \sum_t a_t \cdot (b_t \times c_t)`, negative if its triangles run
-clockwise seen from outside. With holes it depends on the origin, by the sum of the vector areas: the sign of a
-component counts if it is the same for all origins in its bounding sphere. More open surfaces are checked after
-registration, by the normals of closest points.
-
-Find markers that do not fit the others: single wrong ones, and two, or two groups, that are exchanged.
-
-Markers are left out, and predicted by a thin-plate spline through the others. The smoothest map of space that takes
-sources :math:`x_i` to targets :math:`y_i`, up to a little slack :math:`\lambda`, has the bending energy (Duchon 1977;
-in three dimensions the kernel is :math:`-\|x\|`)
+Sources and targets are normalised: centred, with a root mean square distance of 1. The smoothest map of space that
+takes sources :math:`x_i` to targets :math:`y_i`, up to a little slack :math:`\lambda`, has the bending energy (Duchon
+1977; in three dimensions the kernel is :math:`-\|x\|`)
 
 .. math::
     E = \operatorname{tr} Y^T B\, Y, \qquad B = Z (Z^T K Z)^{-1} Z^T, \qquad
@@ -39,11 +29,10 @@ takes these to where the energy is least,
 
 so that leaving out needs no other solution (Wahba 1990, chapter 4).
 
-Exchanging the left leg for the right one exchanges all its markers. No two of them then look wrong among the others,
-but leaving both groups out predicts the side of either centre.
-
-Sources and targets are normalised: centred, with a root mean square distance of 1. `mixseq.retargeting.checks` has
-the results of the chosen numbers.
+On the markers of horse and camel (107, 124 and 17 pairs) and of cat and lion (55), which are right, no exchange of two
+markers brings them closer than 0.57 times their distance, none of two groups closer than 1.08, and no marker is further
+than 0.35 from its prediction. Of two markers of a left and a right leg, exchanged, 99 % are named, and nothing else; of
+three such pairs at a time, 95 % (fewer among 17 markers).
 """
 
 from __future__ import annotations
@@ -59,6 +48,7 @@ from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.markers import Markers
+from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float, FloatArray, Index, IntArray
 
 NO_VOLUME = 1e-9
@@ -190,16 +180,6 @@ ALIKE = 2.5
 
 
 @dataclass(frozen=True, eq=False)
-class Exchanges:
-    """Fits of all pairs of markers, unchanged and with their targets exchanged."""
-
-    first: Index  # (m,) first marker of every pair
-    second: Index  # (m,) second marker of every pair
-    straight: Float  # (m,) root mean square distance of both from their prediction by the others
-    exchanged: Float  # (m,) the same distance with the two targets exchanged
-
-
-@dataclass(frozen=True, eq=False)
 class Bending:
     """The bending energy of thin-plate splines through fixed sources."""
 
@@ -221,8 +201,12 @@ class Bending:
         own = np.where(known, own, 1.0)
         return np.where(known, force / own, 0.0), np.where(known, force / np.sqrt(own), 0.0)
 
-    def exchanges(self, targets: Float) -> Exchanges:
-        """Leave out all pairs of markers in turn, and exchange their targets ``(n, 3)``."""
+    def exchanges(self, targets: Float) -> tuple[Index, Index, Float, Float]:
+        """Leave out all pairs of markers in turn, and exchange their targets ``(n, 3)``.
+
+        Return both markers of every pair ``(m,)``, and their root mean square distances ``(m,)`` from the predictions
+        by the others, unchanged and with their targets exchanged.
+        """
         force, own = self.matrix @ targets, np.diag(self.matrix)
         i, j = np.triu_indices(len(targets), 1)
         both = self.matrix[i, j]
@@ -232,7 +216,7 @@ class Bending:
         at_i = (own[j, None] * force[i] - both * force[j]) / determinant
         at_j = (own[i, None] * force[j] - both * force[i]) / determinant
         apart = targets[j] - targets[i]
-        return Exchanges(i, j, _mean_size(at_i, at_j), _mean_size(at_i + apart, at_j - apart))
+        return i, j, _mean_size(at_i, at_j), _mean_size(at_i + apart, at_j - apart)
 
 
 def _mean_size(a: Float, b: Float) -> Float:
@@ -243,16 +227,15 @@ def exchanged_pairs(bending: Bending, target: Float) -> list[tuple[int, int, flo
     """Find markers whose targets ``(n, 3)`` seem exchanged, the most striking first."""
     target, found = target.copy(), []
     for _ in range(min(len(target) // 4, MOST_FOUND)):
-        pairs = bending.exchanges(target)
+        first, second, straight, exchanged = bending.exchanges(target)
         typical = np.median(bending.left_out(target)[0])
-        better = pairs.exchanged < EXCHANGED * pairs.straight
-        better &= pairs.straight > max(STRIKING * typical, NOTHING)
+        better = (exchanged < EXCHANGED * straight) & (straight > max(STRIKING * typical, NOTHING))
         if not better.any():
             break
-        ratio = pairs.exchanged / np.where(better, pairs.straight, np.inf)
+        ratio = exchanged / np.where(better, straight, np.inf)
         best = int(np.argmin(np.where(better, ratio, np.inf)))
-        i, j = int(pairs.first[best]), int(pairs.second[best])
-        found.append((i, j, float(pairs.straight[best]), float(pairs.exchanged[best])))
+        i, j = int(first[best]), int(second[best])
+        found.append((i, j, float(straight[best]), float(exchanged[best])))
         target[[i, j]] = target[[j, i]]
     return found
 
@@ -360,9 +343,7 @@ def check_markers(
         ("source", markers.source, source_points, source_topology),
         ("target", markers.target, target_points, target_topology),
     ):
-        _check_vertices(markers, side, vertices, len(points))
-        if topology is not None:
-            _check_used(markers, side, vertices, topology)
+        _check_vertices(markers, side, vertices, len(points), topology)
     _check_pairs(markers)
     own, other = _used(source_points, source_topology), _used(target_points, target_topology)
     source = np.asarray(source_points[markers.source], np.float64)
@@ -374,11 +355,18 @@ def check_markers(
         _warn(each.why)
 
 
+def check_rest(source: MeshSequence, rest: int) -> None:
+    """Raise `SettingsError` if a source does not have the frame of the rest pose."""
+    if not -source.frame_count <= rest < source.frame_count:
+        raise SettingsError(
+            f"the source has no frame {rest}; the rest pose is one of 0 ... {source.frame_count - 1}"
+        )
+
+
 def check_numbers(markers: Markers, source: Topology, target: Topology) -> None:
     """Raise `SettingsError` for markers on missing vertices, or on vertices without triangles."""
     for side, vertices, topology in (("source", markers.source, source), ("target", markers.target, target)):
-        _check_vertices(markers, side, vertices, topology.vertex_count)
-        _check_used(markers, side, vertices, topology)
+        _check_vertices(markers, side, vertices, topology.vertex_count, topology)
 
 
 def suspicions(markers: Markers, source: Float, target: Float, diagonal: float) -> list[Suspicion]:
@@ -390,21 +378,20 @@ def suspicions(markers: Markers, source: Float, target: Float, diagonal: float) 
     return list(_compared(markers, once, _normalised(source[once]), _normalised(target[once]), unit))
 
 
-def _check_vertices(markers: Markers, side: str, vertices: Index, count: int) -> None:
+def _check_vertices(
+    markers: Markers, side: str, vertices: Index, count: int, topology: Topology | None
+) -> None:
+    """Raise for vertices that do not exist, or that no triangle uses."""
     outside = np.flatnonzero((vertices < 0) | (vertices >= count))
-    if not outside.size:
-        return
-    message = (
-        f"{_listed(markers, outside)}: the {side} has {count} vertices, 0 to {count - 1}; choose others, "
-        "or see that source and target are not exchanged"
-    )
-    if vertices.max() == count and vertices.min() > 0:
-        message += ", or subtract 1 from all: the file may count from 1"
-    raise SettingsError(message)
-
-
-def _check_used(markers: Markers, side: str, vertices: Index, topology: Topology) -> None:
-    unused = np.flatnonzero(np.isin(vertices, topology.unused_vertices))
+    if outside.size:
+        message = (
+            f"{_listed(markers, outside)}: the {side} has {count} vertices, 0 to {count - 1}; choose others, "
+            "or see that source and target are not exchanged"
+        )
+        if vertices.max() == count and vertices.min() > 0:
+            message += ", or subtract 1 from all: the file may count from 1"
+        raise SettingsError(message)
+    unused = np.flatnonzero(np.isin(vertices, () if topology is None else topology.unused_vertices))
     if unused.size:
         raise SettingsError(
             f"{_listed(markers, unused)}: no triangle of the {side} uses the vertex; choose others nearby"

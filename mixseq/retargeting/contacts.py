@@ -1,7 +1,11 @@
-r"""Find stances: when the feet of the source are on the ground.
+r"""Keep named vertices of the target from sliding: contacts of the target rest where those of the source rest.
 
-From frame to frame every point of a contact moves at a speed v, the mean over its points. A *step* between two frames
-is at rest if both its speed and its height z above the lowest are small,
+The scheme (constraints found in the motion, the root first, then the limbs, blends in between) is that of Kovar,
+Schreiner and Gleicher 2002, "Footskate cleanup for motion capture editing".
+
+*Stances*: when the feet of the source are on the ground. From frame to frame every point of a contact moves at a speed
+v, the mean over its points. A *step* between two frames is at rest if both its speed and its height z above the lowest
+are small,
 
 .. math:: v < \max(a\, v_{95},\ a_0\, d), \qquad z - z_0 < \max(b\, (z_1 - z_0),\ b_0\, d),
 
@@ -10,10 +14,9 @@ highest height, and d is the size of the body. So the thresholds follow the moti
 A run of steps is a stance if all of them are at rest by the wide thresholds and one of them by the narrow ones
 (hysteresis: Canny 1986 does so along edges). It joins at least two frames.
 
-Body shift and limb moves that keep resting feet in place.
-
-Let x be the transferred path of the middle of a contact. In every stance s it should stay at an anchor, and misses it
-by :math:`d = \bar x - x`, with the mean :math:`\bar x` over the stance. The common shift r of the whole body minimises
+*The body* moves as far as its feet agree. Let x be the transferred path of the middle of a contact. In every stance s
+it should stay at an anchor, and misses it by :math:`d = \bar x - x`, with the mean :math:`\bar x` over the stance. The
+common shift r of the whole body minimises
 
 .. math::
 
@@ -23,19 +26,11 @@ by :math:`d = \bar x - x`, with the mean :math:`\bar x` over the stance. The com
 Along the ground the anchor is :math:`\bar x + b`, with free b, so that strides that do not fit the legs lengthen or
 shorten the path, and the body moves evenly; upwards b is zero and :math:`\gamma \sum_t |r_t|^2` is added against
 climbing and sinking. :math:`\alpha` leaves what is quicker than `PERIOD` to the limbs, and :math:`\beta` lets the shift
-come to rest within about `MEMORY` where no foot is on the ground. The limbs move by :math:`e = d + b - r`. Before and
-after a stance e fades by cubic Hermite splines with its value and slope, so that feet land and lift smoothly.
+come to rest within about `MEMORY` where no foot is on the ground.
 
-Remove footskate: contacts of the target rest where those of the source rest.
-
-Stances are found by `mixseq.retargeting.contacts`. Then the whole body moves as far as its feet agree
-(`mixseq.retargeting.contacts`), and limbs rotate by the rest (`mixseq.retargeting.limbs`). A foot in the
-air keeps its path, although its limb may share parts with others.
-
-The scheme (constraints found in the motion, the root first, then the limbs, blends in between) is that of Kovar,
-Schreiner and Gleicher 2002, "Footskate cleanup for motion capture editing".
-
-Keep named vertices of the target from sliding: find poses of its parts with resting contacts.
+*Limbs* rotate by the rest, :math:`e = d + b - r` (`mixseq.retargeting.limbs`). Before and after a stance e fades by
+cubic Hermite splines with its value and slope, so that feet land and lift smoothly. A foot in the air keeps its path,
+although its limb may share parts with others.
 """
 
 from __future__ import annotations
@@ -320,7 +315,14 @@ def remove_footskate(
         stances(contact.name, path, up, fps, diagonal, settings)
         for contact, path in zip(contacts, trajectories, strict=True)
     )
-    _warn_of_restless(contacts, found)
+    for contact, some in zip(contacts, found, strict=True):
+        if not some:
+            warnings.warn(
+                f"contact '{contact.name}' never rests on the ground in the source, so nothing holds it; if the source "
+                "walks on the spot, move it over the ground first",
+                MixseqWarning,
+                stacklevel=2,
+            )
     before = _paths(body, contacts, rotations, centres)
     missed = misses(before, found, NEGLIGIBLE * diagonal)
     if not missed.any():
@@ -332,33 +334,16 @@ def remove_footskate(
     after = _paths(body, contacts, result.rotations, result.centres)
     residuals = np.linalg.norm(result.left, axis=2).max(axis=0)
     groups = _groups(contacts, found, before, after, residuals, diagonal)
-    report = ContactReport(
-        groups, float(np.linalg.norm(shift, axis=1).max()) / diagonal, _angle(result.turns)
-    )
+    lowest = np.trace(result.turns, axis1=2, axis2=3).min(initial=3.0)
+    turn = float(np.degrees(np.arccos(np.clip((lowest - 1.0) / 2.0, -1.0, 1.0))))
+    report = ContactReport(groups, float(np.linalg.norm(shift, axis=1).max()) / diagonal, turn)
     return PlantedMotion(result.rotations, result.centres, report)
-
-
-def _warn_of_restless(contacts: Sequence[Contact], found: Sequence[Sequence[Stance]]) -> None:
-    for contact, some in zip(contacts, found, strict=True):
-        if not some:
-            warnings.warn(
-                f"contact '{contact.name}' never rests on the ground in the source, so nothing holds it; if the source "
-                "walks on the spot, move it over the ground first",
-                MixseqWarning,
-                stacklevel=3,
-            )
 
 
 def _paths(body: ArticulatedBody, contacts: Sequence[Contact], rotations: Float, centres: Float) -> Float:
     """Return the middles ``(g, T, 3)`` of contacts."""
     paths = [body.path(each, rotations, centres).mean(axis=1) for each in contacts]
     return np.array(paths).reshape(len(contacts), len(centres), 3)
-
-
-def _angle(turns: Float) -> float:
-    """Return the largest angle of rotations, in degrees."""
-    lowest = np.trace(turns, axis1=2, axis2=3).min(initial=3.0)
-    return float(np.degrees(np.arccos(np.clip((lowest - 1.0) / 2.0, -1.0, 1.0))))
 
 
 def _groups(

@@ -10,7 +10,7 @@ import numpy as np
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
-from mixseq.retargeting.checks import check_facing, check_markers, check_orientation
+from mixseq.retargeting.checks import check_facing, check_markers, check_orientation, check_rest
 from mixseq.retargeting.markers import Correspondence, Markers, Pairing, pair_components
 from mixseq.retargeting.matching import MatchingSettings, Quality, assess, match
 from mixseq.retargeting.registration import RegistrationSettings, register
@@ -21,7 +21,6 @@ from mixseq.sequence.sequence import MeshSequence
 
 LITTLE = 0.5
 """Share of a mesh's area in components with markers below which a warning is given."""
-
 
 FILLED, FLIPPED = 0.05, 0.01
 """Shares of target triangles without a match, or flipped, that are worth a warning; tried pairs have < 0.01 and 0."""
@@ -88,6 +87,7 @@ def correspond(
     return correspond_and_assess(source, target, markers, rest, settings, progress).correspondence
 
 
+@one_blas_thread()
 def correspond_and_assess(
     source: MeshSequence,
     target: MeshSequence,
@@ -97,23 +97,8 @@ def correspond_and_assess(
     progress: Progress = silent,
 ) -> Assessed:
     """Find a correspondence like `correspond`, and its quality."""
-    with one_blas_thread():
-        return _assessed(source, target, markers, rest, settings, progress)
-
-
-def _assessed(
-    source: MeshSequence,
-    target: MeshSequence,
-    markers: Markers,
-    rest: int,
-    settings: CorrespondenceSettings | None,
-    progress: Progress,
-) -> Assessed:
     settings = CorrespondenceSettings() if settings is None else settings
-    if not -source.frame_count <= rest < source.frame_count:
-        raise SettingsError(
-            f"the source has no frame {rest}; the rest pose is one of 0 ... {source.frame_count - 1}"
-        )
+    check_rest(source, rest)
     start, goal = _mesh(source, rest, "source"), _mesh(target, 0, "target")
     check_markers(markers, start.points, goal.points, start.topology, goal.topology)
     pairings = pair_components(start.topology, goal.topology, markers)

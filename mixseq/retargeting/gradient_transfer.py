@@ -66,8 +66,19 @@ class GradientTransfer(PickledWithoutCaches):
         return led, self.around(first)
 
     def around(self, vertices: Index) -> sparse.csr_array:
-        """Matrix ``(n, F)`` of means over the source triangles at the corners of target vertices ``(n,)``."""
-        return averages_around(self.source, self.correspondence, vertices)
+        """Matrix ``(n, F)`` of area-weighted means over source triangles at the corners of target vertices ``(n,)``.
+
+        Vertices without corners take those of their leaders.
+        """
+        faces, sides, given = self.source.topology.faces, self.source.triangles, self.correspondence
+        areas = np.linalg.norm(np.cross(sides[:, :, 0], sides[:, :, 1]), axis=1)
+        places = (faces.reshape(-1), np.repeat(np.arange(len(faces)), 3))
+        shape = (self.source.topology.vertex_count, len(faces))
+        at_vertices = sparse.coo_array((np.repeat(areas, 3), places), shape=shape).tocsr()
+        leaders, rows = given.leaders[vertices], np.repeat(np.arange(len(vertices)), 3)
+        entries = (given.weights[leaders].reshape(-1), (rows, given.corners[leaders].reshape(-1)))
+        chosen = sparse.coo_array(entries, shape=(len(vertices), shape[0])).tocsr()
+        return normalised(chosen @ normalised(at_vertices))
 
     def gradients(self, x: FloatArray) -> Float:
         """Gradients ``(F, 3, 3)`` of the source's triangles in a frame ``(V, 3)``."""
@@ -132,28 +143,6 @@ def _space(topology: Topology, rest: Float) -> GradientSpace:
 def combined(weights: sparse.csr_array, matrices: Float) -> Float:
     """Return weighted sums ``(n, 3, 3)`` of matrices ``(F, 3, 3)``."""
     return np.asarray(weights @ matrices.reshape(-1, 9)).reshape(-1, 3, 3)
-
-
-def averages_around(
-    source: GradientSpace, correspondence: Correspondence, vertices: Index
-) -> sparse.csr_array:
-    """Return the matrix ``(n, F)`` of area-weighted means over source triangles at target vertices ``(n,)``.
-
-    Vertices without corners take those of their leaders.
-    """
-    faces = source.topology.faces
-    areas = np.linalg.norm(np.cross(source.triangles[:, :, 0], source.triangles[:, :, 1]), axis=1)
-    places = (faces.reshape(-1), np.repeat(np.arange(len(faces)), 3))
-    shape = (source.topology.vertex_count, len(faces))
-    at_vertices = sparse.coo_array((np.repeat(areas, 3), places), shape=shape).tocsr()
-    leaders = correspondence.leaders[vertices]
-    corners = correspondence.corners[leaders]
-    rows = np.repeat(np.arange(len(vertices)), 3)
-    chosen = sparse.coo_array(
-        (correspondence.weights[leaders].reshape(-1), (rows, corners.reshape(-1))),
-        shape=(len(vertices), shape[0]),
-    ).tocsr()
-    return normalised(chosen @ normalised(at_vertices))
 
 
 def normalised(weights: sparse.csr_array) -> sparse.csr_array:

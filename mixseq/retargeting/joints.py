@@ -1,17 +1,13 @@
-r"""The solved joints: places of their numbers in a frame, and skinning of their free vertices.
-
-Linear blend skinning from a reference frame: every free vertex moves with all parts that hold fixed vertices of its
-joint, with harmonic weights (1 at the vertices of a part, 0 at those of the others, smooth in between). Close to the
-reference this is a start without folds, where blended lengths and angles are inconsistent.
-
-Rebuild a mesh from poses of its parts, and lengths and angles of the joints between them.
+r"""Joints of the target: skinning of their free vertices, their solves, and transfer of their lengths and angles.
 
 Parts are posed. A joint between them is a boundary value problem: its free vertices fit lengths and angles best
-(`mixseq.shells.fitting`), near their skinned positions (`mixseq.retargeting.joints`).
+(`mixseq.shells.fitting`), near their skinned positions. Skinning is linear blending from a reference frame: every free
+vertex moves with all parts that hold fixed vertices of its joint, with harmonic weights (1 at the vertices of a part, 0
+at those of the others). Close to the reference this is a start without folds, where blended lengths and angles are
+inconsistent.
 
-Transfer changes of joints: lengths as ratios, angles as differences.
-
-Where both meshes have the same connectivity every edge and hinge has its own,
+Lengths are transferred as ratios, angles as differences. Where both meshes have the same connectivity every edge and
+hinge has its own,
 
 .. math:: l' = l'_0\, l / l_0, \qquad \theta' = \theta'_0 + (\theta - \theta_0) .
 
@@ -193,20 +189,15 @@ class JointSolver:
             for joint, patch in zip(self.solved.joints, self.solved.patches, strict=True)
         )
 
-    @cached_property
-    def _systems(self) -> list[tuple[Joint, Patch, slice, slice, slice, HarmonicSkin]]:
-        """Solved joints, with the places of their lengths, angles and free vertices."""
-        solved = self.solved
-        slices = solved.edge_slices, solved.hinge_slices, solved.vertex_slices
-        return list(zip(solved.joints, solved.patches, *slices, self._skins, strict=True))
-
     def solve(self, frame: JointFrame, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Return the mesh ``(V, 3)`` of a frame, with the mean of shared vertices, and a report per solved joint."""
         points = self._placed(frame)
         moves, shifts = self._moves(frame.rotations, frame.translations)
-        reports = []
-        for joint, patch, edges, hinges, free, skin in self._systems:
-            guess, soft = _expected(skin, moves, shifts, frame, free)
+        reports, solved = [], self.solved
+        slices = zip(solved.edge_slices, solved.hinge_slices, solved.vertex_slices, strict=True)
+        systems = zip(solved.joints, solved.patches, slices, self._skins, strict=True)
+        for joint, patch, (edges, hinges, free), skin in systems:
+            guess = skin.place(moves, shifts) + turned(frame.rotations[skin.nearest], frame.offsets[free])
             rebuilt, report = rebuild(
                 patch,
                 frame.lengths[edges],
@@ -215,7 +206,7 @@ class JointSolver:
                 points[joint.vertices],
                 settings,
                 guess,
-                soft,
+                SoftConstraint(guess, frame.offset_weights[free]),
             )
             points[joint.vertices[patch.free]] = rebuilt[patch.free]
             reports.append(report)
@@ -245,14 +236,6 @@ class JointSolver:
         turns, centres = self._reference_poses
         moves = rotations @ np.swapaxes(turns, 1, 2)
         return moves, translations - turned(moves, centres)
-
-
-def _expected(
-    skin: HarmonicSkin, moves: Float, shifts: Float, frame: JointFrame, free: slice
-) -> tuple[Float, SoftConstraint]:
-    """Return the start ``(f, 3)`` of a joint's free vertices, and the soft constraint of offsets."""
-    places = skin.place(moves, shifts) + turned(frame.rotations[skin.nearest], frame.offsets[free])
-    return places, SoftConstraint(places, frame.offset_weights[free])
 
 
 class JointChanges(Protocol):
@@ -306,8 +289,7 @@ class OtherEdges:
     @cached_property
     def _faces(self) -> Index:
         """Faces of the target's joints."""
-        ids = [joint.face_ids for joint in self.solved.joints]
-        return np.unique(np.concatenate(ids)) if ids else np.zeros(0, dtype=np.int64)
+        return np.unique(_joined([joint.face_ids for joint in self.solved.joints]))
 
     @cached_property
     def _weights(self) -> sparse.csr_array:

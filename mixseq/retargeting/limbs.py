@@ -1,16 +1,15 @@
-r"""The articulated body of a character: rigid parts, their pivots, and the limbs to its contacts.
+r"""The articulated body of a character (rigid parts, their pivots, limbs to its contacts), and its inverse kinematics.
 
 In frame t part p has a rotation R and a centre c and moves a rest point y to :math:`R (y - m_p) + c`, with the rest
 centre m. The parts are a tree: the parent of a part is the neighbour nearer to the root, and its *pivot* the point in
 which they meet. The *limb* of a contact is the chain of parts from the child of the root to the contact. The length of
 a leg is that of the path through the pivots of its limb.
 
-Inverse kinematics: rotate the parts of limbs about their pivots until contacts reach their targets.
-
-The end g of a limb is the root's pivot plus a sum of *levers* :math:`u_{gk}`, one per part k: from its pivot to the
-next one, and from the last pivot to the end. Part k rotates by :math:`\Omega_k`, in the world's axes, with all its
-levers, so that the end moves by :math:`\sum_k (\Omega_k - 1)\, u_{gk}`. Small rotations
-:math:`\omega_k = w_k \sum_g u_{gk} \times \lambda_g`, least squares by compliances w, move ends by
+*Inverse kinematics* rotates the parts of limbs about their pivots until contacts reach their targets. The end g of a
+limb is the root's pivot plus a sum of *levers* :math:`u_{gk}`, one per part k: from its pivot to the next one, and from
+the last pivot to the end. Part k rotates by :math:`\Omega_k`, in the world's axes, with all its levers, so that the end
+moves by :math:`\sum_k (\Omega_k - 1)\, u_{gk}`. Small rotations :math:`\omega_k = w_k \sum_g u_{gk} \times \lambda_g`,
+least squares by compliances w, move ends by
 
 .. math:: \sum_h A_{gh} \lambda_h, \qquad A_{gh} = \sum_k w_k \big[ (u_{gk} \cdot u_{hk})\, 1 - u_{hk} u_{gk}^T \big] .
 

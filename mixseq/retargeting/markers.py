@@ -1,16 +1,15 @@
-r"""Markers: pairs of corresponding vertices, one on the source and one on the target, set by a person.
+r"""Markers (pairs of corresponding vertices, set by a person), and dense correspondences of two meshes.
 
-They pair components of the meshes (`pair_components`), and give the similarity between the meshes (`fit_similarity`;
-Umeyama 1991): the rotation R, scale s and translation t that minimise :math:`\sum_k \|s R x_k + t - y_k\|^2`. R is that
-of the best rigid motion, a proper rotation, and with points about their centroids
+Markers pair components of the meshes (`pair_components`), and give the similarity between the meshes
+(`fit_similarity`; Umeyama 1991): the rotation R, scale s and translation t that minimise
+:math:`\sum_k \|s R x_k + t - y_k\|^2`. R is that of the best rigid motion, a proper rotation, and with points about
+their centroids
 
 .. math:: s = \frac{\sum_k y_k \cdot R x_k}{\sum_k \|x_k\|^2} .
 
-Dense correspondence: the point and triangle of a source for every vertex and triangle of a target.
-
-A target vertex v is the point :math:`\sum_k w_{vk}\, x_{c_{vk}}` of the source, with three corners c and barycentric
-weights w. Vertices without a counterpart (eyes, teeth, hats) rigidly follow another vertex of the target, their
-*leader*.
+In a dense correspondence a target vertex v is the point :math:`\sum_k w_{vk}\, x_{c_{vk}}` of the source, with three
+corners c and barycentric weights w. Vertices without a counterpart (eyes, teeth, hats) rigidly follow another vertex of
+the target, their *leader*.
 """
 
 from __future__ import annotations

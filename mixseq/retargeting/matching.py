@@ -1,10 +1,10 @@
-"""Match a target to a registered source by closest points, and measure the quality.
+"""Correspondences of a target: matched to a registered source by closest points, or completed from a given map.
 
-A closest point counts if it is near enough and the surfaces face the same way there: where two legs touch, the facing
-sides have opposite normals, and each finds its own. Vertices without one take that of the nearest neighbour along the
-surface. Components of the target without a marker follow the nearest matched vertex.
+*Matching.* A closest point counts if it is near enough and the surfaces face the same way there: where two legs touch,
+the facing sides have opposite normals, and each finds its own. Vertices without one take that of the nearest neighbour
+along the surface. Components of the target without a marker follow the nearest matched vertex.
 
-Complete a given map to a correspondence: of vertices, of triangles, or of points on triangles.
+*Completing* a map of vertices, of triangles, or of points on triangles:
 
 - *Vertices*, where only triangles are mapped, are on the source vertex that all triangles around them share, or else at
   the point closest to the mean, by area, of the mapped triangles' centroids.
@@ -65,9 +65,7 @@ class Quality:
     mean: float  # mean distance of the target's vertices from the registered source
     p99: float  # 99th percentile of these distances
     largest: float  # largest of these distances
-    flipped: (
-        int  # triangles of the target whose normal is against that of their triangle of the registered source
-    )
+    flipped: int  # target triangles with a normal against that of their triangle of the registered source
     filled_vertices: int  # number of target vertices with the match of a neighbour
     filled_faces: int  # number of target triangles with the match of a neighbour
     followers: int  # number of components that follow a vertex, without unused vertices

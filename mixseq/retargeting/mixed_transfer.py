@@ -1,14 +1,14 @@
 """Transfer by parts, joints and poses (the mixed shape space S_m).
 
-The target is cut into parts as the source (`part_correspondence`). A frame of the source gives
+The target is cut into parts as the source (`carry_parts`). A frame of the source gives
 
 - the shape of every part by deformation gradients (`gradient_transfer`), registered to the part at rest. Its
   deformation scales with the part, and the registration gives its rotation;
-- the place of every part: its pivots meet as those of the source, with the proportions of the target (`pivots`);
-- lengths and angles of the joints, as ratios and differences (`joint_changes`), and, by gradients, the offsets of
-  their free vertices from the skinned positions.
+- the place of every part: its pivots meet as those of the source, with the proportions of the target (`parts`);
+- lengths and angles of the joints, as ratios and differences (`joints`), and, by gradients, the offsets of their free
+  vertices from the skinned positions.
 
-Parts are posed and joints are solved between them (`joint_solver`).
+Parts are posed and joints are solved between them (`JointSolver`).
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.gradient_transfer import GradientTransfer
 from mixseq.retargeting.joints import JointChanges, JointFrame, JointSolver, OtherEdges, SameEdges
 from mixseq.retargeting.limbs import ArticulatedBody
-from mixseq.retargeting.markers import Correspondence
 from mixseq.retargeting.parts import (
     PartCorrespondence,
     PartPoses,
@@ -52,10 +51,6 @@ class MixedTransfer(PickledWithoutCaches):
     parts: PartCorrespondence  # parts and joints of both
     settings: ShellSettings  # settings of the joint solves
     stride: float = 1.0  # ratio of the root's travel to that scaled by the size of the meshes
-
-    @property
-    def _correspondence(self) -> Correspondence:
-        return self.gradients.correspondence
 
     @property
     def _rest(self) -> Float:
@@ -100,7 +95,7 @@ class MixedTransfer(PickledWithoutCaches):
     @cached_property
     def source_body(self) -> ArticulatedBody:
         """The source's parts that move those of the target, and the source points of their pivots."""
-        points = self._pivots.points(self._correspondence.carry(self.gradients.source.reference))
+        points = self._pivots.points(self.gradients.correspondence.carry(self.gradients.source.reference))
         return replace(self.body, pivots=points, centres=self._source_shapes.centres[self.parts.sources])
 
     @cached_property

@@ -1,6 +1,4 @@
-r"""Cut a target into parts as its source, with the source part that moves each.
-
-Assemble the parts of a target at its pivots, with the gaps of the source.
+r"""Parts of the target: cut as those of the source, and assembled at pivots with the gaps of the source.
 
 Neighbouring parts i and j meet at a pivot c, in the middle of their boundary on the target; :math:`\bar c` is that
 point on the source. With the rotations R' of the target's parts (by gradients) and rest centres m the centres x solve

@@ -1,7 +1,8 @@
 r"""Deform a source mesh onto a target, guided by markers: non-rigid registration.
 
 First the similarity between the markers (Umeyama 1991); then the `Energy` of a deformation is minimised for falling
-stiffness (Amberg, Romdhani, Vetter 2007, *Optimal Step Nonrigid ICP Algorithms for Surface Registration*), with
+stiffness :math:`\alpha` (Amberg, Romdhani, Vetter 2007, *Optimal Step Nonrigid ICP Algorithms for Surface
+Registration*), with
 
 - the markers, first alone, then all the time;
 - every source vertex drawn to the closest point of the target that faces the same way;
@@ -11,11 +12,9 @@ stiffness (Amberg, Romdhani, Vetter 2007, *Optimal Step Nonrigid ICP Algorithms 
 On horse to camel and cat to lion this takes as long as trimesh's `nricp_sumner` and a quarter of the time of its
 `nricp_amberg`, leaves a sixth of their distances, and supports components.
 
-Smooth deformation of a mesh under soft constraints: the energy of a non-rigid registration.
-
-Every vertex i has a new position p_i and an affine map A_i of its neighbourhood, both unknown (Amberg, Romdhani and
-Vetter 2007, in the form of embedded deformation, Sumner, Schmid and Pauly 2007, which does not depend on the origin).
-With edges :math:`e_{ij} = x_j - x_i`,
+*The energy.* Every vertex i has a new position p_i and an affine map A_i of its neighbourhood, both unknown (in the
+form of embedded deformation, Sumner, Schmid and Pauly 2007, which does not depend on the origin). With edges
+:math:`e_{ij} = x_j - x_i`,
 
 .. math::
     E = \alpha \Bigl[ \sum_{ij} \frac{w_{ij}}{2} \bigl( \|p_j - p_i - A_i e_{ij}\|^2 + \|p_i - p_j - A_j e_{ji}\|^2

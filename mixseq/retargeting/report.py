@@ -1,24 +1,19 @@
-r"""Measures of a transfer: strain, smoothness, flipped triangles, and self-intersections.
-
-- *strain* of an edge in a frame: :math:`|\,l / l_\mathrm{rest} - 1\,|`, of the target and of the source,
-- *excess* of a target edge: :math:`|\,l / l_\mathrm{rest} - \lambda\,|` with the stretch :math:`\lambda` expected from
-  the source (`mixseq.retargeting.report`), averaged over the triangles at the edge: the strain of one mesh
-  alone. Edges without a counterpart should have no strain.
-- a triangle is *turned over* if it faces away from the direction expected from the source,
-- *acceleration* of a vertex: :math:`|x_{t+1} - 2 x_t + x_{t-1}| / d`, per frame squared, with the target's diagonal d
-  at rest, and for the source d / s with the scale s between the two (`mixseq.retargeting.sources`).
-  That of the source is taken at the points of the target's vertices, independent of the density of meshes.
-
-All frames are measured, but self-intersections are counted in some only. Frames come block by block, and only the
-largest thousandth of the strains is kept.
-
-Measure how much of a target has a counterpart on the source, and name the components that follow others.
-
-Measure frames of a transfer: stretches and normals against those expected from the source, and accelerations.
+r"""Measure a transfer: coverage, strain, smoothness, flipped triangles and self-intersections.
 
 With the gradients J of the source's triangles and the rotation G between the two meshes a side s of a target triangle
 should become :math:`s' = G J G^T s`, as in `mixseq.retargeting.gradient_transfer`. So its length should be
-:math:`|s'| / |s|` times that at rest, and the triangle should face along :math:`s'_1 \times s'_2`.
+:math:`\lambda = |s'| / |s|` times that at rest, and the triangle should face along :math:`s'_1 \times s'_2`.
+
+- *strain* of an edge in a frame: :math:`|\,l / l_\mathrm{rest} - 1\,|`, of the target and of the source,
+- *excess* of a target edge: :math:`|\,l / l_\mathrm{rest} - \lambda\,|`, averaged over the triangles at the edge: the
+  strain of one mesh alone. Edges without a counterpart should have no strain.
+- a triangle is *turned over* if it faces away from the direction expected from the source,
+- *acceleration* of a vertex: :math:`|x_{t+1} - 2 x_t + x_{t-1}| / d`, per frame squared, with the target's diagonal d
+  at rest, and for the source d / s with the scale s between the two (`mixseq.retargeting.sources`). That of the source
+  is taken at the points of the target's vertices, independent of the density of meshes.
+
+All frames are measured, but self-intersections are counted in some only. Frames come block by block, and only the
+largest thousandth of the strains is kept.
 """
 
 from __future__ import annotations
@@ -63,11 +58,6 @@ class Coverage:
     area: float  # share of its area whose triangles are moved by a triangle of the source
     source_area: float  # share of the source's area whose triangles move one of the target's
     followers: tuple[Follower, ...]  # following components
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        shares = {"vertices": self.vertices, "area": self.area, "source_area": self.source_area}
-        return shares | {"followers": [asdict(follower) for follower in self.followers]}
 
 
 def coverage(transfer: Transfer) -> Coverage:
@@ -159,12 +149,13 @@ class Expected:
         return _sides_of(self.rest, self.topology.faces[self.matched])
 
     @cached_property
-    def _lengths(self) -> Float:
+    def lengths(self) -> Float:
         """Lengths ``(E',)`` of the target's edges at rest, NaN for none."""
         return _or_nan(edge_lengths(self.rest, self.topology.edges))
 
     @cached_property
-    def _source_lengths(self) -> Float:
+    def source_lengths(self) -> Float:
+        """Lengths ``(E,)`` of the source's edges at rest, NaN for none."""
         return _or_nan(edge_lengths(self.source_rest, self.source.edges))
 
     def sides(self, x: Float) -> Float:
@@ -184,14 +175,6 @@ class Expected:
         return np.asarray(
             np.bincount(edges, of_side.reshape(-1), count) / np.bincount(edges, minlength=count)
         )
-
-    def own_stretches(self, y: Float) -> Float:
-        """Return the stretches ``(E',)`` of the target's edges in a frame ``(V', 3)``; NaN without a rest length."""
-        return np.asarray(edge_lengths(y, self.topology.edges) / self._lengths)
-
-    def source_stretches(self, x: Float) -> Float:
-        """Return the stretches ``(E,)`` of the source's edges in a frame ``(V, 3)``."""
-        return np.asarray(edge_lengths(x, self.source.edges) / self._source_lengths)
 
     def turned_over(self, y: Float, sides: Float) -> Mask:
         """Mark matched triangles ``(n,)`` whose normals oppose the expected ones in a frame ``(V', 3)``."""
@@ -256,19 +239,6 @@ class Smoothness:
     source_max: float  # largest of the source, scaled to the target
     worst_frame: int  # frame of the target's largest
 
-    @classmethod
-    def of(
-        cls, target: Acceleration, diagonal: float, source: Acceleration, source_diagonal: float
-    ) -> Smoothness:
-        """Divide the accelerations of target and source by their diagonals."""
-        return cls(
-            target.rms / diagonal,
-            target.max / diagonal,
-            source.rms / source_diagonal,
-            source.max / source_diagonal,
-            target.worst_frame,
-        )
-
     @property
     def ratio(self) -> float | None:
         """Root mean square of the target relative to the source's; None if the source does not accelerate."""
@@ -326,7 +296,8 @@ class TransferReport:
         """Return plain values for JSON."""
         smooth = self.smoothness
         return {
-            "coverage": self.coverage.as_dict(),
+            "coverage": asdict(self.coverage)
+            | {"followers": [asdict(each) for each in self.coverage.followers]},
             "strain": asdict(self.strain),
             "source_strain": asdict(self.source_strain),
             "excess_strain": asdict(self.excess),
@@ -360,10 +331,7 @@ class Meter:
         self._count = len(transfer.source.points)
         self._done = 0
         edges, source_edges = len(self._expected.topology.edges), len(transfer.source.topology.edges)
-        self._strain, self._excess = (
-            RunningStatistics(self._count * edges),
-            RunningStatistics(self._count * edges),
-        )
+        self._strain, self._excess = (RunningStatistics(self._count * edges) for _ in range(2))
         self._source_strain = RunningStatistics(self._count * source_edges)
         self._acceleration = Acceleration(), Acceleration()
         self._looked_at = tuple(evenly(self._count, FRAMES).tolist())
@@ -389,10 +357,11 @@ class Meter:
         expected = self._expected
         for number, (x, y) in enumerate(zip(source, points, strict=True), start=self._done):
             sides = expected.sides(x)
-            lengths = expected.own_stretches(y)
-            self._strain.add(np.abs(lengths - 1.0))
-            self._excess.add(np.abs(lengths - expected.stretches(sides)))
-            self._source_strain.add(np.abs(expected.source_stretches(x) - 1.0))
+            stretches = edge_lengths(y, expected.topology.edges) / expected.lengths
+            source_stretches = edge_lengths(x, expected.source.edges) / expected.source_lengths
+            self._strain.add(np.abs(stretches - 1.0))
+            self._excess.add(np.abs(stretches - expected.stretches(sides)))
+            self._source_strain.add(np.abs(source_stretches - 1.0))
             self._turned_over.append(int(expected.turned_over(y, sides).sum()))
             self._flat.append(int(expected.newly_flat(y).sum()))
             if number in self._looked_at:
@@ -411,22 +380,29 @@ class Meter:
             )
         transfer, expected = self._transfer, self._expected
         target, source = zip(*self._crossings, strict=True)
-        at_rest = [
-            _crossings(*mesh)
-            for mesh in ((transfer.target, expected.topology), (transfer.source.rest, expected.source))
-        ]
         every = tuple(range(self._count))
         diagonal = bounding_diagonal(transfer.target) or 1.0
         source_diagonal = diagonal / expected.gradients.alignment.scale
-        moved, own = self._acceleration
+        smoothness = None
+        if self._count > 2:
+            moved, own = self._acceleration
+            smoothness = Smoothness(
+                moved.rms / diagonal,
+                moved.max / diagonal,
+                own.rms / source_diagonal,
+                own.max / source_diagonal,
+                moved.worst_frame,
+            )
         return TransferReport(
             coverage=coverage(transfer),
             strain=self._strain.result(),
             source_strain=self._source_strain.result(),
             excess=self._excess.result(),
-            smoothness=Smoothness.of(moved, diagonal, own, source_diagonal) if self._count > 2 else None,
-            intersections=Counts(at_rest[0], self._looked_at, target),
-            source_intersections=Counts(at_rest[1], self._looked_at, source),
+            smoothness=smoothness,
+            intersections=Counts(_crossings(transfer.target, expected.topology), self._looked_at, target),
+            source_intersections=Counts(
+                _crossings(transfer.source.rest, expected.source), self._looked_at, source
+            ),
             turned_over=Counts(0, every, tuple(self._turned_over)),
             flat=Counts(int(expected.flat.sum()), every, tuple(self._flat)),
         )

@@ -1,9 +1,8 @@
-"""Read the source of a transfer: its motion, its shape at rest, and its parts.
+"""The source of a transfer: its motion, its shape at rest, its parts, and its alignment with the target.
 
-Align source and target as a whole: by a rotation and a scale.
-
-Motions are transferred by it: a map F of the source becomes :math:`G F G^T` of the target, and a shift d is s G d. The
-scale is the ratio of radii, instead of that of least squares: with source and target exchanged it is the inverse.
+Source and target are aligned as a whole by a rotation G and a scale s: a map F of the source becomes :math:`G F G^T` of
+the target, and a shift d becomes s G d. The scale is the ratio of radii, instead of that of least squares: with source
+and target exchanged it is the inverse.
 
 With other proportions the best rotation is a little askew: a camel's neck and hump turn it eight degrees against a
 horse beside it. So the nearest quarter turn (or none) is taken, unless it fits clearly worse.

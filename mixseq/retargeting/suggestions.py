@@ -1,42 +1,33 @@
-r"""Suggest markers of two meshes in the same pose: sure pairs of extremities, for a person to confirm.
+r"""Suggest markers of two meshes in the same pose: sure pairs of extremities; and examine markers while they are set.
 
 Limbs, tail, head and ears are found; joints and flanks are for the person to set.
 
-A coarse copy of a mesh for quick distances along the surface.
+*Distances* along a surface are those of a coarse copy: the decimated largest component, centred, with unit area, so
+that lengths on two meshes are comparable in any units. They are along edges, and across hinges: from the vertex
+opposite in one face straight to that of the other, both unfolded into a plane. Edges alone overestimate by up to an
+eighth more.
 
-Its vertices are vertices of the mesh, those of the decimated largest component. It is centred and has unit area, so
-that lengths on two meshes are comparable in any units.
-
-Distances are along edges, and across hinges: from the vertex opposite in one face straight to that of the other, both
-unfolded into a plane. Edges alone overestimate by up to an eighth more.
-
-Extremities of a body: tips of limbs, tail, nose and ears, the maxima of the mean distance along the surface.
-
-The area-weighted mean distance along the surface to all of it (Hilaga et al. 2001) is least in the trunk and has a
-maximum at every tip, in any pose. Its *prominence*, as of a summit, is the least descent on the way to a higher one
-(0-dimensional persistence; Edelsbrunner, Letscher and Zomorodian 2002). The surroundings of an extremity have a heat
-kernel signature (Sun, Ovsjanikov and Guibas 2009),
+*Extremities* (tips of limbs, tail, nose and ears) are the maxima of the area-weighted mean distance along the surface
+to all of it (Hilaga et al. 2001), which is least in the trunk, in any pose. The *prominence* of a tip, as of a summit,
+is the least descent on the way to a higher one (0-dimensional persistence; Edelsbrunner, Letscher and Zomorodian 2002).
+Its surroundings have a heat kernel signature (Sun, Ovsjanikov and Guibas 2009),
 
 .. math:: h_t(v) = \sum_{i \ge 1} e^{-2 t \lambda_i} \phi_i(v)^2 .
 
-Match the extremities of two bodies in the same pose.
-
-First the prominent ones: limbs, tail, head. Any three of one body may be any three of the other. Each guess gives a
-proper similarity from one body to the other, and the cost of every pair,
+*Matching.* First the prominent extremities: limbs, tail, head. Any three of one body may be any three of the other.
+Each guess gives a proper similarity from one body to the other, and the cost of every pair,
 
 .. math:: c_{ij} = \|S x_i - y_j\| + \tfrac13 \sum_{k=1}^3 |d_{i\,i_k} - d_{j\,j_k}| ,
 
 the distance of the points, and the differences of their distances along the surface to the three, in roots of the area.
 The best assignment follows (Kuhn 1955), and is measured with the similarity of all its pairs and all their distances.
-A left-right exchange keeps distances, but needs a mirroring, which a proper similarity excludes.
+A left-right exchange keeps distances, but needs a mirroring, which a proper similarity excludes. A pair is *sure* by
+the additional cost of the best matching without it. Then less prominent extremities, such as ears, are matched alike to
+the remaining ones, guided by the pairs found.
 
-A pair is *sure* by the additional cost of the best matching without it. Then less prominent extremities, such as ears,
-are matched alike to the remaining ones, guided by the pairs found.
-
-Examine markers while they are set: their consistency, and a map that is found in a second.
-
-The map is that of `correspond`, between decimated meshes and stopped while still stiff: then it cannot reach
-inconsistent markers, and its distance from them is their residual. The full map reaches all.
+*Examining* markers: their consistency, and a map that is found in a second. The map is that of `correspond`, between
+decimated meshes and stopped while still stiff: then it cannot reach inconsistent markers, and its distance from them is
+their residual. The full map reaches all.
 """
 
 from __future__ import annotations
@@ -54,7 +45,7 @@ from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.mesh.decimation import decimate
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
-from mixseq.retargeting.checks import Suspicion, suspicions
+from mixseq.retargeting.checks import Suspicion, check_rest, suspicions
 from mixseq.retargeting.correspond import CorrespondenceSettings, correspond_and_assess
 from mixseq.retargeting.markers import Markers, Similarity, fit_similarity
 from mixseq.retargeting.registration import RegistrationSettings
@@ -429,10 +420,7 @@ def suggest_markers(source: MeshSequence, target: MeshSequence, rest: int = 0) -
     SettingsError
         If the frame does not exist, or a mesh has no area.
     """
-    if not -source.frame_count <= rest < source.frame_count:
-        raise SettingsError(
-            f"the source has no frame {rest}; the rest pose is one of 0 ... {source.frame_count - 1}"
-        )
+    check_rest(source, rest)
     with one_blas_thread():
         own, other = _extremities(source, rest), _extremities(target, 0)
     pairs = match_extremities(own, other)

@@ -60,27 +60,19 @@ class Transfer:
 
     def blocks(self, progress: Progress = silent, workers: Executor | None = None) -> Iterator[Float]:
         """Yield the target's points in blocks ``(B, V', 3)``, from the first frame to the last."""
-        done, count = 0, len(self.source.points)
-        work, frames = workers or on_threads(), (self.source.points[some] for some in self._slices())
-        if self.planted is None:
+        done, count, work = 0, len(self.source.points), workers or on_threads()
+        size = block_size(max(self.source.header.vertex_count, self.header.vertex_count))
+        slices = [slice(start, start + size) for start in range(0, count, size)]
+        frames, planted = (self.source.points[some] for some in slices), self.planted
+        if planted is None:
             made = work(_moved, self.method, frames)
         else:
-            made = work(_posed, self.planted.method, zip(frames, self._poses(self.planted), strict=True))
+            poses = (PartPoses(*(values[some] for values in planted.poses)) for some in slices)
+            made = work(_posed, planted.method, zip(frames, poses, strict=True))
         for block in made:
             yield block
             done += len(block)
             progress(done, count, "transferring frames")
-
-    def _slices(self) -> Iterator[slice]:
-        """Yield the frames of each block."""
-        size = block_size(max(self.source.header.vertex_count, self.header.vertex_count))
-        for start in range(0, len(self.source.points), size):
-            yield slice(start, start + size)
-
-    def _poses(self, planted: PlantedTransfer) -> Iterator[PartPoses]:
-        """Yield the poses of the target's parts in every block."""
-        for some in self._slices():
-            yield PartPoses(*(values[some] for values in planted.poses))
 
 
 def _moved(method: TransferMethod, block: FloatArray) -> Float:
@@ -242,18 +234,5 @@ def transfer(
     >>> transfer(walk, tall).points.shape == walk.points.shape
     True
     """
-    planned = plan(
-        source,
-        target,
-        markers,
-        mapping,
-        method,
-        rest,
-        contacts,
-        parts=parts,
-        joint_width=joint_width,
-        shell=shell,
-        progress=progress,
-        workers=workers,
-    )
+    planned = plan(**locals())  # it takes the same parameters
     return collect(planned.header, planned.blocks(progress, workers))

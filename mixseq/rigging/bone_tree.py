@@ -1,22 +1,19 @@
-r"""The tree of bones, from their contacts and motions.
+r"""The tree of bones, and motions of bones in it.
 
 *The joint of two bones.* Of points p of the rest shape, the one that both move most alike minimises
 
 .. math:: \sum_t |M_{ta} \tilde p - M_{tb} \tilde p|^2 + \mu T\, |p - p_0|^2 = \tilde p^T S_{ab}\, \tilde p + \dots,
           \quad S_{ab} = \sum_t (M_{ta} - M_{tb})^T (M_{ta} - M_{tb}),
 
-with :math:`\mu = 0.01` (chosen empirically): a joint that never turns stays at :math:`p_0`, the middle of the contact,
-and a hinge stays next to it on its axis. The minimum, :math:`g_{ab}`, is the separation of the joint (root mean
-square).
+with :math:`\mu = 0.01`: a joint that never turns stays at :math:`p_0`, the middle of the contact, and a hinge stays
+next to it on its axis. The minimum, :math:`g_{ab}`, is the separation of the joint (root mean square).
 
 *The tree* joins all bones by the pairs of least separation; pairs without contact are only used to connect components
 of the mesh. Its root is the bone with the fewest joints to the others, weighted by their vertices: the trunk of an
 animal.
 
-Fit motions of bones, free or jointed: a bone turns about the joint to its parent and carries its children.
-
-Given weights, motions minimise :math:`\sum_v |x_t(v) - \sum_b w_{vb} M_{tb} \tilde r_v|^2` in every frame. The joint of
-bone b with its parent a is the point :math:`p_b` of the rest shape, and both take it to the same place:
+*Motions.* Given weights, they minimise :math:`\sum_v |x_t(v) - \sum_b w_{vb} M_{tb} \tilde r_v|^2` in every frame. The
+joint of bone b with its parent a is the point :math:`p_b` of the rest shape, and both take it to the same place:
 :math:`c_{tb} = M_{ta} \tilde p_b` and :math:`M_{tb} \tilde r = R_{tb} (r - p_b) + c_{tb}`. Roots have translations of
 their own, and so have *sliding* joints; free bones (Le and Deng 2012) are roots. With rows :math:`\rho_v` of all
 :math:`w_{vb} \tilde r_v` and the motions transposed and stacked to :math:`M_t`, the residual of a vertex is
@@ -49,7 +46,7 @@ from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
 from mixseq.mesh.rigid import aligning_rotations
 from mixseq.rigging.bones import Binding
-from mixseq.types import Float, Index
+from mixseq.types import Float, Index, Mask
 
 SWEEPS = 10
 """Number of sweeps over the bones between two rounds of weights."""
@@ -70,15 +67,14 @@ class Joints:
 
     parents: Index  # (B,) the bone above each, which stands before it; -1 for roots
     pivots: Float  # (B, 3) joints with the parents, in the rest shape; pivots of roots
-    # (B,) whether the joint has a translation of its own; roots have.
-    sliding: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
+    sliding: Mask  # (B,) whether the joint has a translation of its own; roots have
 
     @classmethod
     def loose(cls, count: int) -> Joints:
         """Return free bones that turn about the origin."""
         return cls(np.full(count, -1), np.zeros((count, 3)), np.ones(count, dtype=bool))
 
-    def below(self) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    def below(self) -> Mask:
         """Return ``(B, B)`` whether a bone (column) is another (row) or below it."""
         found = np.eye(len(self.parents), dtype=bool)
         for bone in range(len(self.parents) - 1, -1, -1):
@@ -101,7 +97,9 @@ def move(
     tracks: Float, binding: Binding, motions: Float, joints: Joints, fit_pivots: bool = True
 ) -> tuple[Float, Joints]:
     """Fit the motions of bones, and their joints: tracks ``(V, 3T)``; motions ``(B, 4, 3T)``; result ``(B, 4, 3T)``."""
-    idle = _idle(binding, joints)
+    used = np.isin(np.arange(len(motions)), binding.influences[binding.weights > 0])
+    # Bones with parents that move no vertex, directly or by a bone below.
+    idle = np.flatnonzero(~(joints.below() & used).any(axis=1) & (joints.parents >= 0))
     stiffness = 0.0 if fit_pivots else _STIFFNESS
     fit = _Fit(tracks, binding, attached(_following(motions, joints, idle), joints), joints, stiffness)
     for _ in range(SWEEPS):
@@ -114,12 +112,6 @@ def move(
                 fit.shift_joint(bone)
     fitted = replace(joints, pivots=fit.pivots)
     return attached(_following(fit.motions, joints, idle), fitted), fitted
-
-
-def _idle(binding: Binding, joints: Joints) -> Index:
-    """Return the bones with parents that move no vertex, directly or by a bone below."""
-    used = np.isin(np.arange(len(joints.parents)), binding.influences[binding.weights > 0])
-    return np.flatnonzero(~(joints.below() & used).any(axis=1) & (joints.parents >= 0))
 
 
 def _following(motions: Float, joints: Joints, idle: Index) -> Float:
@@ -177,9 +169,8 @@ class _Fit:
     def shift_joint(self, bone: int) -> None:
         """Fit the position of a joint, where its bone and the one above agree best."""
         seen, weight = self.seen_below(bone)
-        apart = (self.motions[self.parents[bone], :3] - self.motions[bone, :3]).reshape(
-            3, -1, 3
-        )  # D, transposed
+        # D, transposed.
+        apart = (self.motions[self.parents[bone], :3] - self.motions[bone, :3]).reshape(3, -1, 3)
         normal = weight * (np.einsum("ati,bti->ab", apart, apart) + _JOINT_HELD * apart.shape[1] * np.eye(3))
         if weight <= _ROTATION_STIFFNESS:
             return
@@ -245,9 +236,7 @@ def _weights(binding: Binding, bones: int) -> sparse.csr_array:
     return sparse.csr_array(entries, shape=(len(binding.rest), bones))
 
 
-def _contacts(
-    faces: Index, weights: sparse.csr_array, rest: Float, mass: Float
-) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.bool_]], Float]:
+def _contacts(faces: Index, weights: sparse.csr_array, rest: Float, mass: Float) -> tuple[Mask, Float]:
     """Return contacts ``(B, B)`` of bones, and their middles ``(B, B, 3)``; without contact, of the lighter bone."""
     corners = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     edges = sparse.csr_array((np.ones(len(corners)), corners.T), (len(rest), len(rest)))

@@ -1,12 +1,6 @@
-r"""Initial bones, and motions as matrices.
+r"""Weights of vertices and motions of bones, and the sequences to which they are fitted.
 
-A motion of frame t, :math:`M_{tb} = (R_{tb}, T_{tb})`, is stored transposed, ``(4, 3)``, next to those of all frames.
-
-Compiled inner loop of `mixseq.rigging.bones`: weights and rest position, vertex by vertex.
-
-Fit weights of vertices to given motions of bones.
-
-With homogeneous rest positions :math:`\tilde r_v = (r_v, 1)`, motions :math:`M_{tb}` ``(3, 4)`` and
+With homogeneous rest positions :math:`\tilde r_v = (r_v, 1)`, motions :math:`M_{tb} = (R_{tb}, T_{tb})` ``(3, 4)`` and
 :math:`h_{bc} = \sum_t (M_{tb} \tilde r_v - x_t) \cdot (M_{tc} \tilde r_v - x_t)`, the squared error of vertex v is
 
 .. math:: \sum_t \Bigl| \sum_b w_b M_{tb} \tilde r_v - x_t \Bigr|^2 = w^T h\, w
@@ -22,12 +16,14 @@ sums over the frames
 
 Given weights, the rest position that minimises the same error solves three equations with the same sums.
 
-Sequences for fitting bones: every frame centred, in diagonals, and the conversion back to the file's units.
+Motions are stored transposed, ``(4, 3)``, next to those of all frames: ``(B, 4, 3T)``. Sequences are centred in every
+frame, and in diagonals.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -370,7 +366,7 @@ class Centred:
         """The points ``(T, V, 3)``, centred, in diagonals."""
         return (self.points - self.centres[:, None]) / self.diagonal
 
-    @property
+    @cached_property
     def tracks(self) -> Float:
         """The same as positions of every vertex ``(V, 3T)``, frame by frame."""
         return np.ascontiguousarray(self.frames.swapaxes(0, 1).reshape(self.header.vertex_count, -1))

@@ -6,20 +6,17 @@ Le and Deng (2012) alternate weights (`mixseq.rigging.bones`) and motions (`mixs
 positions, which they take from a frame, are fitted here too. Bones start as near-rigid parts instead of clusters of
 vertices; further bones are seeded where the error is largest. Rounds are accelerated.
 
-Bones are free at first. Then they form a tree (`mixseq.rigging.bone_tree`), with the fewest sliding joints that keep
-the error within a tenth of that of free bones: those of largest separation, weighted by their bones.
+*Found bones* are free at first. Then they form a tree, with the fewest sliding joints that keep the error within a
+tenth of that of free bones: those of largest separation, weighted by their bones.
 
-Find bones: free ones from near-rigid parts, and skins of them in a tree.
-
-Fit a given skeleton: its joints and the bound mesh keep their rest positions.
-
-A vertex starts with the nearest bone in the bind pose. Bone b is the segments from its joint to those of its children;
-one without children extends the direction of the one above. Bones start with the best rigid motions of their vertices,
-those without vertices follow the bone above; then joints connect them, and weights and motions are fitted in turn
-(`mixseq.rigging.decomposition`). Of bones that move alike a vertex follows the nearest: a weight :math:`w_{vb}` costs
-:math:`w_{vb} (10^{-3} d_{vb})^2` of a squared error, at the distance :math:`d_{vb}`. At first the cost is a hundred
-times larger: else bones with unknown motions lose their vertices to others that happen to move like them, and never
-get them back. Bones that move nothing keep their rest pose relative to the one above.
+*A given skeleton* keeps the rest positions of its joints and of the bound mesh. A vertex starts with the nearest bone
+in the bind pose. Bone b is the segments from its joint to those of its children; one without children extends the
+direction of the one above. Bones start with the best rigid motions of their vertices, those without vertices follow the
+bone above; then joints connect them, and weights and motions are fitted in turn. Of bones that move alike a vertex
+follows the nearest: a weight :math:`w_{vb}` costs :math:`w_{vb} (10^{-3} d_{vb})^2` of a squared error, at the distance
+:math:`d_{vb}`. At first the cost is a hundred times larger: else bones with unknown motions lose their vertices to
+others that happen to move like them, and never get them back. Bones that move nothing keep their rest pose relative to
+the one above.
 """
 
 from __future__ import annotations
@@ -88,7 +85,8 @@ def free_bones(
     loose = Joints.loose(len(motions))
     motions, _ = move(tracks, binding, motions, loose)
     binding, motions, _ = alternated(tracks, binding, motions, loose, exact, rounds, told)
-    return _without_idle(binding, motions)
+    used = np.unique(binding.influences[binding.weights > 0])
+    return _renumbered(binding, used, len(motions)), motions[used]
 
 
 def alternated(
@@ -98,7 +96,7 @@ def alternated(
     joints: Joints,
     enough: float,
     rounds: int,
-    told: Callable[[int], None],
+    told: Callable[[int], None] = lambda done: None,
     held: bool = False,
 ) -> tuple[Binding, Float, Joints]:
     """Fit weights with rest positions, and motions, in turn, until the squared error is small enough or stops falling.
@@ -128,12 +126,6 @@ def alternated(
     return binding, motions, joints
 
 
-def _without_idle(binding: Binding, motions: Float) -> tuple[Binding, Float]:
-    """Remove bones without vertices."""
-    used = np.unique(binding.influences[binding.weights > 0])
-    return _renumbered(binding, used, len(motions)), motions[used]
-
-
 def _renumbered(binding: Binding, order: Index, bones: int) -> Binding:
     """Renumber the bones of a binding by their places in an order."""
     places = np.zeros(bones, dtype=np.int64)
@@ -156,14 +148,12 @@ def hung_bones(
         count = (fewest + enough) // 2
         sliding = joints.sliding.copy()
         sliding[apart[:count]] = True
-        tried = alternated(
-            tracks, binding, motions, replace(joints, sliding=sliding), most, rounds // _TRIED, _silent
-        )
+        tried = alternated(tracks, binding, motions, replace(joints, sliding=sliding), most, rounds // _TRIED)
         if tried[0].errors.sum() <= most:
             found, enough = tried, count
         else:
             fewest = count + 1
-    return alternated(tracks, *found, _EXACT**2 * tracks.size / 3, rounds // _TRIED, _silent)
+    return alternated(tracks, *found, _EXACT**2 * tracks.size / 3, rounds // _TRIED)
 
 
 def _coming_apart(binding: Binding, motions: Float, joints: Joints) -> Index:
@@ -175,10 +165,6 @@ def _coming_apart(binding: Binding, motions: Float, joints: Joints) -> Index:
     np.add.at(weights, binding.influences, np.square(binding.weights))
     costs = np.sum(np.square(gaps), axis=1) * weights[bones]
     return np.asarray(bones[np.argsort(-costs, kind="stable")])
-
-
-def _silent(done: int) -> None:
-    """Ignore progress."""
 
 
 ROUGH = 4
@@ -195,76 +181,55 @@ class FreeBones:
     errors: tuple[float, float]
 
 
-@dataclass(frozen=True, eq=False)
-class FoundBones:
-    """Fits of bones to one sequence."""
+def fit_free_bones(
+    sequence: Centred, bones: int | ArrayLike | None, rounds: int, told: Callable[[int], None]
+) -> FreeBones:
+    """Fit free bones: at most a number, or from the labels ``(F,)`` of triangles, or from parts by motion."""
+    tracks = sequence.tracks
+    binding, motions = free_bones(tracks, *_initial_labels(sequence, bones), rounds, told)
+    off = tracks - binding.matrix(len(motions)) @ motions.reshape(-1, motions.shape[2])
+    squares = np.square(off).reshape(len(off), -1, 3).sum(axis=2)
+    spread = float(np.square(tracks).sum()) or 1.0
+    errors = float(np.sqrt(squares.max())), 100 * float(np.sqrt(squares.sum() / spread))
+    return FreeBones(binding, motions, errors)
 
-    sequence: Centred  # the animation
-    tracks: Float  # (V, 3T) its positions of every vertex, centred, in diagonals
-    faces: Index  # (F, 3) triangles
-    rounds: int  # largest number of rounds of weights and motions
-    progress: Progress  # progress of fits
 
-    @classmethod
-    def of(cls, sequence: Centred, rounds: int, progress: Progress) -> FoundBones:
-        """Prepare a sequence."""
-        return cls(sequence, sequence.tracks, sequence.header.faces.astype(np.int64), rounds, progress)
+def skin_of_tree(sequence: Centred, free: FreeBones, rounds: int, told: Callable[[int], None]) -> Skin:
+    """Build a tree of free bones, without those that move nothing."""
+    faces = sequence.header.faces.astype(np.int64)
+    binding, motions, joints = hung_bones(sequence.tracks, faces, free.binding, free.motions, rounds, told)
+    used = np.isin(np.arange(len(motions)), binding.influences[binding.weights > 0])
+    kept = (joints.below() & used).any(axis=1)
+    place = np.cumsum(kept) - 1
+    parents = joints.parents[kept]
+    origin = sequence.centres[0]
+    skeleton = replace(
+        Skeleton.flat(sequence.diagonal * joints.pivots[kept] + origin),
+        parents=np.where(parents < 0, -1, place[parents]),
+    )
+    binding = replace(binding, influences=place[binding.influences])
+    return sequence.skin(binding, motions[kept], skeleton, origin)
 
-    def free(self, bones: int | ArrayLike | None, rounds: int | None = None) -> FreeBones:
-        """Fit free bones: at most a number, or from the labels ``(F,)`` of triangles, or from parts by motion."""
-        labels, most = self._starting(bones)
-        rounds = self.rounds if rounds is None else rounds
-        binding, motions = free_bones(self.tracks, labels, most, rounds, self._told)
-        off = self.tracks - binding.matrix(len(motions)) @ motions.reshape(-1, motions.shape[2])
-        squares = np.square(off).reshape(len(off), -1, 3).sum(axis=2)
-        spread = float(np.square(self.tracks).sum()) or 1.0
-        errors = float(np.sqrt(squares.max())), 100 * float(np.sqrt(squares.sum() / spread))
-        return FreeBones(binding, motions, errors)
 
-    def hung(self, free: FreeBones) -> Skin:
-        """Build a tree of bones, without those that move nothing."""
-        binding, motions, joints = hung_bones(
-            self.tracks,
-            self.faces,
-            free.binding,
-            free.motions,
-            self.rounds,
-            lambda done: self._told(self.rounds + done),
-        )
-        used = np.isin(np.arange(len(motions)), binding.influences[binding.weights > 0])
-        kept = (joints.below() & used).any(axis=1)
-        place = np.cumsum(kept) - 1
-        parents = joints.parents[kept]
-        origin, diagonal = self.sequence.centres[0], self.sequence.diagonal
-        skeleton = replace(
-            Skeleton.flat(diagonal * joints.pivots[kept] + origin),
-            parents=np.where(parents < 0, -1, place[parents]),
-        )
-        binding = replace(binding, influences=place[binding.influences])
-        return self.sequence.skin(binding, motions[kept], skeleton, origin)
-
-    def _told(self, done: int) -> None:
-        self.progress(done, 2 * self.rounds + 1, "fitting weights and bones")
-
-    def _starting(self, bones: int | ArrayLike | None) -> tuple[Index, int]:
-        """Return the initial bone ``(V,)`` of every vertex, and the largest number of bones."""
-        faces, vertices = self.faces, self.sequence.header.vertex_count
-        if bones is None or isinstance(bones, int | np.integer):
-            if bones is not None and not 1 <= bones <= len(faces):
-                raise SettingsError(
-                    f"{bones} bones are asked for; a number from 1 to {len(faces)}, that of the triangles, is expected"
-                )
-            count = None if bones is None else int(bones)
-            labels = segment(self.sequence.frames, Topology(faces, vertices), parts=count)
-        else:
-            labels, count = np.asarray(bones), None
-            if labels.shape != (len(faces),) or not np.issubdtype(labels.dtype, np.integer):
-                raise SegmentationError(
-                    f"labels of bones have shape {labels.shape} and type {labels.dtype}; "
-                    f"one whole number for each of the {len(faces)} triangles is expected"
-                )
-            labels = np.unique(labels, return_inverse=True)[1]
-        return vertex_labels(faces, labels, vertices), count or int(labels.max()) + 1
+def _initial_labels(sequence: Centred, bones: int | ArrayLike | None) -> tuple[Index, int]:
+    """Return the initial bone ``(V,)`` of every vertex, and the largest number of bones."""
+    faces, vertices = sequence.header.faces.astype(np.int64), sequence.header.vertex_count
+    if bones is None or isinstance(bones, int | np.integer):
+        if bones is not None and not 1 <= bones <= len(faces):
+            raise SettingsError(
+                f"{bones} bones are asked for; a number from 1 to {len(faces)}, that of the triangles, is expected"
+            )
+        count = None if bones is None else int(bones)
+        labels = segment(sequence.frames, Topology(faces, vertices), parts=count)
+    else:
+        labels, count = np.asarray(bones), None
+        if labels.shape != (len(faces),) or not np.issubdtype(labels.dtype, np.integer):
+            raise SegmentationError(
+                f"labels of bones have shape {labels.shape} and type {labels.dtype}; "
+                f"one whole number for each of the {len(faces)} triangles is expected"
+            )
+        labels = np.unique(labels, return_inverse=True)[1]
+    return vertex_labels(faces, labels, vertices), count or int(labels.max()) + 1
 
 
 _OTHER_LENGTH = 1.5  # ratio of median edge lengths: another unit, or another mesh; chosen empirically

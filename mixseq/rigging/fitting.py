@@ -1,4 +1,4 @@
-r"""Fit targets: the principal shapes of displacements, the fewest for an error.
+r"""Fit a skin or morph targets to a sequence, in the units of the file: the fewest bones and targets for an error.
 
 *Principal shapes.* Of displacements X ``(T, 3V)``, with :math:`X X^T = U \Lambda U^T`, the targets are rows of
 :math:`U^T X` and the weights columns of U (Alexa and Mueller 2000). The first M of them approximate X best in the sum
@@ -14,13 +14,9 @@ with :math:`\mu = 10^{-6}`. Means of rotations that differ by nearly half a turn
 largest weight, and the targets compensate. Both values were chosen empirically. The targets are the principal shapes
 of :math:`\delta`, and the error is measured after skinning.
 
-Find the smallest number of bones for an error.
-
-Rough fits of free bones, in a few rounds, give the error as a function of their number; a full fit at one number
-calibrates them all. The predicted number is fitted, and then one a tenth smaller, which mostly fails. Free bones with
-a clearly too large error are not built into a tree, which reduces it a little at best.
-
-Fit a skin or morph targets to a sequence, in the units of the file.
+*The number of bones.* Rough fits of free bones, in a few rounds, give the error as a function of their number; a full
+fit at one number calibrates them all. The predicted number is fitted, and then one a tenth smaller, which mostly fails.
+Free bones with a clearly too large error are not built into a tree, which reduces it a little at best.
 """
 
 from __future__ import annotations
@@ -35,7 +31,7 @@ from numpy.typing import ArrayLike
 
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.rigging.bones import Centred
-from mixseq.rigging.decomposition import ROUGH, FoundBones, FreeBones, fit_to_skeleton
+from mixseq.rigging.decomposition import ROUGH, FreeBones, fit_free_bones, fit_to_skeleton, skin_of_tree
 from mixseq.rigging.rigs import INFLUENCES, Morph, Skeleton, Skin, rotation_matrices
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, silent
@@ -163,12 +159,8 @@ def fewest_bones(
     tried: tuple[Skin, float] | None = None
     while few < most and (best is None or enough - few > _margin(enough)):
         last = enough - _margin(enough) if best else most
-        count = min(
-            last,
-            max(
-                _promising(roughly, few, last, wanted / max(left, _NONE)), few + (1 if best else _margin(few))
-            ),
-        )
+        promising = _promising(roughly, few, last, wanted / max(left, _NONE))
+        count = min(last, max(promising, few + (1 if best else _margin(few))))
         if tries >= _GUESSED:
             count = (few + enough) // 2 if best else min(2 * few, most)
         tries += 1
@@ -301,11 +293,15 @@ def fit_skin(
         if skeleton is not None:
             skin = fit_to_skeleton(centred, skeleton, bind_pose, rounds, progress)
         else:
-            found = FoundBones.of(centred, rounds, progress)
+
+            def told(done: int) -> None:
+                progress(done, 2 * rounds + 1, "fitting weights and bones")
+
             if max_error is None and kg is None:
-                skin = found.hung(found.free(bones))
+                free = fit_free_bones(centred, bones, rounds, told)
+                skin = skin_of_tree(centred, free, rounds, lambda done: told(rounds + done))
             else:
-                skin = _reaching(found, max_error, kg)
+                skin = _reaching(centred, max_error, kg, rounds, told)
         if correctives is None:
             return skin
         progress(2 * rounds, 2 * rounds + 1, "fitting correctives")
@@ -363,30 +359,27 @@ def fit_morph(
     return Morph(held.header, base, targets.shapes, targets.weights)
 
 
-def _reaching(bones: FoundBones, max_error: float | None, kg: float | None) -> Skin:
+def _reaching(
+    sequence: Centred, max_error: float | None, kg: float | None, rounds: int, told: Callable[[int], None]
+) -> Skin:
     """Fit the fewest bones for an error."""
     which, wanted = (0, max_error) if kg is None else (1, kg)
     assert wanted is not None, "one of them is given"
 
     @cache
     def roughly(count: int) -> float:
-        return bones.free(count, ROUGH).errors[which]
+        return fit_free_bones(sequence, count, ROUGH, told).errors[which]
 
     @lru_cache(1)
     def free(count: int) -> FreeBones:
-        return bones.free(count)
+        return fit_free_bones(sequence, count, rounds, told)
 
     def hung(count: int) -> tuple[Skin, float]:
-        skin = bones.hung(free(count))
-        return skin, errors(skin, bones.sequence)[which]
+        skin = skin_of_tree(sequence, free(count), rounds, lambda done: told(rounds + done))
+        return skin, errors(skin, sequence)[which]
 
-    skin, reached = fewest_bones(
-        roughly,
-        lambda count: free(count).errors[which],
-        hung,
-        wanted,
-        min(MOST_BONES, len(bones.faces)),
-    )
+    most = min(MOST_BONES, len(sequence.header.faces))
+    skin, reached = fewest_bones(roughly, lambda count: free(count).errors[which], hung, wanted, most)
     if reached > wanted:
         unit = "diagonals" if kg is None else "% (KG)"
         warnings.warn(

@@ -25,13 +25,13 @@ from scipy import linalg
 
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.mesh.topology import Topology
-from mixseq.rigging.bones import merged, vertex_labels
+from mixseq.rigging.bones import Centred, merged, vertex_labels
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, silent
 from mixseq.runtime.public import public
 from mixseq.segmentation.methods import segment
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import Frames, bounding_diagonal, check_frames, frame_store
+from mixseq.sequence.sequence import Frames, check_frames
 from mixseq.types import Float, Index
 
 _FEWER = 2 / 3
@@ -83,14 +83,12 @@ class LowRank:
     def blocks(self, size: int = 16) -> Iterator[Float]:
         """Iterate over the points in blocks ``(n, V, 3)`` of at most `size` frames."""
         for start in range(0, self.header.frame_count, size):
-            yield np.stack([self._frame(each) for each in self.coefficients[start : start + size]])
+            frames = self.coefficients[start : start + size]
+            yield np.stack([np.einsum("vk,vki->vi", self.basis, frame[self.parts]) for frame in frames])
 
     def points(self) -> Float:
         """Return all frames ``(T, V, 3)``."""
         return np.concatenate(list(self.blocks()))
-
-    def _frame(self, coefficients: Float) -> Float:
-        return np.asarray(np.einsum("vk,vki->vi", self.basis, coefficients[self.parts]))
 
 
 @public
@@ -105,10 +103,8 @@ def fit_low_rank(
     check_frames(sequence)
     if not max_error > 0:
         raise SettingsError(f"max_error is {max_error:g}; a positive number of diagonals is expected")
-    held = frame_store(sequence)
-    header = held.header
-    points = np.asarray(held.points[: header.frame_count], dtype=np.float64)
-    diagonal = bounding_diagonal(points[0]) or 1.0
+    centred = Centred.of(sequence)
+    header, points, diagonal = centred.header, centred.points, centred.diagonal
     faces = header.faces.astype(np.int64)
     with one_blas_thread():
         labels = segment(points, Topology(faces, header.vertex_count), parts=parts)

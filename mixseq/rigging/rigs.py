@@ -1,7 +1,14 @@
-r"""Rigs for engines: a skin over moving bones, or a base mesh with morph targets.
+r"""Rigs for engines: a skin over a tree of moving bones, or a base mesh with morph targets.
 
-*Linear blend skinning.* Bone b at frame t turns about its pivot :math:`p_b` by the rotation :math:`R_{tb}` and takes
-the pivot to :math:`c_{tb}`; a vertex follows at most four bones, and the rest shape may be corrected before:
+*Trees of bones.* The joint of bone b lies at the pivot :math:`p_b`, with axes :math:`A_b` (a rotation) at rest. A
+motion of the bones in the world, :math:`R_{tb}` about the pivot that is then at :math:`c_{tb}`, takes the axes to
+:math:`R_{tb} A_b`. Relative to the parent a, as in files and engines,
+
+.. math:: Q_{tb} = (R_{ta} A_a)^{-1} R_{tb} A_b, \quad q_{tb} = (R_{ta} A_a)^{-1} (c_{tb} - c_{ta}),
+
+and those of roots are relative to the world. Sums along the tree lead back, parents first.
+
+*Linear blend skinning.* A vertex follows at most four bones, and the rest shape may be corrected before:
 
 .. math::
 
@@ -12,16 +19,6 @@ the pivot to :math:`c_{tb}`; a vertex follows at most four bones, and the rest s
 
 Both stream their frames as a `mixseq.sequence.sequence.MeshSequence` does, so that `mixseq.compare` and writers take
 them.
-
-Trees of bones: names, parents, and joints at rest.
-
-The joint of bone b lies at the pivot :math:`p_b`, with axes :math:`A_b` (a rotation) at rest. A motion of the bones in
-the world, :math:`R_{tb}` about the pivot that is then at :math:`c_{tb}`, takes the axes to :math:`R_{tb} A_b`. Relative
-to the parent a, as in files and engines,
-
-.. math:: Q_{tb} = (R_{ta} A_a)^{-1} R_{tb} A_b, \quad q_{tb} = (R_{ta} A_a)^{-1} (c_{tb} - c_{ta}),
-
-and those of roots are relative to the world. Sums along the tree lead back, parents first.
 """
 
 from __future__ import annotations
@@ -39,7 +36,11 @@ from mixseq.mesh.polygons import frozen
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray, Index
 
-_UNIT = 1e-6  # tolerance of the length of quaternions
+INFLUENCES = 4
+"""Largest number of bones of a vertex: that of engines and the core of glTF 2.0."""
+
+_SUM = 1e-6  # tolerance of sums of weights and lengths of quaternions
+_MISS = 1e-3  # share of a frame: tolerance of typed times at the first and last frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,15 +88,10 @@ class Skeleton:
             raise InvalidSequenceError(
                 f"the parent of bone {bone} is {parents[bone]}; a bone before it, or -1 for none, is expected"
             )
-        for name, width in (("pivots", 3), ("axes", 4)):
-            array = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
-            if array.shape != (count, width):
-                raise InvalidSequenceError(f"{name} have shape {array.shape}; ({count}, {width}) is expected")
-            if not np.isfinite(array).all():
-                raise InvalidSequenceError(f"{name} have entries that are not finite")
-            object.__setattr__(self, name, frozen(array))
+        _take(self, "pivots", (count, 3))
+        _take(self, "axes", (count, 4))
         lengths = np.linalg.norm(self.axes, axis=1)
-        if (np.abs(lengths - 1) > _UNIT).any():
+        if (np.abs(lengths - 1) > _SUM).any():
             bone = int(np.argmax(np.abs(lengths - 1)))
             raise InvalidSequenceError(
                 f"the axes of bone {self.names[bone]!r} have length {lengths[bone]:g}; unit quaternions are expected"
@@ -156,13 +152,6 @@ class LocalMotion:
     translations: (
         Float  # (..., B, 3) joints in the axes of their parents, from their joints on, in the file's units
     )
-
-
-INFLUENCES = 4
-"""Largest number of bones of a vertex: that of engines and the core of glTF 2.0."""
-
-_SUM = 1e-6  # tolerance of sums of weights and lengths of quaternions
-_MISS = 1e-3  # share of a frame: tolerance of typed times at the first and last frame
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,6 @@
-"""Bundle mixseq's JavaScript modules as one module without imports, for a page or a project.
+"""mixseq's JavaScript: modules bundled as one without imports, and the npm package of them as a folder.
 
-The npm package for web projects, as a folder: decoder, three.js plugin, pages, types, schema.
+The package has the decoder, a plugin for three.js, pages, types and a schema.
 """
 
 from __future__ import annotations

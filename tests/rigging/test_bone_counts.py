@@ -13,9 +13,8 @@ from hypothesis import strategies as st
 import mixseq
 from mixseq.errors import MixseqWarning
 from mixseq.rigging.bones import Centred
-from mixseq.rigging.decomposition import FoundBones
+from mixseq.rigging.decomposition import fit_free_bones, skin_of_tree
 from mixseq.rigging.fitting import errors, fewest_bones, fit_skin
-from mixseq.runtime.progress import silent
 from tests.rigging.test_rig_fitting import skinned_bar
 
 
@@ -78,8 +77,10 @@ def test_bones_that_are_too_far_off_are_hung_only_if_no_others_are_allowed() -> 
 @pytest.mark.slow
 def test_errors_of_free_bones_are_those_of_their_shapes() -> None:
     sequence = skinned_bar()
-    bones = FoundBones.of(Centred.of(sequence), 60, silent)
-    assert bones.free(1).errors == pytest.approx(errors(bones.hung(bones.free(1)), bones.sequence), rel=1e-3)
+    centred = Centred.of(sequence)
+    free = fit_free_bones(centred, 1, 60, lambda _: None)
+    skin = skin_of_tree(centred, free, 60, lambda _: None)
+    assert free.errors == pytest.approx(errors(skin, centred), rel=1e-3)
 
 
 @pytest.mark.slow

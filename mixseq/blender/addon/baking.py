@@ -150,16 +150,4 @@ def _alone(context: Any, mesh: bpy.types.Mesh) -> Iterator[bpy.types.Object]:
         context.view_layer.objects.active = active
 
 
-_CLASSES = (BakeShapeKeys, BakeAlembic)
-
-
-def register() -> None:
-    """Register the operators."""
-    for each in _CLASSES:
-        bpy.utils.register_class(each)
-
-
-def unregister() -> None:
-    """Unregister the operators."""
-    for each in reversed(_CLASSES):
-        bpy.utils.unregister_class(each)
+register, unregister = bpy.utils.register_classes_factory((BakeShapeKeys, BakeAlembic))

@@ -38,7 +38,8 @@ class _ModelFile(ImportHelper):
             self.report({"ERROR"}, live.in_words(error))
             return {"CANCELLED"}
         if self.set_frame_range:
-            _set_range(context.scene, model)
+            first, last = (round(time * live.rate(context.scene)) for time in (model.start, model.end))
+            context.scene.frame_start, context.scene.frame_end = first, max(first, last)
         if not context.scene.render.use_lock_interface:
             context.scene.render.use_lock_interface = True
             self.report({"INFO"}, "Render > Lock Interface is on: meshes move while Blender renders")
@@ -124,11 +125,6 @@ def _kept_path(path: str) -> str:
         return path
 
 
-def _set_range(scene: bpy.types.Scene, model: Model) -> None:
-    first, last = (round(time * live.rate(scene)) for time in (model.start, model.end))
-    scene.frame_start, scene.frame_end = first, max(first, last)
-
-
 def _has_polygons_of(mesh: bpy.types.Mesh, model: Model, part: str) -> bool:
     own = model.header.polygons
     rows, polygons = part_of(model.header, part)
@@ -144,18 +140,16 @@ def _menu(menu: Any, context: Any) -> None:
     menu.layout.operator(ImportModel.bl_idname, text="mixseq Model (.h5, .glb)")
 
 
-_CLASSES = (ImportModel, AttachModel, DropModel)
+_register, _unregister = bpy.utils.register_classes_factory((ImportModel, AttachModel, DropModel))
 
 
 def register() -> None:
     """Register the operators, and an entry in File > Import."""
-    for each in _CLASSES:
-        bpy.utils.register_class(each)
+    _register()
     bpy.types.TOPBAR_MT_file_import.append(_menu)
 
 
 def unregister() -> None:
     """Unregister the operators."""
     bpy.types.TOPBAR_MT_file_import.remove(_menu)
-    for each in reversed(_CLASSES):
-        bpy.utils.unregister_class(each)
+    _unregister()

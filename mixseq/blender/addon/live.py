@@ -17,7 +17,6 @@ from bpy.app.handlers import persistent
 from mixseq.blender.motion import Frames, Models, Motion, Placing, part_of, seconds
 from mixseq.errors import MixseqError, SettingsError
 from mixseq.signals.model import Model
-from mixseq.types import Single
 from mixseq_io.loading import load
 
 from .settings import MotionSettings, memory
@@ -82,20 +81,16 @@ def _move(mesh: bpy.types.Mesh, settings: MotionSettings, fps: float) -> None:
     if _shown.get(mesh.session_uid) == shown or mesh.is_editmode:
         return
     rows, _ = part_of(motion.model.header, settings.part)
-    _write(mesh, frames.get((motion, time), lambda: motion.points(time))[rows])
-    _shown[mesh.session_uid] = shown
-
-
-def _write(mesh: bpy.types.Mesh, points: Single) -> None:
+    points = frames.get((motion, time), lambda: motion.points(time))[rows]
     if len(mesh.vertices) != len(points):
         raise SettingsError(
             f"the mesh has {len(mesh.vertices):,} vertices, the model {len(points):,}; apply no modifiers to it, and "
             "delete nothing of it"
         )
-    mesh.vertices.foreach_set(
-        "co", points.reshape(-1)
-    )  # the attribute "position" would leave the bounds as they were
+    # The attribute "position" would leave the bounds as they were.
+    mesh.vertices.foreach_set("co", points.reshape(-1))
     mesh.update()
+    _shown[mesh.session_uid] = shown
 
 
 @persistent

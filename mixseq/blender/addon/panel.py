@@ -64,11 +64,4 @@ def _tell(layout: Any, text: str, width: int) -> None:
         box.label(text=line, icon="NONE" if number else "ERROR")
 
 
-def register() -> None:
-    """Register the panel."""
-    bpy.utils.register_class(MotionPanel)
-
-
-def unregister() -> None:
-    """Unregister the panel."""
-    bpy.utils.unregister_class(MotionPanel)
+register, unregister = bpy.utils.register_classes_factory((MotionPanel,))

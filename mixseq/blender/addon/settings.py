@@ -88,15 +88,16 @@ def memory() -> int:
     return MEMORY if addon is None or addon.preferences is None else addon.preferences.megabytes << 20
 
 
+_register, _unregister = bpy.utils.register_classes_factory((MotionSettings, Preferences))
+
+
 def register() -> None:
     """Add the settings to all meshes."""
-    bpy.utils.register_class(MotionSettings)
-    bpy.utils.register_class(Preferences)
+    _register()
     bpy.types.Mesh.mixseq = PointerProperty(type=MotionSettings)
 
 
 def unregister() -> None:
     """Remove the settings; files keep their values."""
     del bpy.types.Mesh.mixseq
-    bpy.utils.unregister_class(Preferences)
-    bpy.utils.unregister_class(MotionSettings)
+    _unregister()

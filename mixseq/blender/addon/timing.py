@@ -17,7 +17,8 @@ BLUR = "mixseq motion blur"
 
 def follow_scene(mesh: bpy.types.Mesh) -> None:
     """Drive a mesh by the frame of the scene; keys of an earlier model are kept."""
-    if not _is_animated(mesh):
+    animation = mesh.animation_data
+    if animation is None or not (animation.action or animation.drivers or animation.nla_tracks):
         mesh.mixseq.driver_add("frame").driver.expression = "frame"
 
 
@@ -36,11 +37,6 @@ def linear(animated: bpy.types.ID) -> None:
             point.interpolation = "LINEAR"
         curve.update()
     animated.update_tag()
-
-
-def _is_animated(mesh: bpy.types.Mesh) -> bool:
-    animation = mesh.animation_data
-    return animation is not None and bool(animation.action or animation.drivers or animation.nla_tracks)
 
 
 def _curves(animated: bpy.types.ID) -> Any:
@@ -83,11 +79,4 @@ class Retime(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def register() -> None:
-    """Register the operator."""
-    bpy.utils.register_class(Retime)
-
-
-def unregister() -> None:
-    """Unregister the operator."""
-    bpy.utils.unregister_class(Retime)
+register, unregister = bpy.utils.register_classes_factory((Retime,))

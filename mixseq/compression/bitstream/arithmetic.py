@@ -1,41 +1,31 @@
-r"""Binary arithmetic coding: predicted bits to bytes, and back.
+r"""Binary arithmetic coding: predicted bits to bytes, and back; models that predict them; checks of decoded numbers.
 
-Encoder and decoder share a probability for each bit. An interval of 32-bit numbers is split in that proportion, and the
-bit's half is kept; bytes on which both ends agree are output. The loss against the ideal is below a thousandth.
+*Coding.* Encoder and decoder share a probability for each bit. An interval of 32-bit numbers is split in that
+proportion, and the bit's half is kept; bytes on which both ends agree are output. The loss against the ideal is below a
+thousandth. The probability of a bit depends on the bits before it, so the split is made inside compiled loops.
 
-The probability of a bit depends on the bits before it, so the split is made inside compiled loops.
-
-Frozen: changing this breaks old files (golden: ``tests/compression/golden/*.npz``). All values are integers below 2^49.
-
-Verify decoded numbers: streams end with the CRC-32 of the numbers that they decode to.
-
-Decoding repeats every prediction of the encoder. Different rounding, an error in a library or port, and a damaged file
-would lead to other numbers; the check turns all of these into one error.
-
-Frozen: changing this breaks old files (golden: ``tests/compression/golden/*.npz``).
-
-Predict the probability of the next bit from several contexts by logistic mixing, learned from the bits before.
-
-A bit has a *position* (first question about a number, second, ...) and a *context* in every input, a small integer. In
-context :math:`c` of input :math:`i` bits at that position were 1 with the relative frequency :math:`p_{ic}`, counted
-:math:`n_{ic}` times. Inputs are mixed in the logistic domain (Mahoney 2005, *Adaptive weighing of context models for
-lossless data compression*),
+*Models.* The probability is mixed from several contexts. A bit has a *position* (first question about a number, second,
+...) and a *context* in every input, a small integer. In context :math:`c` of input :math:`i` bits at that position were
+1 with the relative frequency :math:`p_{ic}`, counted :math:`n_{ic}` times. Inputs are mixed in the logistic domain
+(Mahoney 2005, *Adaptive weighing of context models for lossless data compression*),
 
 .. math:: x_i = \frac{n_{ic}}{n_{ic} + 1} \ln \frac{p_{ic}}{1 - p_{ic}}, \qquad x = \sum_i w_i x_i,
           \qquad p = \frac{1}{1 + e^{-x}}
 
 so that a new context contributes nothing. After the bit :math:`b`, frequencies move towards it, and weights of the
-position by :math:`w_i \leftarrow w_i + \eta (b - p) x_i`.
+position by :math:`w_i \leftarrow w_i + \eta (b - p) x_i`. Values are integers: :math:`p` in units of :math:`2^{-16}`,
+:math:`x` of :math:`2^{-8}`, :math:`w` of :math:`2^{-16}`, all below :math:`2^{49}`.
 
-All values are integers: :math:`p` in units of :math:`2^{-16}`, :math:`x` of :math:`2^{-8}`, :math:`w` of
-:math:`2^{-16}`. Frozen: changing this breaks old files (golden: ``tests/compression/golden/*.npz``).
+*Hashed contexts* are too numerous for tables. A bit has a kind and, in every input, a context, any 64-bit number.
+Contexts share frequencies if the highest 16 bits of their product with a constant are the same.
 
-Code bits in contexts too numerous for tables: every context is hashed to 16 bits.
+*Checks.* Streams end with the CRC-32 of the numbers that they decode to. Decoding repeats every prediction of the
+encoder. Different rounding, an error in a library or port, and a damaged file would lead to other numbers; the check
+turns all of these into one error.
 
-Every bit has a kind and, in every input, a *context*, any 64-bit number. Contexts share the frequencies of `bit_models`
-if the highest 16 bits of their product with a constant are the same.
-
-Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``).
+Frozen: changing this breaks old files (golden: ``tests/compression/golden/*.npz`` and
+``tests/formats/golden/compressed-v1.h5``). numba caches compiled loops by the text of their own file: edit those that
+inline these functions (`connectivity_kernels`, `uv_seams`, `uv_values`) whenever this module changes.
 """
 
 from __future__ import annotations
@@ -47,7 +37,6 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.errors import FormatError
 from mixseq.runtime.jit import joined
 from mixseq.types import Index, IntArray
 
@@ -68,15 +57,6 @@ def with_check(data: bytes, check: int) -> bytes:
 def without_check(data: bytes) -> tuple[bytes, int]:
     """Split a stream into its data and the CRC-32 of the decoded numbers."""
     return data[:-SIZE], int.from_bytes(data[-SIZE:], "little")
-
-
-def refuse_others(found: int, expected: int) -> None:
-    """Verify that the decoded numbers have the CRC-32 of the coded ones."""
-    if found != expected:
-        raise FormatError(
-            "coded numbers come out otherwise than they went in: the file is damaged, or this machine, or a library "
-            "on it, does not calculate as IEEE 754 says"
-        )
 
 
 ONE = 1 << 16
@@ -139,7 +119,7 @@ def written(coded: Coded) -> bytes:
 
 
 def is_beyond(coded: Coded) -> bool:
-    """Return whether more bits were read than there are."""
+    """Return whether more bits were read than there are; not compiled, as `has_failed` is."""
     return int(coded.place[0]) > len(coded.data) + BYTES_BEYOND
 
 
@@ -174,6 +154,23 @@ def code_number(coded: Coded, size: int, number: int) -> int:
     for place in range(size - 1, -1, -1):
         found = (found << 1) | code_bit(coded, 32768, (number >> place) & 1)
     return found
+
+
+@joined
+def bit_length(number: int) -> int:
+    """Return the bit length of a number's magnitude."""
+    size, bits = abs(number), 0
+    while size >= 1 << 16:
+        size, bits = size >> 16, bits + 16
+    if size >= 1 << 8:
+        size, bits = size >> 8, bits + 8
+    if size >= 1 << 4:
+        size, bits = size >> 4, bits + 4
+    if size >= 1 << 2:
+        size, bits = size >> 2, bits + 2
+    if size >= 1 << 1:
+        size, bits = size >> 1, bits + 1
+    return bits + size
 
 
 _FAR = 2047
@@ -216,18 +213,7 @@ def bit_models(inputs: int, contexts: int, positions: int, kinds: int | None = N
 
 @lru_cache(maxsize=1)
 def _tables() -> tuple[Index, Index, Index, Index]:
-    stretch, squash = _logistic_tables()
-    counts = np.arange(_PATIENCE + 1, dtype=np.int64)
-    return (
-        stretch,
-        squash.clip(_LEAST, 65536 - _LEAST),
-        (1 << 17) // (2 * counts + 3),
-        256 * counts // (counts + 1),
-    )
-
-
-def _logistic_tables() -> tuple[Index, Index]:
-    """Return x ``(4096,)`` of p in units of 2^-12, and p ``(2 _FAR + 1,)`` of x from ``-_FAR`` on."""
+    """Return the last four arrays of `BitModels`."""
     squash = np.ones(2 * _FAR + 1)
     factor = 1.0039138893383475  # exp(1 / 256), and products of it: exp itself differs between machines
     for x in range(_FAR):
@@ -235,7 +221,13 @@ def _logistic_tables() -> tuple[Index, Index]:
     squash[:_FAR] = 1 / squash[:_FAR:-1]
     squash = np.floor(65536 * (squash / (1 + squash)))
     stretch = np.searchsorted(squash, np.arange(4096) * 16 + 8).clip(0, 2 * _FAR) - _FAR
-    return stretch.astype(np.int64), squash.astype(np.int64)
+    counts = np.arange(_PATIENCE + 1, dtype=np.int64)
+    return (
+        stretch.astype(np.int64),
+        squash.astype(np.int64).clip(_LEAST, 65536 - _LEAST),
+        (1 << 17) // (2 * counts + 3),
+        256 * counts // (counts + 1),
+    )
 
 
 @joined

@@ -160,10 +160,8 @@ def decode(coded: CompressedSequence) -> tuple[Model, BetweenFrames]:
     """Decode a compressed sequence as `to_model` does; also return the prediction of coefficients between frames."""
     parameters, header = coded.parameters, coded.header
     graph = mesh_graph(header.faces, header.vertex_count)
-    with (
-        one_blas_thread(),
-        np.errstate(divide="ignore", over="ignore", invalid="ignore"),
-    ):  # damaged if not finite
+    # Numbers that are not finite are those of damaged files.
+    with one_blas_thread(), np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         basis = decode_basis(coded, graph)
         coefficients = np.concatenate([decode_coefficients(coded, chunk, basis) for chunk in coded.chunks])
         if not (np.isfinite(basis.norms).all() and np.isfinite(coefficients).all()):
@@ -180,16 +178,14 @@ def decode(coded: CompressedSequence) -> tuple[Model, BetweenFrames]:
             parameters.correction,
             graph,
         )
-    between = coded.between or _chosen(header.times, scores)
+    between = coded.between
+    if between is None:
+        operator = chosen(header.times, scores)
+        between = BetweenFrames(operator.length, operator.cubic)
     times = with_middles(header.times)
     time = Curve(times, Operator(header.times, between.length, between.cubic).at(times).of(scores))
     placement = Curve(times, np.zeros((len(times), 0)))
     return Model(header, space, time, pose, shapes, placement, residual_layer=residual_layer), between
-
-
-def _chosen(times: Float, scores: Float) -> BetweenFrames:
-    operator = chosen(times, scores)
-    return BetweenFrames(operator.length, operator.cubic)
 
 
 def decode_basis(coded: CompressedSequence, graph: SignalGraph) -> SpatialBasis:

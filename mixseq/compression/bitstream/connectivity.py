@@ -6,30 +6,22 @@ index codec of *meshoptimizer*). Probabilities of the predictions are learned bi
 (`mixseq.compression.bitstream.arithmetic`). Meshes in coherent order take 2 to 10 bits per triangle; random order takes
 about half a logarithm of V! F!.
 
-**The bits.** For every polygon, its number of corners minus that of the polygon before (3 for the first), then its
-corners, as specified in `mixseq.compression.bitstream.connectivity_kernels`. Then the `decoded_check` of both.
+*The bits.* For every polygon, its number of corners minus that of the polygon before (3 for the first), then its
+corners, as specified in `mixseq.compression.bitstream.connectivity_kernels`. Then the check of both.
 
-Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``).
+*The growing order* of polygons, in which texture coordinates are coded, is breadth first, those with the fewest unknown
+nodes first, so that values at a node are predicted from complete polygons around it.
 
-Corners of polygons, and an order of polygons in which each is adjacent to earlier ones.
+*The walk* over the mesh from edge to edge is an order in which connectivity takes few bits. From every polygon it
+crosses its edges, first the one after the edge by which it entered, and so turns around the vertex between both; it
+returns later to polygons not entered at once, the newest first. This is the order of Edgebreaker (Rossignac 1999,
+*Edgebreaker: connectivity compression for triangle meshes*). A polygon that begins where it was entered is predicted by
+the first guesses of a corner. Start and direction of the walk depend on vertex numbers and on the set of polygons,
+neither on their order nor on their first corners.
 
-Polygons are visited breadth first, those with the fewest unknown nodes first, so that values at a node are predicted
-from complete polygons around it.
-
-Frozen: changing this breaks old files (golden: ``tests/compression/golden/uvs.npz``).
-
-Order polygons by a walk over the mesh from edge to edge, in which connectivity takes few bits.
-
-From every polygon the walk crosses its edges, first the one after the edge by which it entered, and so turns around the
-vertex between both; it returns later to polygons not entered at once, the newest first. This is the order of
-Edgebreaker (Rossignac 1999, *Edgebreaker: connectivity compression for triangle meshes*). A polygon that begins where
-it was entered is predicted by the first guesses of `mixseq.compression.bitstream.connectivity_kernels`.
-
-Start and direction of the walk depend on vertex numbers and on the set of polygons, neither on their order nor on their
-first corners.
-
-Frozen: files with vertices numbered by the walk are compared with their originals by walking over these again
-(golden: the digest in ``tests/compression/bitstream/test_polygon_walk.py``).
+Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``,
+``tests/compression/golden/uvs.npz``); files with vertices numbered by the walk are compared with their originals by
+walking over these again (golden: the digest in ``tests/compression/bitstream/test_polygon_walk.py``).
 """
 
 from __future__ import annotations
@@ -216,7 +208,10 @@ def encode_polygons(polygons: Polygons, vertex_count: int) -> bytes:
             f"corners have vertices {lowest} to {highest}; with {vertex_count} vertices, 0 to {vertex_count - 1} exist"
         )
     counts, indices = polygons.counts.astype(np.int64), polygons.indices.astype(np.int64)
-    bits = bits_to_write(_most_bits(len(counts), len(indices), vertex_count), KINDS)
+    # Bits at most: guesses, and numbers for counts, states (up to 1) and distances.
+    count, state, distance = (2 + 2 * most.bit_length() for most in (len(indices), 1, vertex_count))
+    room = len(counts) * count + len(indices) * (GUESSES + state + distance)
+    bits = bits_to_write(room, KINDS)
     walk(bits, no_half_edges(len(indices), vertex_count), no_past(vertex_count), counts, indices)
     return with_check(written(bits.coded), check_of(indices, check_of(counts)))
 
@@ -241,9 +236,3 @@ def decode_polygons(data: bytes, polygon_count: int, corner_count: int, vertex_c
     if bits.failed[0] or check_of(indices, check_of(counts)) != expected:
         raise FormatError(f"coded polygons are damaged, or those of another mesh than one of {mesh}")
     return Polygons(counts, indices)
-
-
-def _most_bits(polygon_count: int, corner_count: int, vertex_count: int) -> int:
-    """Return the largest number of bits of a mesh: guesses, and numbers for counts, states (up to 1) and distances."""
-    count, state, distance = (2 + 2 * most.bit_length() for most in (corner_count, 1, vertex_count))
-    return polygon_count * count + corner_count * (GUESSES + state + distance)

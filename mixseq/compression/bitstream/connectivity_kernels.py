@@ -1,31 +1,14 @@
-"""The compiled loop over all corners of a mesh of `mixseq.compression.bitstream.connectivity`, for coding and decoding.
+"""The compiled loop over all corners of a mesh, for coding and decoding connectivity.
 
-Every new guess at a corner (`corner_guesses`) that is a vertex is one bit: whether it is right. If none is, the vertex
-is *named*: its state as a number (-1 unused, 0 open, 1 closed), and the count of vertices of this state between a base
-and it. The base is the one nearest on average among the vertex after the last new one, the corner before, the vertex
-named last at this place, and the corners of the last two polygons. A number is coded as whether it is not 0, whether it
-is negative, whether its magnitude has a second bit, a third, ..., and its bits after the highest. The code here
-specifies the contexts of all bits.
+*Half-edges* of a mesh that grows polygon by polygon run from a corner's vertex to the next corner's. A half-edge is
+*open* until another one runs the other way. A vertex is *unused* until a polygon has it, then *open* while open
+half-edges end or start there, else *closed*; it may open again. Vertices of a state have ranks, in the order of their
+numbers, by a tree of partial sums (Fenwick 1994, *A new data structure for cumulative frequency tables*).
 
-Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``). numba caches compiled loops
-by the text of their own file, and this one inlines `corner_guesses`, `hashed_contexts`, `bit_models`, `arithmetic` and
-`half_edges`: edit this file whenever these change. Format 4.
-
-Half-edges of a mesh that grows polygon by polygon, and vertex states: unused, open, or closed.
-
-A half-edge runs from a corner's vertex to the next corner's. It is *open* until a half-edge runs the other way. A
-vertex is *unused* until a polygon has it, then *open* while open half-edges end or start there, else *closed*; it may
-open again. Vertices of a state have ranks, in the order of their numbers, by a tree of partial sums (Fenwick 1994,
-*A new data structure for cumulative frequency tables*).
-
-Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``).
-
-Guess the next corner of a mesh from earlier ones, and record corners for later guesses.
-
-The *place* of a corner is 0 for the first, 1 for the second, 3 for the last and 2 for those between. With *b* the
-corner before (of any polygon; 0 at the start), *s* the first corner of this polygon (*b* at place 0), and :math:`p_0,
-p_1, p_2` the first, second and last corner of the polygon before (0 at the start), :math:`q_i` those of the one before
-that, the guesses at a corner are
+*Guesses.* The *place* of a corner is 0 for the first, 1 for the second, 3 for the last and 2 for those between. With
+*b* the corner before (of any polygon; 0 at the start), *s* the first corner of this polygon (*b* at place 0), and
+:math:`p_0, p_1, p_2` the first, second and last corner of the polygon before (0 at the start), :math:`q_i` those of the
+one before that, the guesses at a corner are
 
 =======  ====================================================================================================
 0-2      place 0: where the newest open half-edge into :math:`p_0, p_1, p_2` starts; else: where the newest, second,
@@ -40,10 +23,15 @@ that, the guesses at a corner are
 14, 15   *b* + 1, *b* - 1
 =======  ====================================================================================================
 
-`mixseq.compression.bitstream.connectivity_kernels` defines open half-edges and unused vertices.
+*Bits.* Every new guess at a corner that is a vertex is one bit: whether it is right. If none is, the vertex is *named*:
+its state as a number (-1 unused, 0 open, 1 closed), and the count of vertices of this state between a base and it. The
+base is the one nearest on average among the vertex after the last new one, the corner before, the vertex named last at
+this place, and the corners of the last two polygons. A number is coded as whether it is not 0, whether it is negative,
+whether its magnitude has a second bit, a third, ..., and its bits after the highest. The code here specifies the
+contexts of all bits.
 
 Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``). numba caches compiled loops
-by the text of their own file: edit `mixseq.compression.bitstream.connectivity_kernels` whenever this module changes.
+by the text of their own file, and this one inlines `arithmetic`: edit this file whenever that changes. Format 5.
 """
 
 from __future__ import annotations
@@ -53,7 +41,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.compression.bitstream.arithmetic import INPUTS, SPREAD, Bits, code_hashed, has_failed
+from mixseq.compression.bitstream.arithmetic import INPUTS, SPREAD, Bits, bit_length, code_hashed, has_failed
 from mixseq.runtime.jit import compiled, joined
 from mixseq.types import Index
 
@@ -215,7 +203,6 @@ BASES = 9
 
 _REPEATS = 1 << 16
 """Slots of the table from three corner differences to the corner that followed. Frozen: breaks old files."""
-
 
 _NEXT, _PLACES, _MIDDLE = np.uint64(1000003), np.uint64(4), np.uint64(32)
 """Constants of the hash from differences to a slot, and its lowest bit used. Frozen: breaks old files."""
@@ -427,7 +414,7 @@ def _vertex(
             again |= indices[other] == guess
         kind = place * GUESSES + g
         fan = (again * 4 + min(mesh.open_edges[guess], 3)) * 9 + min(mesh.degrees[guess], 8)
-        age = _bit_length(polygon - past.used[guess]) if past.used[guess] >= 0 else 63
+        age = bit_length(polygon - past.used[guess]) if past.used[guess] >= 0 else 63
         successes = past.successes[place, g]
         contexts[0] = (successes << 7 | (fan if again else 0)) << 7 | kind
         contexts[1] = (agreeing << 1 | again) << 7 | kind
@@ -471,16 +458,16 @@ def _named(
     origin = rank_of(mesh, state, bases[best])
     apart = rank_of(mesh, state, bases[second]) - origin
     members = mesh.members[state]
-    last = _bit_length(past.last_distances[state]) << 2 | place
+    last = bit_length(past.last_distances[state]) << 2 | place
     near = min(max(apart, -7), 7) + 7 << 2 | place
-    far = best << 7 | _bit_length(apart) << 1 | (apart < 0)
+    far = best << 7 | bit_length(apart) << 1 | (apart < 0)
     about[0] = 0
     about[1] = near
     about[2] = far
     about[3] = far << 8 | near
     about[4] = last
     about[5] = last << 8 | near
-    about[6] = (origin * 16 // (members + 1)) << 6 | _bit_length(members)
+    about[6] = (origin * 16 // (members + 1)) << 6 | bit_length(members)
     about[7] = (distances[best] >> 6) << 2 | place
     distance = 0 if bits.coded.decoding else rank_of(mesh, state, vertex) - origin
     distance = _number(bits, past, state, distance)
@@ -490,7 +477,7 @@ def _named(
         bits.failed[0] = 1
         return 0, 0
     for base in range(BASES):
-        off = 256 * _bit_length(rank_of(mesh, state, bases[base]) - rank)
+        off = 256 * bit_length(rank_of(mesh, state, bases[base]) - rank)
         distances[base] += (off - distances[base]) >> 4
     vertex = vertex_of(mesh, state, rank)
     past.named[place] = vertex
@@ -531,17 +518,6 @@ def _number(bits: Bits, past: Past, what: int, number: int) -> int:
             shift -= 1
             if shift < 0:
                 return -value if negative else value
-
-
-@compiled
-def _bit_length(number: int) -> int:
-    """Return the bit length of a number's magnitude."""
-    rest = abs(number)
-    length = 0
-    while rest:
-        rest >>= 1
-        length += 1
-    return length
 
 
 @joined

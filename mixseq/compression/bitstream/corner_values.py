@@ -1,19 +1,14 @@
-"""Code texture coordinates on the polygons of a mesh: multiples of 1 / n, without loss.
+"""Code texture coordinates (multiples of 1 / n) and hard edges on the polygons of a mesh, without loss.
 
-First the seams (`mixseq.compression.bitstream.uv_seams`): which corners at a vertex have the same coordinates, and so
-are one *node*. Then the coordinates of nodes (`mixseq.compression.bitstream.uv_values`), predicted from the polygons on
-nodes. Both are bits in contexts of `mixseq.compression.bitstream.arithmetic`, followed by the `decoded_check` of the
-coordinates at all corners.
+First the seams (`mixseq.compression.bitstream.uv_seams`): which corners at a vertex have the same coordinates, or share
+a normal, and so are one *node*. Then the coordinates of nodes (`mixseq.compression.bitstream.uv_values`), predicted
+from the polygons on nodes. Both are bits in contexts of `mixseq.compression.bitstream.arithmetic`, followed by the
+check of the coordinates at all corners, or of the numbers of normals.
 
 The coordinate k is the float32 next to the float64 k / n. All decisions use integers.
 
-Frozen: changing this breaks old files (golden: ``tests/compression/golden/uvs.npz``).
-
-Code hard edges: which corners at a vertex share a normal.
-
-The bits are those of `mixseq.compression.bitstream.uv_seams`, followed by the `decoded_check` of the decoded numbers.
-
-Frozen: changing this breaks old files (golden: the digest in ``tests/compression/bitstream/test_hard_edges.py``).
+Frozen: changing this breaks old files (golden: ``tests/compression/golden/uvs.npz``, and the digest in
+``tests/compression/bitstream/test_hard_edges.py``).
 """
 
 from __future__ import annotations
@@ -82,7 +77,8 @@ def code_uvs(polygons: Polygons, vertex_count: int, numbers: Index, regions: Ind
     keys = np.column_stack([polygons.indices, numbers])
     labels = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
     bits = bits_to_write(len(labels) * MOST_SEAM_BITS, SEAM_KINDS + VALUE_KINDS)
-    corners, count = _walked_seams(bits, polygons, vertex_count, labels)
+    corners = _corners_on_nodes(polygons, _walked_seams(bits, polygons, vertex_count, labels))
+    count = len(corners.around_starts) - 1
     bits = with_room_for_bits(bits, (count + len(polygons.counts)) * _MOST_BITS)
     values = np.zeros((count, 2), dtype=np.int64)
     values[corners.node] = numbers
@@ -92,24 +88,31 @@ def code_uvs(polygons: Polygons, vertex_count: int, numbers: Index, regions: Ind
 
 def decode_uvs(data: bytes, polygons: Polygons, vertex_count: int, steps: int) -> CornerValues:
     """Return the texture coordinates written by `code_uvs`, as multiples of ``1 / steps``."""
-    what = f"texture coordinates at {polygons.indices.size} corners"
     stream, expected = without_check(data)
     bits = bits_to_read(stream, SEAM_KINDS + VALUE_KINDS)
-    corners, count = _walked_seams(bits, polygons, vertex_count, np.zeros(polygons.indices.size, np.int64))
-    values = np.zeros((count, 2), dtype=np.int64)
+    nodes = _walked_seams(bits, polygons, vertex_count, np.zeros(polygons.indices.size, np.int64))
+    corners = _corners_on_nodes(polygons, nodes)
+    values = np.zeros((len(corners.around_starts) - 1, 2), dtype=np.int64)
     if not bits.failed[0]:
         _walked_values(bits, corners, values, None)
     if bits.failed[0] or check_of(values[corners.node]) != expected:
-        raise FormatError(f"{what} are damaged, or those of another mesh")
+        raise FormatError(
+            f"texture coordinates at {polygons.indices.size} corners are damaged, or those of another mesh"
+        )
     return CornerValues(grid_values(values, steps), corners.node)
 
 
-def _walked_seams(bits: Bits, polygons: Polygons, vertex_count: int, labels: Index) -> tuple[Corners, int]:
-    """Code the seams; return corners on nodes, and the number of nodes."""
+def _walked_seams(bits: Bits, polygons: Polygons, vertex_count: int, labels: Index) -> Index:
+    """Code the seams by labels ``(C,)``, or decode them; return the node ``(C,)`` of every corner."""
     corners = corners_of(polygons, vertex_count)
     nodes = np.full(len(labels), -1, dtype=np.int64)
-    count = int(walk_seams(bits, corners, growing_order(corners), labels, nodes))
-    return corners_of(Polygons(polygons.counts, np.maximum(nodes, 0)), count), count
+    walk_seams(bits, corners, growing_order(corners), labels, nodes)
+    return nodes
+
+
+def _corners_on_nodes(polygons: Polygons, nodes: Index) -> Corners:
+    """Return the corners on nodes ``(C,)``; those without one, of damaged files, are on the first."""
+    return corners_of(Polygons(polygons.counts, np.maximum(nodes, 0)), int(nodes.max(initial=-1)) + 1)
 
 
 def _walked_values(
@@ -128,7 +131,7 @@ def encode_hard_edges(polygons: Polygons, vertex_count: int, numbers: IntArray) 
     """Code which corners share a normal for `decode_hard_edges`: numbers ``(sum of counts,)``."""
     bits = bits_to_write(len(numbers) * MOST_SEAM_BITS, SEAM_KINDS)
     wanted = by_first_use(numbers)
-    nodes = _walked(bits, polygons, vertex_count, wanted)
+    nodes = _walked_seams(bits, polygons, vertex_count, wanted)
     if not np.array_equal(by_first_use(nodes), wanted):
         return None
     return with_check(written(bits.coded), check_of(wanted))
@@ -136,18 +139,12 @@ def encode_hard_edges(polygons: Polygons, vertex_count: int, numbers: IntArray) 
 
 def decode_hard_edges(data: bytes, polygons: Polygons, vertex_count: int) -> Index:
     """Return numbers ``(sum of counts,)`` of normals at the corners: 0, 1, 2, ... in order of first use."""
-    what = f"hard edges at {polygons.indices.size} corners"
     stream, expected = without_check(data)
     bits = bits_to_read(stream, SEAM_KINDS)
-    nodes = _walked(bits, polygons, vertex_count, np.zeros(polygons.indices.size, dtype=np.int64))
+    nodes = _walked_seams(bits, polygons, vertex_count, np.zeros(polygons.indices.size, dtype=np.int64))
     numbers = by_first_use(nodes)
     if bits.failed[0] or check_of(numbers) != expected:
-        raise FormatError(f"{what} are damaged, or those of another mesh")
+        raise FormatError(
+            f"hard edges at {polygons.indices.size} corners are damaged, or those of another mesh"
+        )
     return numbers
-
-
-def _walked(bits: Bits, polygons: Polygons, vertex_count: int, labels: Index) -> Index:
-    corners = corners_of(polygons, vertex_count)
-    nodes = np.full(len(labels), -1, dtype=np.int64)
-    walk_seams(bits, corners, growing_order(corners), labels, nodes)
-    return nodes

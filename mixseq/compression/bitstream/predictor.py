@@ -12,27 +12,10 @@ signal (mean square difference of neighbours, in squared steps), balances large 
 stands for rounding errors of the signals, and :math:`w^0` are weights from the graph alone. Where the known signals are
 affine functions, so is the prediction: the parallelogram rule is a case of it.
 
-The first signals over a mesh are most of its bytes: these are predicted from many nodes around a vertex, with
-:math:`w^0` of least bending (`mixseq.compression.bitstream.predictor`). Later, every node is also joined to the most
-similar nodes before it, anywhere in the graph. So distant vertices of one rigid part, or of several components,
-predict each other, and so do frames of one pose in a repeating motion.
-
-Later signals are small, and most of their numbers zero, so that errors of nodes on coarse levels are inherited by all
-nodes between them: their steps are smaller.
-
-**The same everywhere.** Values are whole 64ths of a step, trust is a power of two, and weights are whole multiples of
-2^-24, so that predictions are exact in float64, in any order of summation, for values below 2^29 (8 million steps); so
-are roughness, distances and sums of products in nearly all files, and where these are rounded, it is in a fixed order.
-Weights are solved for with rounded operations, + - * / and roots, in a fixed order:
-`mixseq.compression.bitstream.predictor_kernels`.
-
-The constants were chosen empirically. Frozen: changing them breaks files.
-
-Initial weights of signals over a mesh, from its connectivity, by least bending.
-
-A removed vertex :math:`v` (`mixseq.compression.bitstream.signal_graph`) lies between its neighbours, but on a curved
-surface away from their mean. The predicted value minimises the squares of mean slopes, at the vertex and at its
-neighbours,
+*Initial weights.* The first signals over a mesh are most of its bytes: these are predicted from many nodes around a
+vertex, with :math:`w^0` of least bending. A removed vertex :math:`v` (`mixseq.compression.bitstream.signal_graph`) lies
+between its neighbours, but on a curved surface away from their mean. The predicted value minimises the squares of mean
+slopes, at the vertex and at its neighbours,
 
 .. math:: \sum_{i \in \{v\} \cup N(v)} \Bigl( \frac{1}{|N(i)|} \sum_{j \in N(i)} \frac{x_j - x_i}{l_{ij}} \Bigr)^2 ,
 
@@ -41,7 +24,20 @@ numbers of edges: one in the mesh, and the sum of both sides where an edge close
 vertex is predicted from its neighbours, and from theirs; on a line of equal lengths with weights of -1/12, 7/12, 7/12,
 -1/12.
 
-Frozen: changing this breaks files.
+*Similar nodes.* Later, every node is also joined to the most similar nodes before it, anywhere in the graph. So distant
+vertices of one rigid part, or of several components, predict each other, and so do frames of one pose in a repeating
+motion.
+
+*Steps.* Later signals are small, and most of their numbers zero, so that errors of nodes on coarse levels are inherited
+by all nodes between them: their steps are smaller.
+
+*The same everywhere.* Values are whole 64ths of a step, trust is a power of two, and weights are whole multiples of
+2^-24, so that predictions are exact in float64, in any order of summation, for values below 2^29 (8 million steps); so
+are roughness, distances and sums of products in nearly all files, and where these are rounded, it is in a fixed order.
+Weights are solved for with rounded operations, + - * / and roots, in a fixed order:
+`mixseq.compression.bitstream.predictor_kernels`.
+
+The constants were chosen empirically. Frozen: changing them breaks files.
 """
 
 from __future__ import annotations
@@ -144,9 +140,8 @@ def _bend(
             if new_starts[around + 1] - new_starts[around] > HUB:
                 continue
             number = 1
-            for turn in range(
-                2
-            ):  # number of remaining neighbours, without those across the vertex; then their shares
+            # Number of remaining neighbours, without those across the vertex; then their shares.
+            for turn in range(2):
                 own = 1.0 / (number * side)
                 for at in range(new_starts[around], new_starts[around + 1]):
                     other = new_beside[at]

@@ -2,14 +2,10 @@
 
 A residual is a displacement of a vertex at a frame, in whole units :math:`w` per coordinate; nearly all vertices have
 none. Residuals are coded frame by frame, in contexts of adjacent vertices and of the frame before, as errors of
-a truncated basis persist over frames.
+a truncated basis persist over frames. All values are integers.
 
 Frozen: changing this breaks old files (golden: ``tests/compression/golden/bounded.npz``,
 ``tests/formats/golden/compressed-v1.h5``).
-
-The compiled loop of `mixseq.compression.bitstream.residual_layer`: the residuals of a frame, node by node.
-
-Frozen: changing this breaks old files (golden: ``tests/compression/golden/bounded.npz``). All values are integers.
 """
 
 from __future__ import annotations
@@ -22,9 +18,16 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.compression.bitstream.arithmetic import BitModels, Coded, bit_models, code, code_number
+from mixseq.compression.bitstream.arithmetic import (
+    BitModels,
+    Coded,
+    bit_length,
+    bit_models,
+    code,
+    code_number,
+)
 from mixseq.compression.bitstream.signal_coder import Reader, Writer
-from mixseq.compression.bitstream.signal_graph import MOST, SignalGraph, mesh_graph
+from mixseq.compression.bitstream.signal_graph import NEIGHBOUR_COUNTS, SignalGraph, mesh_graph
 from mixseq.errors import FormatError
 from mixseq.runtime.jit import compiled, joined
 from mixseq.runtime.lazy import PickledWithoutCaches
@@ -34,10 +37,7 @@ from mixseq.types import Float, Index
 INPUTS = 3
 """Contexts of a bit. Frozen: breaks old files."""
 
-_VOTES = MOST + 1
-"""Number of neighbour counts, from none on. Frozen: breaks old files."""
-
-CONTEXTS = 3 * _VOTES * _VOTES
+CONTEXTS = 3 * NEIGHBOUR_COUNTS * NEIGHBOUR_COUNTS
 """Number of contexts per input. Frozen: breaks old files."""
 
 _LONGEST = 8
@@ -86,8 +86,8 @@ def code_residuals(
         for place in range(starts[node], starts[node + 1]):
             before += _any(last, ring[place])
         own = _any(last, node)
-        contexts[0] = (votes * _VOTES + count) * 3 + (2 * own if own else min(before, 1))
-        contexts[1] = (min(before, _VOTES - 1) * _VOTES + min(votes, 3)) * 2 + own
+        contexts[0] = (votes * NEIGHBOUR_COUNTS + count) * 3 + (2 * own if own else min(before, 1))
+        contexts[1] = (min(before, NEIGHBOUR_COUNTS - 1) * NEIGHBOUR_COUNTS + min(votes, 3)) * 2 + own
         contexts[2] = min(votes, 3) * 3 + (2 * own if own else min(before, 1))
         if not code(coded, models, 1, _any(numbers, node)):
             for k in range(3):
@@ -117,9 +117,8 @@ def _code_coordinate(coded: Coded, models: BitModels, number: int) -> int:
     while found < _LONGEST and code(coded, models, 4 + found, 1 if rest > found else 0):
         found += 1
     if found == _LONGEST:
-        beyond, bits, length = max(rest - _LONGEST, 0), 0, 0
-        while beyond >> bits:
-            bits += 1
+        beyond, length = max(rest - _LONGEST, 0), 0
+        bits = bit_length(beyond)
         while length < _MOST and code_number(coded, 1, 1 if bits > length else 0):
             length += 1
         found += code_number(coded, length, beyond)
@@ -252,39 +251,34 @@ def read_residuals(stream: bytes, count: int, run: int, graph: SignalGraph) -> l
 
 def _write_run(known: tuple[Callable[[int], Index], SignalGraph], frames: range) -> bytes:
     residuals, graph = known
-    writer, coder, something = Writer(), _FrameCoder(graph), False
+    writer, models, last = Writer(), _models(), np.zeros((graph.size, 3), dtype=np.int64)
+    something = False
     for frame in frames:
         numbers = residuals(frame)[graph.order]
         something |= bool(numbers.any())
-        coder.code(writer.room(3 * graph.size), numbers)
+        code_residuals(writer.room(3 * graph.size), models, *_adjacent(graph), last, numbers)
         writer.checked(numbers)
+        last = numbers
     return writer.finish() if something else b""
 
 
 def _read_run(stream: bytes, count: int, graph: SignalGraph) -> list[Residuals]:
-    reader, coder = Reader(stream), _FrameCoder(graph)
+    reader, models, last = Reader(stream), _models(), np.zeros((graph.size, 3), dtype=np.int64)
     frames = []
     for _ in range(count):
         numbers = np.zeros((graph.size, 3), dtype=np.int64)
-        coder.code(reader.bits(), numbers)
+        code_residuals(reader.bits(), models, *_adjacent(graph), last, numbers)
         reader.checked(numbers)
         nodes = np.flatnonzero(numbers.any(axis=1))
         frames.append((graph.order[nodes], numbers[nodes]))
+        last = numbers
     reader.finish()
     return frames
 
 
-class _FrameCoder:
-    """Models and previous numbers of a run's residuals."""
+def _models() -> BitModels:
+    return bit_models(INPUTS, CONTEXTS, POSITIONS)
 
-    def __init__(self, graph: SignalGraph) -> None:
-        self._graph = graph
-        self._models = bit_models(INPUTS, CONTEXTS, POSITIONS)
-        self._last = np.zeros((graph.size, 3), dtype=np.int64)
 
-    def code(self, coded: Coded, numbers: Index) -> None:
-        """Write or read the numbers ``(N, 3)`` of a frame in nodes' order."""
-        graph = self._graph
-        around = graph.neighbours, graph.counts, graph.ring, graph.ring_starts
-        code_residuals(coded, self._models, *around, self._last, numbers)
-        self._last = numbers
+def _adjacent(graph: SignalGraph) -> tuple[Index, Index, Index, Index]:
+    return graph.neighbours, graph.counts, graph.ring, graph.ring_starts

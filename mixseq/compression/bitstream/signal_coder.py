@@ -2,7 +2,7 @@ r"""Code signals over a graph: basis vectors over a mesh, and their coefficients
 
 Node by node, coarse to fine, a value is predicted from known values (`predictor`), the difference is rounded to a whole
 number of steps, and the number is written bit by bit: its length, its bits, its sign. The probability of a bit is mixed
-(`bit_models`) from five contexts: the mean size of this signal's numbers at neighbours, with the *activity* of the
+(`arithmetic`) from five contexts: the mean size of this signal's numbers at neighbours, with the *activity* of the
 node, the size of its numbers in earlier signals, weighted towards newer ones; the activity with its mean around the
 node; a sum of all three,
 
@@ -14,16 +14,11 @@ number that the node had in the signal before.
 A stream ends with the CRC-32 of all its values: different rounding, an error in a port and a damaged file raise one
 error, and never decode to other points.
 
-Frozen: changing this breaks old files (golden: ``tests/compression/golden/*.npz``); rounding in `write` is free.
+Numbers are written and read by the same compiled loop. Numbers and values have separate loops that can run at the same
+time: a number is coded in contexts of other numbers, without values.
 
-Compiled loops of `mixseq.compression.bitstream.signal_coder`: numbers of one signal, node by node, written or read
-alike.
-
-Numbers and values have separate loops that can run at the same time: a number is coded in contexts of other numbers,
-without values.
-
-Frozen: changing this breaks old files (golden: ``tests/compression/golden/*.npz``). All decisions use integers, except
-the sums of `predictor_kernels.predict`, which are rounded.
+Frozen: changing this breaks old files (golden: ``tests/compression/golden/*.npz``); how encoders round is free. All
+decisions use integers, except the sums of `predictor_kernels.predict`, which are rounded.
 """
 
 from __future__ import annotations
@@ -38,11 +33,11 @@ from mixseq.compression.bitstream import arithmetic
 from mixseq.compression.bitstream.arithmetic import (
     BitModels,
     Coded,
+    bit_length,
     bit_models,
     check_of,
     code,
     code_number,
-    refuse_others,
     with_check,
     without_check,
 )
@@ -210,23 +205,6 @@ def fine_level(size: int) -> int:
     return size if bits < 3 else 4 * (bits - 2) + ((size >> (bits - 3)) & 3)
 
 
-@joined
-def bit_length(size: int) -> int:
-    """Return the bit length of a number that is not negative."""
-    bits = 0
-    while size >= 1 << 16:
-        size, bits = size >> 16, bits + 16
-    if size >= 1 << 8:
-        size, bits = size >> 8, bits + 8
-    if size >= 1 << 4:
-        size, bits = size >> 4, bits + 4
-    if size >= 1 << 2:
-        size, bits = size >> 2, bits + 2
-    if size >= 1 << 1:
-        size, bits = size >> 1, bits + 1
-    return bits + size
-
-
 @compiled
 def sizes_after(numbers: Index, ring: Index, starts: Index, activity: Index) -> tuple[Index, Index]:
     """Return the activity ``(N,)`` after a signal's numbers ``(N,)``, and its means over rings ``(N,)``."""
@@ -250,12 +228,11 @@ expected, as zeros save more bits than accuracy is worth. Chosen on seven sequen
 _ROOM = 16
 """Bytes of a number at most. Free: memory is allocated ahead."""
 
-
 _MANY = 512
 """Count of numbers below which they are processed on the same thread: handing over takes as long. Free: time only."""
 
 Contexts = tuple[int, Small, Small, Index, Index, Index]
-"""Arguments of `signal_kernels.code_numbers` besides models and numbers: signals before, neighbours, counts, sizes."""
+"""Arguments of `code_numbers` besides models and numbers: signals before, neighbours, counts, sizes."""
 
 
 class Signal(NamedTuple):
@@ -264,7 +241,7 @@ class Signal(NamedTuple):
     known: int  # number of signals before
     neighbours: Small  # (N, n) nodes before, from which every node is predicted
     counts: Small  # (N,) number of neighbours of every node
-    # Activity, its mean around, and numbers of the signal before, for signal_kernels.code_numbers.
+    # Activity, its mean around, and numbers of the signal before, for code_numbers.
     sizes: tuple[IntArray, IntArray, IntArray]
     numbers: IntArray  # (N,) its numbers in nodes' order
     values: IntArray  # (N,) its decoded values, in steps / UNIT
@@ -349,7 +326,11 @@ class Reader:
     def finish(self) -> None:
         """Verify that the values read are those written."""
         self.wait()
-        refuse_others(self._check, self._expected)
+        if self._check != self._expected:
+            raise FormatError(
+                "coded numbers come out otherwise than they went in: the file is damaged, or this machine, or a "
+                "library on it, does not calculate as IEEE 754 says"
+            )
 
 
 class SignalCoder:

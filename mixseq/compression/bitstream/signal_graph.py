@@ -4,15 +4,9 @@ A signal has a value at every node of a graph: the vertices of a mesh and its ed
 them. Nodes are removed level by level: each node of an independent set with few neighbours is collapsed onto one of
 them, which gives the graph of the next level. Coding runs coarse to fine, so that nearly all values are interpolated
 *between* known ones: this averages rounding errors, where an extrapolation such as the parallelogram rule enlarges
-them.
-
-The levels depend on connectivity only, so they are not stored.
+them. The levels depend on connectivity only, so they are not stored.
 
 Frozen: changing this breaks old files (golden: ``tests/compression/golden/*.npz``).
-
-Compiled loops of `mixseq.compression.bitstream.signal_graph`: adjacency, independent sets, edge collapses.
-
-Frozen: changing their results breaks old files (golden: ``tests/compression/golden/*.npz``).
 """
 
 from __future__ import annotations
@@ -27,16 +21,26 @@ from numpy.typing import NDArray
 
 from mixseq.mesh.polygons import frozen
 from mixseq.runtime.jit import compiled
-from mixseq.types import Float, Index
+from mixseq.types import Float, Index, Mask
+
+MOST = 12
+"""Largest number of neighbours that predict a node. Frozen: breaks old files."""
+
+NEIGHBOUR_COUNTS = MOST + 1
+"""Number of possible counts of these neighbours, from none on. Frozen: breaks old files."""
+
+WIDEST = 6
+"""Largest number of neighbours of a removed node, if there are any such nodes. Frozen: breaks old files."""
+
+ROOTS = 6
+"""Number of earlier roots that predict a node without neighbours. Frozen: breaks old files."""
 
 _HUB = 32
 """Ratio of neighbour counts above which shared ones are found by binary search. Free: affects time only."""
 
-Bools = NDArray[np.bool_]
-
 
 @compiled
-def adjacency(starts: Index, beside: Index, left: Bools, edges: Index) -> tuple[Index, Index]:
+def adjacency(starts: Index, beside: Index, left: Mask, edges: Index) -> tuple[Index, Index]:
     """Return the neighbours of all nodes of a graph with further edges ``(E, 2)``, of nodes that are `left` ``(N,)``.
 
     Neighbours are starts ``(N + 1,)`` and ``beside[starts[node] : starts[node + 1]]``, ascending and unique. Edges may
@@ -151,9 +155,8 @@ def collapse(gone: Index, starts: Index, beside: Index, neighbours: Index, count
             if degree > _HUB * (last - first):
                 for at in range(first, last):
                     low, high = starts[other], starts[other + 1]
-                    while (
-                        low < high
-                    ):  # the first that is not less; NumPy's search would import SciPy when it is loaded
+                    # The first that is not less; NumPy's search would import SciPy when it is loaded.
+                    while low < high:
                         middle = (low + high) // 2
                         if beside[middle] < beside[at]:
                             low = middle + 1
@@ -173,16 +176,6 @@ def collapse(gone: Index, starts: Index, beside: Index, neighbours: Index, count
                 new[count, 1] = beside[place]
                 count += 1
     return new[:count].copy()
-
-
-MOST = 12
-"""Largest number of neighbours that predict a node. Frozen: breaks old files."""
-
-WIDEST = 6
-"""Largest number of neighbours of a removed node, if there are any such nodes. Frozen: breaks old files."""
-
-ROOTS = 6
-"""Number of earlier roots that predict a node without neighbours. Frozen: breaks old files."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,7 +236,7 @@ class Level(NamedTuple):
     """Nodes removed together, and the graphs before and after, both of N nodes; removed nodes have no edges."""
 
     gone: Index  # (n,) removed nodes
-    starts: Index  # (N + 1,) row offsets of the graph before, see signal_graph_kernels.adjacency
+    starts: Index  # (N + 1,) row offsets of the graph before, see adjacency
     beside: Index  # (2 E,) neighbours in the graph before, row by row
     new: Index  # (n', 2) edges that close the holes; some twice, or there already
     new_starts: Index  # (N + 1,) row offsets of the graph after
@@ -251,7 +244,7 @@ class Level(NamedTuple):
 
 
 def mesh_neighbours(faces: NDArray[np.integer], vertex_count: int) -> tuple[Index, Index]:
-    """Return the neighbours of all vertices of triangles ``(F, 3)``, as `signal_graph_kernels.adjacency` lists them."""
+    """Return the neighbours of all vertices of triangles ``(F, 3)``, as `adjacency` lists them."""
     sides = np.empty((3, len(faces), 2), dtype=np.int64)
     for corner, side in enumerate(sides):
         side[:, 0], side[:, 1] = faces[:, corner], faces[:, (corner + 1) % 3]
@@ -259,7 +252,7 @@ def mesh_neighbours(faces: NDArray[np.integer], vertex_count: int) -> tuple[Inde
 
 
 def neighbours_of(edges: Index, count: int) -> tuple[Index, Index]:
-    """Return the neighbours of `count` nodes, as `signal_graph_kernels.adjacency` lists them, of edges ``(E, 2)``."""
+    """Return the neighbours of `count` nodes, as `adjacency` lists them, of edges ``(E, 2)``."""
     none = np.zeros(count + 1, dtype=np.int64), np.zeros(0, dtype=np.int64)
     return adjacency(*none, np.ones(count, dtype=bool), edges)
 
@@ -267,7 +260,7 @@ def neighbours_of(edges: Index, count: int) -> tuple[Index, Index]:
 def coarser_levels(starts: Index, beside: Index, neighbours: Index, counts: Index) -> Iterator[Level]:
     """Remove nodes until no edge is left, and yield the levels, fine to coarse.
 
-    Starts ``(N + 1,)`` and beside ``(2 E,)`` are the neighbours of all nodes, as `signal_graph_kernels.adjacency` lists
+    Starts ``(N + 1,)`` and beside ``(2 E,)`` are the neighbours of all nodes, as `adjacency` lists
     them. Neighbours ``(N, MOST)`` and counts ``(N,)`` of removed nodes are written.
     """
     left = np.ones(len(counts), dtype=bool)
@@ -340,13 +333,8 @@ def _graph(
     order = np.concatenate(levels)
     place = np.empty(len(order), dtype=np.int64)
     place[order] = np.arange(len(order))
-    given = (
-        frozen(ring_starts),
-        frozen(ring),
-        order,
-        frozen(place),
-    )  # as stencils have them: one type to numba
-    starts, ring = renumbered(*given)
+    # Frozen as those of stencils are: one type to numba.
+    starts, ring = renumbered(frozen(ring_starts), frozen(ring), order, frozen(place))
     counts = counts[order]
     known = np.arange(neighbours.shape[1]) < counts[:, None]
     neighbours = np.where(known, place[neighbours[order]], 0)

@@ -13,18 +13,14 @@ shapes
 
 Basis vectors are split into streams (groups), each with twice as many as the one before, so that a damaged file keeps
 the most important ones; every stream has vectors of all parts. Coefficients have one stream per chunk of frames, coded
-independently. The first group begins with the part of every vertex (`part_labels`).
+independently.
+
+The first group begins with the part of every vertex, in the order of the mesh's graph: whether a vertex has the most
+frequent label of its known neighbours, or the second most frequent, and else the label itself, from its highest bit.
+The contexts of both questions are the number of neighbours, and the numbers with either label.
 
 Frozen: changing this breaks old files (golden: ``tests/compression/golden/*.npz``; ``parts.npz`` has several parts,
 ``shapes.npz`` several groups, ``long.npz`` several chunks). `mixseq.compression.encoder.trial` writes these streams.
-
-Code the part of the mesh to which every vertex belongs.
-
-In the order of the mesh's graph: whether a vertex has the most frequent label of its known neighbours, or the second
-most frequent, and else the label itself, from its highest bit. The contexts of both questions are the number of
-neighbours, and the numbers with either label.
-
-Frozen: changing this breaks old files (golden: ``tests/compression/golden/parts.npz``).
 """
 
 from __future__ import annotations
@@ -39,17 +35,20 @@ from numpy.typing import NDArray
 
 from mixseq.compression.bitstream.arithmetic import BitModels, Coded, bit_models, code
 from mixseq.compression.bitstream.signal_coder import NumberModels, Reader, SignalCoder, Writer
-from mixseq.compression.bitstream.signal_graph import MOST, SignalGraph, mesh_graph, path_graph
+from mixseq.compression.bitstream.signal_graph import NEIGHBOUR_COUNTS, SignalGraph, mesh_graph, path_graph
 from mixseq.errors import FormatError
 from mixseq.runtime.jit import compiled
 from mixseq.runtime.parallel import on_two_threads
 from mixseq.types import Float, Index
 
+MOST_PARTS = 128
+"""Largest number of parts of a mesh. Frozen: files with more are refused."""
+
+GROUP = 12
+"""Basis vectors in the first group. Frozen: another number breaks old files."""
+
 _BITS = 7
 """Bits of a label. Frozen: breaks old files."""
-
-_VOTES = MOST + 1
-"""Number of neighbour counts, from none on. Frozen: breaks old files."""
 
 
 def write_labels(writer: Writer, labels: Index, graph: SignalGraph) -> None:
@@ -72,7 +71,7 @@ def read_labels(reader: Reader, number: int, graph: SignalGraph) -> Index:
 
 
 def _models() -> BitModels:
-    return bit_models(2, _VOTES * _VOTES, 2 + (1 << _BITS))
+    return bit_models(2, NEIGHBOUR_COUNTS * NEIGHBOUR_COUNTS, 2 + (1 << _BITS))
 
 
 @compiled
@@ -98,8 +97,8 @@ def _code(
         most, fewer = (votes[first] if first >= 0 else 0), (votes[second] if second >= 0 else 0)
         for i in range(count):
             votes[labels[neighbours[node, i]]] = 0
-        models.contexts[0] = most * _VOTES + fewer
-        models.contexts[1] = most * _VOTES + count
+        models.contexts[0] = most * NEIGHBOUR_COUNTS + fewer
+        models.contexts[1] = most * NEIGHBOUR_COUNTS + count
         label = labels[node]
         if first >= 0 and code(coded, models, 0, 1 if label == first else 0):
             labels[node] = first
@@ -115,12 +114,6 @@ def _code(
 
 
 BasisKind = Literal["trajectories", "shapes"]
-
-MOST_PARTS = 128
-"""Largest number of parts of a mesh. Frozen: files with more are refused."""
-
-GROUP = 12
-"""Basis vectors in the first group. Frozen: another number breaks old files."""
 
 
 class Part(NamedTuple):
@@ -201,17 +194,13 @@ class SpatialBasis:
         """Slice of the vectors with coded coefficients: all but the mean shape."""
         return slice(0 if self.kind == "trajectories" else 1, None)
 
-    @property
-    def mean(self) -> Float:
-        """The mean ``(V, 3)`` of shapes."""
-        mean: Float = self.blocks[0].vectors[0].T / np.sqrt(self.frame_count)
-        return mean
-
     def frames(self, coefficients: Float) -> Float:
         """Return the frames ``(T, V, 3)`` of coefficients ``(T, K, 3 / c)`` of the varying vectors."""
         if self.kind == "shapes":
-            moved = np.tensordot(coefficients[..., 0], self.blocks[0].vectors[1:], 1)
-            return np.asarray(self.mean + moved.transpose(0, 2, 1))
+            vectors = self.blocks[0].vectors
+            mean = vectors[0].T / np.sqrt(self.frame_count)
+            moved = np.tensordot(coefficients[..., 0], vectors[1:], 1)
+            return np.asarray(mean + moved.transpose(0, 2, 1))
         frames = np.empty((len(coefficients), self.vertex_count, 3))
         for place, block in enumerate(self.blocks):
             own = coefficients[:, self.parts == place].transpose(0, 2, 1)
@@ -251,9 +240,8 @@ def read_basis(
     if len(ranks) > 1:
         labels = read_labels(readers[0], len(ranks), graph)
     parts, vectors = vertices_of(labels), [list[Float]() for _ in ranks]
-    coders: dict[
-        int, SignalCoder
-    ] = {}  # made on demand and freed after use, as a coder takes more than a kilobyte a vertex
+    # Made on demand and freed after use, as a coder takes more than a kilobyte a vertex.
+    coders: dict[int, SignalCoder] = {}
     for reader, of_parts in zip(readers, groups_of_parts(ranks), strict=True):
         for place, group in of_parts:
             coder = coders.pop(place, None)

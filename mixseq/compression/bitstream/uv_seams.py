@@ -1,17 +1,12 @@
-r"""Code seams: which corners at a vertex have the same texture coordinates.
+r"""Compiled loops for texture coordinates: seams, guesses from adjacent nodes, and copies of earlier regions.
 
-Polygons are visited in the order of `growing`, corners in that of the polygon. A corner takes the node (the pair of
+*Seams* tell which corners at a vertex have the same coordinates. Polygons are visited in the growing order
+(`mixseq.compression.bitstream.connectivity`), corners in that of the polygon. A corner takes the node (the pair of
 coordinates) of the polygon across the edge into it, or of that across the edge out of it, or another one of its vertex,
 the newest first; each of these is a bit, unless it was excluded already. If it takes none, it has a new node. Nodes are
 numbered in order of first use.
 
-Frozen: changing this breaks old files (golden: ``tests/compression/golden/uvs.npz``). numba caches compiled loops by
-the text of their own file, and this one inlines `hashed_contexts`, `bit_models`, `arithmetic` and `growing`: edit this
-file whenever these change. Format 3.
-
-Guess the texture coordinates of a node from adjacent ones.
-
-With :math:`a, b` the corners before and after a corner x in a polygon that has it, the guesses are, in this order,
+*Guesses.* With :math:`a, b` the corners before and after a corner x in a polygon that has it, they are, in this order,
 
 ==========  =========================================================================================================
 `AROUND`    the mean of :math:`a + b - z` over all polygons around the node: of a quad, *z* is the corner across; of a
@@ -23,18 +18,11 @@ With :math:`a, b` the corners before and after a corner x in a polygon that has 
 ==========  =========================================================================================================
 
 each from known nodes (parallelograms: Touma and Gotsman 1998, *Triangle mesh compression*). Means round to the nearest
-integer, halves up.
+integer, halves up. Where guesses `AROUND` overshoot, as the map is less even than the rule assumes, :math:`a + b - z`
+is drawn back to the middle of *a* and *b*, by 3/8 of the way, rounded down.
 
-Where guesses `AROUND` overshoot, as the map is less even than the rule assumes, :math:`a + b - z` is drawn back to the
-middle of *a* and *b*, by 3/8 of the way, rounded down.
-
-Frozen: changing this breaks old files (golden: ``tests/compression/golden/uvs.npz``). numba caches compiled loops by
-the text of their own file: edit `mixseq.compression.bitstream.uv_values` whenever this module changes.
-
-Regions of texture coordinates that are copies of earlier ones: translated, rotated, scaled, mirrored.
-
-The two sides of a character are usually unwrapped alike, and then packed: each piece is the mirror image of another
-one. So a polygon may have an *image*, an earlier polygon with the same number of corners. The image of its first
+*Copies* are translated, rotated, scaled, mirrored: the two sides of a character are usually unwrapped alike, and then
+packed. So a polygon may have an *image*, an earlier polygon with the same number of corners. The image of its first
 corner, and whether it is mirrored, is coded where a *region* begins; from there the image of a polygon follows from
 that of an adjacent one. With o a corner whose coordinates and whose image's are known, the one before or after x, or
 else the region's first, and :math:`p, q` two more of the region, far from each other, the copy of x is
@@ -45,7 +33,8 @@ as complex numbers, where primes are images, conjugated if they are mirrored. Wi
 translated, and mirrored in u.
 
 Frozen: changing this breaks old files (golden: ``tests/compression/golden/uvs.npz``). numba caches compiled loops by
-the text of their own file: edit `mixseq.compression.bitstream.uv_values` whenever this module changes.
+the text of their own file, and this one inlines `arithmetic` and `connectivity`: edit this file whenever these change,
+and `mixseq.compression.bitstream.uv_values` whenever this one does. Format 4.
 """
 
 from __future__ import annotations

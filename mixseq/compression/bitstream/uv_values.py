@@ -1,8 +1,8 @@
 """Code the values of texture coordinates: their differences from guesses, node by node.
 
-Polygons are visited in the order of `growing`, of the polygons on nodes. Their corners start from the first known one
-that has an unknown one after it, else from the first one. Unknown ones are coded: the difference of u from its guess,
-then that of v. The guess is the copy of an image (`uv_copies`), or from adjacent nodes (`uv_guesses`).
+Polygons are visited in the growing order of the polygons on nodes. Their corners start from the first known one that
+has an unknown one after it, else from the first one. Unknown ones are coded: the difference of u from its guess, then
+that of v. The guess is the copy of an image, or from adjacent nodes (`mixseq.compression.bitstream.uv_seams`).
 
 *Images.* A polygon has the image that follows from an adjacent one. If none does, and it has unknown nodes, a number
 codes whether a region begins with it: 0 for no, else how many polygons before it its image was visited; then another
@@ -19,15 +19,15 @@ across, of the spread of guesses (of v: of u). A *size* is the number of bits of
 the four after the highest.
 
 Frozen: changing this breaks old files (golden: ``tests/compression/golden/uvs.npz``). numba caches compiled loops by
-the text of their own file, and this one inlines `hashed_contexts`, `bit_models`, `arithmetic`, `growing`, `uv_guesses`
-and `uv_copies`: edit this file whenever these change. Format 3.
+the text of their own file, and this one inlines `arithmetic`, `connectivity` and `uv_seams`: edit this file whenever
+these change. Format 4.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from mixseq.compression.bitstream.arithmetic import Bits, code_hashed, code_number, has_failed
+from mixseq.compression.bitstream.arithmetic import Bits, bit_length, code_hashed, code_number, has_failed
 from mixseq.compression.bitstream.connectivity import Corners, after, before
 from mixseq.compression.bitstream.uv_seams import (
     AROUND,
@@ -122,8 +122,8 @@ def walk_values(
                     missed = _number(bits, about, sizes, 2 * group + i, values[x, i] - guess.at[i])
                     values[x, i] = guess.at[i] + missed
                     known.sizes[x] += abs(missed)
-                    means[group] += (16 * _length(missed) - means[group]) >> 4
-                    about[2] = sizes[3] = 16 * _length(missed)
+                    means[group] += (16 * bit_length(missed) - means[group]) >> 4
+                    about[2] = sizes[3] = 16 * bit_length(missed)
                     if abs(values[x, i]) > LARGEST:
                         bits.failed[0] = 1
                 if has_failed(bits):
@@ -242,15 +242,5 @@ def _beyond(length: int, size: int, shift: int) -> int:
 @compiled
 def size_of(number: int) -> int:
     """Return the number of bits of a number that is not negative, in 16ths."""
-    length = _length(number)
+    length = bit_length(number)
     return 16 * length + ((number << 5 >> length) & 15)
-
-
-@compiled
-def _length(number: int) -> int:
-    """Return the bit length of a number's magnitude."""
-    rest, length = abs(number), 0
-    while rest:
-        rest >>= 1
-        length += 1
-    return length

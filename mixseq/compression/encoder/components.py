@@ -1,4 +1,4 @@
-r"""Principal components of a sequence: the spatial basis before it is rounded.
+r"""Principal components of a sequence and of parts of its mesh: the spatial basis before it is rounded.
 
 trajectories
     :math:`x_t(v) = m(t) + \sum_k u_k(t)\, b_k(v)`: principal components of the vertices' trajectories about their mean
@@ -12,13 +12,8 @@ shapes
 Both are optimal in the least-squares sense. If every number of :math:`b_k` and of :math:`u_k \|b_k\|` is rounded to a
 multiple of the same step, all of them cost the same bits and make the same error: reverse water-filling.
 
-Frames are read for the trajectories of the whole mesh only. Shapes and the components of parts are sums of these
-components, which are far fewer than the frames.
-
-Principal components of a part of the mesh, and the coefficients nearest to its motion.
-
-Both are computed in few coordinates: the motion of a part is that of the components of the whole mesh, times their
-vectors at its vertices. So the cost of parts and errors does not grow with the number of frames.
+Frames are read for the trajectories of the whole mesh only. Shapes, the components of parts and the coefficients
+nearest to the motion of a part are computed from these components, which are far fewer than the frames.
 """
 
 from __future__ import annotations

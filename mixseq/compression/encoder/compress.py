@@ -102,9 +102,9 @@ def compress(
         coded = _found(frames, stages, chunk, unit, max_error, kg, size)
         stages.at(1 + ROUNDS)(0, 1, "checking")
         coded = replace(_checked(frames, coded, max_error, kg), order=numbering.order)
-    if uv_steps is None:
-        return replace(coded, header=replace(coded.header, surface=header.surface))
-    parameters = replace(coded.parameters, uv_steps=uv_steps, uv_error=float(uv_error))
+    parameters = coded.parameters
+    if uv_steps is not None:
+        parameters = replace(parameters, uv_steps=uv_steps, uv_error=float(uv_error))
     return replace(coded, header=replace(coded.header, surface=header.surface), parameters=parameters)
 
 

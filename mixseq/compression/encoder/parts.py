@@ -1,20 +1,18 @@
-r"""Parts of the mesh with a basis each: near-rigid parts, merged down to a number.
+r"""Parts of the mesh with a basis each: near-rigid parts, merged down to a number, and refined to take fewer bytes.
 
 Vertices that move with the same few bones need few components; all vertices together need as many as there are bones.
 So the mesh is cut into parts, as in clustered principal component analysis (Sattler, Sarlette and Klein 2005, *Simple
 and efficient compression of animation sequences*), all with one step.
 
-Repeatedly, the two parts are merged whose union adds least to the error of the nearest rigid motions from the first
-frame,
+*Merging.* Repeatedly, the two parts are merged whose union adds least to the error of the nearest rigid motions from
+the first frame,
 
 .. math:: E(S) = \min_{R_t, c_t} \sum_{t,\, v \in S} |R_t x_0(v) + c_t - x_t(v)|^2,
 
 whether they touch or not: vertices on one bone may be in several pieces.
 
-Refine parts to take fewer bytes: vertices join the part whose components code their motion in the fewest bits.
-
-Near-rigid parts are the start. The motion y of a vertex, in the coordinates of the principal components, is taken to be
-normal about the mean of the part. Rounded to steps :math:`\Delta` it takes about
+*Refining.* The motion y of a vertex, in the coordinates of the principal components, is taken to be normal about the
+mean of the part. Rounded to steps :math:`\Delta` it takes about
 
 .. math:: L_p(y) = \tfrac12 \log \det \Bigl(1 + \frac{C_p}{\Delta^2}\Bigr)
                    + \tfrac12 (y - m_p)^T (C_p + \Delta^2)^{-1} (y - m_p)

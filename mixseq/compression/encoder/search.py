@@ -5,15 +5,12 @@ nearly powers of it. A bound on every vertex trades few residuals of an accurate
 cheapest of some steps is taken.
 
 At the first step several numbers of parts are tried, and both kinds of basis unless the norms of the components exclude
-one, on the coarse vertices of large meshes. Every part has coefficients of its own, so that long sequences of few
-vertices are one part. Every trial corrects the guess of the step, from which the next one begins.
+one. Every part has coefficients of its own, so that long sequences of few vertices are one part. Every trial corrects
+the guess of the step, from which the next one begins.
 
-A mesh with fewer vertices, for comparing candidates on a large one.
-
-Its vertices are those coded first, its edges those that close the holes of the others
-(`mixseq.compression.bitstream.signal_graph`): its streams resemble the first ones of the whole mesh.
-
-Candidates to try: kinds of basis, and numbers of parts, first on a coarse mesh and then on the whole one.
+On large meshes candidates are compared on a coarse one. Its vertices are those coded first, its edges those that close
+the holes of the others (`mixseq.compression.bitstream.signal_graph`): its streams resemble the first ones of the whole
+mesh.
 """
 
 from __future__ import annotations

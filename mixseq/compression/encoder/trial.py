@@ -1,14 +1,11 @@
 """A trial: one compression with a given step, its bytes and its error.
 
 The spatial basis is rounded first. The coefficients are then fitted to the sequence with the *decoded* basis, which
-compensates some of the rounding error; then they are rounded.
-
-Round a basis, and its coefficients, to their decoded values.
+compensates some of the rounding error; then they are rounded. If there is a bound, residuals are displacements where
+decoded frames are farther than it from the original.
 
 Parts are independent, and two are rounded at a time, to limit memory. Rounding determines the error of a trial; its
 bytes take as long again, and are made on demand by `code_basis` and `code_coefficients`.
-
-The residual layer of an encoder: displacements where decoded frames are farther than a bound from the original.
 """
 
 from __future__ import annotations
@@ -168,8 +165,7 @@ class Candidate:
 
 
 def _components_of(known: tuple[PrincipalComponents, float], part: Part) -> PartComponents:
-    components, least = known
-    return PartComponents(components, part, least)
+    return PartComponents(known[0], part, known[1])
 
 
 class Streams(NamedTuple):

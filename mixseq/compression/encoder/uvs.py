@@ -1,12 +1,12 @@
-"""Find regions of texture coordinates that are copies of earlier ones, and code coordinates with or without them.
+"""Texture coordinates of a compressed file: rounded to a grid, and coded with or without copies of earlier regions.
 
-A corner with its two neighbours is a triangle, whose shape, the quotient of its sides as complex numbers, is invariant
-to translation, rotation and scale. Corners of similar shape are candidates for images. The region grown from a
-candidate is compared with the coordinates, polygon by polygon, as far as they agree.
+The grid on the unit square has an even number of steps, so that 0, 1/2 and 1, where textures end and tiles meet, are
+kept.
 
-Round texture coordinates to a grid on the unit square, within an error.
-
-The grid has an even number of steps, so that 0, 1/2 and 1, where textures end and tiles meet, are kept.
+*Regions* that are copies of earlier ones: a corner with its two neighbours is a triangle, whose shape, the quotient of
+its sides as complex numbers, is invariant to translation, rotation and scale. Corners of similar shape are candidates
+for images. The region grown from a candidate is compared with the coordinates, polygon by polygon, as far as they
+agree.
 """
 
 from __future__ import annotations
