@@ -234,5 +234,18 @@ def transfer(
     >>> transfer(walk, tall).points.shape == walk.points.shape
     True
     """
-    planned = plan(**locals())  # it takes the same parameters
+    planned = plan(
+        source,
+        target,
+        markers,
+        mapping,
+        method,
+        rest,
+        contacts,
+        parts=parts,
+        joint_width=joint_width,
+        shell=shell,
+        progress=progress,
+        workers=workers,
+    )
     return collect(planned.header, planned.blocks(progress, workers))
