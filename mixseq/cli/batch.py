@@ -25,19 +25,11 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 import mixseq
-from mixseq.cli.compressed import aim_options, compressed
-from mixseq.cli.files import Claim, Decoded, is_model, options_of, overwrite_option
+from mixseq.cli import options
+from mixseq.cli.compressed import aiming, compressed
+from mixseq.cli.files import Claim, check_options, decoded, is_model, options_of, overwriting
 from mixseq.cli.formats import as_markdown
 from mixseq.cli.group import format_bytes, print_table, printable, progress_bar, say
-from mixseq.cli.options import (
-    FILE,
-    CommandWithSettings,
-    examples,
-    fit_options,
-    quiet_option,
-    reader_options,
-    workers_options,
-)
 from mixseq.errors import FormatError, GivenUpError, MixseqError, MixseqWarning, OutputError, SettingsError
 from mixseq.runtime.progress import Progress, silent
 from mixseq.version import __version__
@@ -493,7 +485,7 @@ def _encode(settings: Settings, asset: Asset, workers: Executor | None, progress
         else:
             mixseq.save(file, mixseq.fit(reader, **fitting, progress=progress, workers=mapped))
         seconds = perf_counter() - start
-        error = mixseq.compare(reader, Decoded(mixseq.load(file), progress, mapped))
+        error = mixseq.compare(reader, decoded(mixseq.load(file), progress, mapped))
         size = file.stat().st_size
         file.replace(asset.target)
     return {
@@ -507,28 +499,25 @@ def _encode(settings: Settings, asset: Asset, workers: Executor | None, progress
     }
 
 
-@click.command(
+@options.command(
     "batch",
-    cls=CommandWithSettings,
-    epilog=examples(
-        "mixseq batch shots/*.usdc --out models",
-        "mixseq batch shots --out models --tolerance 0.001",
-        "mixseq batch shots --out small --max-error 0.001",
-        "mixseq batch shots --out models --cluster tcp://host:8786",
-    ),
+    "mixseq batch shots/*.usdc --out models",
+    "mixseq batch shots --out models --tolerance 0.001",
+    "mixseq batch shots --out small --max-error 0.001",
+    "mixseq batch shots --out models --cluster tcp://host:8786",
 )
-@click.argument("caches", nargs=-1, required=True, type=FILE)
-@click.option("--out", required=True, type=FILE, metavar="FOLDER", help="Folder for models and report.")
-@click.option("--force", is_flag=True, help="Encode everything again, also what is done.")
-@aim_options
-@fit_options
-@workers_options
-@reader_options
-@overwrite_option
-@quiet_option
-@click.pass_context
+@options.argument("caches", nargs=-1, required=True)
+@options.option(
+    "--out", required=True, type=options.FILE, metavar="FOLDER", help="Folder for models and report."
+)
+@options.option("--force", is_flag=True, help="Encode everything again, also what is done.")
+@aiming
+@options.fitting
+@options.workers
+@options.reading
+@overwriting
+@options.quiet
 def command(
-    context: click.Context,
     caches: tuple[Path, ...],
     out: Path,
     force: bool,
@@ -549,7 +538,7 @@ def command(
 
     With --max-error, --kg or --size every model is compressed, each of them so far, see "mixseq encode".
     """
-    if fitting["exact"] + (fitting["tolerance"] is not None) + (fitting["rank"] is not None) > 1:
+    if len(options.given_options("exact", "tolerance", "rank")) > 1:
         raise SettingsError("--exact, --tolerance and --rank exclude each other; give one of them")
     if out.exists() and not out.is_dir():
         raise OutputError(f"{out} is a file; give the name of a folder")
@@ -562,9 +551,7 @@ def command(
     earlier = read_report(out).without_lost()
     names = {source: Path(entry.target).name for source, entry in earlier.entries.items()}
     assets = plan(find_sources(caches), out, names)
-    for name in reading:
-        if not any(name in options_of(asset.source, reading) for asset in assets):
-            raise SettingsError(f"none of the sequences is read with an option {name!r}")
+    check_options((asset.source for asset in assets), reading, "none of the sequences is")
     claim.permit(earlier.of_others(assets, out), unasked=False)
     _make(out)
     with workers as mapped, progress_bar(quiet) as progress:
@@ -575,7 +562,7 @@ def command(
         print_table(rows(ours.entries.values()), HEADING)
     say(f"wrote {click.format_filename(out / 'report.md')} ({ours.summary()})")
     if ours.count("done") < len(assets):
-        context.exit(1)
+        click.get_current_context().exit(1)
 
 
 def _make(folder: Path) -> None:

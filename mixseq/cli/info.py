@@ -7,13 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
 import mixseq
+from mixseq.cli import options
 from mixseq.cli.compressed import coding_facts, coding_rows
 from mixseq.cli.files import is_model
 from mixseq.cli.group import format_bytes, print_json, print_table
-from mixseq.cli.options import FILE, CommandWithSettings, examples, json_option, quiet_option, reader_options
 from mixseq.sequence.frame_rates import frames_text, number_at, rate_text
 
 if TYPE_CHECKING:
@@ -24,13 +22,11 @@ if TYPE_CHECKING:
 Rows = list[tuple[str, str]]
 
 
-@click.command(
-    "info", cls=CommandWithSettings, epilog=examples("mixseq info walk.usdc", "mixseq info walk.h5 --json")
-)
-@click.argument("path", metavar="FILE", type=FILE)
-@json_option
-@reader_options
-@quiet_option
+@options.command("info", "mixseq info walk.usdc", "mixseq info walk.h5 --json")
+@options.argument("path", metavar="FILE")
+@options.as_json
+@options.reading
+@options.quiet
 def command(path: Path, as_json: bool, reading: dict[str, Any], quiet: bool) -> None:
     """Tell what is in a sequence or a model.
 

@@ -1,65 +1,54 @@
-"""``mixseq transfer``.
-
-The report of ``mixseq transfer``, as a table, as JSON and as a picture.
-"""
+"""``mixseq transfer``, and its report: a table, JSON, and a picture."""
 
 from __future__ import annotations
 
+import re
+import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import click
 
 import mixseq
 from mixseq.choices import TRANSFERS
+from mixseq.cli import options
 from mixseq.cli.files import (
-    READ_OF_ALL,
+    ANIMATED,
     Claim,
-    check_formats,
-    chosen_contacts,
-    chosen_map,
-    chosen_markers,
-    chosen_parts,
-    chosen_rest,
+    LabelChoice,
+    check_picture,
+    chosen_picture,
     first_frame,
     is_model,
-    mesh_at_rest,
-    opened_source,
-    overwrite_option,
-    picture_beside,
-    save_correspondence,
+    labelling,
+    overwriting,
     write_sequence,
 )
 from mixseq.cli.group import announce, print_json, print_table, progress_bar
-from mixseq.cli.options import (
-    FILE,
-    CommandWithSettings,
-    examples,
-    json_option,
-    labels_options,
-    quiet_option,
-    reader_options,
-    setting,
-    workers_options,
-    writer_options,
-)
-from mixseq.errors import SettingsError
+from mixseq.errors import MixseqWarning, OutputError, SettingsError
 from mixseq.runtime.progress import warnings_heard
 
 if TYPE_CHECKING:
     from mixseq.choices import TransferName
     from mixseq.retargeting.contacts import ContactReport
+    from mixseq.retargeting.markers import Correspondence
     from mixseq.retargeting.matching import Quality
     from mixseq.retargeting.report import Counts, Coverage, TransferReport
+    from mixseq.retargeting.sources import SourceMotion
     from mixseq.retargeting.transfer import Transfer
     from mixseq.runtime.low_memory import Statistics
     from mixseq.runtime.parallel import Executor
     from mixseq.sequence.header import SequenceHeader
+    from mixseq.sequence.sequence import MeshSequence
+    from mixseq.signals.model import Model
     from mixseq.types import FloatArray
+    from mixseq_io.reader import SequenceReader
 
+
+_READ_OF_ALL = ("up_axis", "metres_per_unit")  # reader options that hold for every file
 
 NAMED = 4
 """Largest number of followers and markers named in the table."""
@@ -250,73 +239,64 @@ def draw(picture: Path, made: Transfer, shown: PassingFrames) -> None:
         transfer_sheet(temporary, made, shown.frames, np.stack(shown.points))
 
 
-@click.command(
+@options.command(
     "transfer",
-    cls=CommandWithSettings,
-    epilog=examples(
-        "mixseq transfer walk.usdc tall.obj tall_walk.usdc",
-        "mixseq transfer horse.h5 camel.obj camel.usdc --markers pairs.txt --save-map map.npz",
-        "mixseq transfer gallop.abc camel.obj camel.abc --map map.npz --rest horse.obj",
-        "mixseq transfer gallop.h5 camel.obj camel.h5 --markers pairs.txt --as-model",
-    ),
+    "mixseq transfer walk.usdc tall.obj tall_walk.usdc",
+    "mixseq transfer horse.h5 camel.obj camel.usdc --markers pairs.txt --save-map map.npz",
+    "mixseq transfer gallop.abc camel.obj camel.abc --map map.npz --rest horse.obj",
+    "mixseq transfer gallop.h5 camel.obj camel.h5 --markers pairs.txt --as-model",
 )
-@click.argument("source", type=FILE)
-@click.argument("target", type=FILE)
-@click.argument("out", type=FILE)
-@click.option(
-    "--markers", type=FILE, metavar="FILE", help="Pairs of vertices that are the same: SOURCE, TARGET."
+@options.argument("source")
+@options.argument("target")
+@options.argument("out")
+@options.option(
+    "--markers",
+    type=options.FILE,
+    metavar="FILE",
+    help="Pairs of vertices that are the same: SOURCE, TARGET.",
 )
-@click.option("--reverse", is_flag=True, help="The vertices of TARGET come first in --markers.")
-@click.option(
-    "--map", "map_file", type=FILE, metavar="FILE", help="Dense correspondence, instead of markers."
+@options.option("--reverse", is_flag=True, help="The vertices of TARGET come first in --markers.")
+@options.option(
+    "--map", "map_file", type=options.FILE, metavar="FILE", help="Dense correspondence, instead of markers."
 )
-@click.option("--save-map", type=FILE, metavar="FILE", help="Keep the correspondence, for --map.")
-@click.option(
+@options.option("--save-map", type=options.FILE, metavar="FILE", help="Keep the correspondence, for --map.")
+@options.option(
     "--method",
     type=click.Choice(TRANSFERS),
     default="mixed",
     show_default=True,
     help="Parts, joints and poses, or deformation gradients (Sumner and Popović).",
 )
-@click.option(
+@options.option(
     "--rest",
     metavar="FRAME|FILE",
     help="Frame in which SOURCE is in TARGET's pose, or a file with the same mesh in that pose.  [default: the first; "
     "of glTF SOURCE without animation]",
 )
-@click.option(
-    "--parts",
-    type=click.IntRange(min=1),
-    metavar="N",
-    help="Number of parts of SOURCE; every connected component has at least one.  [default: automatic]",
+@options.parts(
+    help="Number of parts of SOURCE; every connected component has at least one.  [default: automatic]"
 )
-@setting(
-    "--joint-width",
-    type=click.IntRange(min=1),
-    metavar="N",
-    help="Largest width of joints, in strips of triangles on each side of a boundary.  [default: 3]",
-)
-@labels_options
-@click.option(
+@options.joint_width
+@labelling
+@options.option(
     "--contacts",
-    type=FILE,
+    type=options.FILE,
     metavar="FILE",
     help='Vertices of TARGET that shall not slide while SOURCE rests there, as JSON: {"left foot": [12, 13], ...}.',
 )
-@click.option(
+@options.option(
     "--as-model",
     is_flag=True,
     help="OUT is a model with the time and pose signals of SOURCE, a model too; only its key poses are transferred.",
 )
-@setting("--target-prim", metavar="PATH", help="Mesh to read of TARGET, as --prim is of SOURCE.")
-@click.option("--picture", type=FILE, metavar="PNG", help="Name of the picture.  [default: beside OUT]")
-@click.option("--no-picture", is_flag=True, help="Draw no picture.")
-@json_option
-@reader_options
-@writer_options
-@workers_options
-@overwrite_option
-@quiet_option
+@options.setting("--target-prim", metavar="PATH", help="Mesh to read of TARGET, as --prim is of SOURCE.")
+@options.picture("OUT")
+@options.as_json
+@options.reading
+@options.writing
+@options.workers
+@overwriting
+@options.quiet
 def command(
     source: Path,
     target: Path,
@@ -325,17 +305,15 @@ def command(
     reverse: bool,
     map_file: Path | None,
     save_map: Path | None,
-    method: str,
+    method: TransferName,
     rest: str | None,
     parts: int | None,
-    joint_width: int | None,
-    labels: Path | None,
-    label_source: str | None,
+    joint_width: int,
+    labels: LabelChoice,
     contacts: Path | None,
     as_model: bool,
     target_prim: str | None,
-    picture: Path | None,
-    no_picture: bool,
+    picture: dict[str, Any],
     as_json: bool,
     reading: dict[str, Any],
     writing: dict[str, Any],
@@ -361,38 +339,42 @@ def command(
 
     --up-axis and --units are for all files, the other options for reading for SOURCE.
     """
-    of_parts = {
-        "parts": parts,
-        "joint-width": joint_width,
-        "labels": labels,
-        "source": label_source,
-        "contacts": contacts,
-    }
-    _check_settings(markers, map_file, reverse, method, of_parts, picture, no_picture)
+    if map_file is not None:
+        options.refuse("markers", why="and --map are two ways to say the same; give one of them")
+    if markers is None:
+        options.refuse("reverse", why="is about the order of --markers; give both, or neither")
+    drawn = chosen_picture(out, "transfer", **picture)
+    if method == "gradients":
+        for name in options.given_options("parts", "joint_width", "labels", "label_source", "contacts"):
+            raise SettingsError(f"the method gradients knows no parts; leave out {name}, or --method")
     if as_model:
         _check_models(source, out, contacts)
-    frame, rest_file = chosen_rest(rest, source)
-    drawn = None if no_picture else picture or picture_beside(out)
+    frame, rest_file = _chosen_rest(rest, source)
     claim(out, drawn, save_map, read=[rest_file])
-    check_formats(out, drawn, save_map)
-    common = {name: value for name, value in reading.items() if name in READ_OF_ALL}
+    _check_formats(out, save_map)
+    if drawn is not None:
+        check_picture(drawn)
+    common = {name: value for name, value in reading.items() if name in _READ_OF_ALL}
     notes: list[str] = []
     with (
         workers as work,
         progress_bar(quiet) as progress,
         warnings_heard(notes.append),
-        opened_source(source, reading) as opened,
+        _opened_source(source, reading) as opened,
     ):
         from mixseq.retargeting.report import Meter
         from mixseq.retargeting.sources import source_motion
         from mixseq.retargeting.transfer import plan
+        from mixseq_io.text.maps import write_map
+        from mixseq_io.text.markers import read_contacts, read_markers
 
-        pairs, feet = chosen_markers(markers, reverse), chosen_contacts(contacts)
+        pairs = None if markers is None else read_markers(markers, reverse=reverse)
+        feet = None if contacts is None else read_contacts(contacts)
         if rest is not None and rest_file is None and frame >= 0:
             frame = opened.header.index_of(frame)
         shape = first_frame(target, common | ({} if target_prim is None else {"prim": target_prim}))
-        rest_shape = frame if rest_file is None else mesh_at_rest(rest_file, reading, opened, rest is None)
-        given = chosen_parts(opened, parts, labels, label_source, reading)
+        rest_shape = frame if rest_file is None else _mesh_at_rest(rest_file, reading, opened, rest is None)
+        given = _chosen_parts(opened, parts, labels, reading)
         keys = None
         if as_model:
             keys, rest_shape, given = _keys_of(opened, rest_shape)
@@ -401,15 +383,15 @@ def command(
             motion,
             shape,
             pairs,
-            chosen_map(map_file, motion, shape),
-            cast("TransferName", method),
+            _chosen_map(map_file, motion, shape),
+            method,
             contacts=feet,
-            joint_width=joint_width or 3,
+            joint_width=joint_width,
             progress=progress,
             workers=work,
         )
         if save_map is not None:
-            save_correspondence(save_map, made)
+            write_map(save_map, made.correspondence, made.source.header.faces, made.header.faces)
         meter, shown = Meter(made), PassingFrames(frames_to_draw(made, frame, rest_file))
         blocks = shown.passing(meter.passing(made.blocks(progress, work)))
         if as_model:
@@ -425,9 +407,84 @@ def command(
         return
     if not quiet:
         print_table(rows(made, method, report))
-    for each in (save_map, out, drawn):
-        if each is not None:
-            announce(each)
+    announce(save_map, out, drawn)
+
+
+def _chosen_rest(text: str | None, source: Path) -> tuple[int, Path | None]:
+    """Return the rest frame, by its number or from the end, or a file."""
+    if text is None:
+        return 0, source if source.suffix.lower() in ANIMATED else None
+    return (int(text), None) if re.fullmatch(r"-?\d+", text) else (0, Path(text))
+
+
+def _mesh_at_rest(
+    path: Path, reading: Mapping[str, Any], opened: SequenceReader | Model, unasked: bool
+) -> MeshSequence | int:
+    """Read the source's mesh at rest; frame 0 instead, if a file that was not asked for has other meshes."""
+    shape = first_frame(path, {name: reading[name] for name in (*_READ_OF_ALL, "prim") if name in reading})
+    header = opened.header
+    if not unasked or (shape.vertex_count, len(shape.faces)) == (header.vertex_count, len(header.faces)):
+        return shape
+    warnings.warn(
+        f"{path}: without animation there are other meshes than those that move, so frame 0 counts as the rest; "
+        "--prim / takes all meshes, --rest FRAME says that a frame is meant",
+        MixseqWarning,
+        stacklevel=2,
+    )
+    return 0
+
+
+def _check_formats(out: Path, save_map: Path | None) -> None:
+    """Raise an error for unsupported extensions, before the work."""
+    from mixseq_io.registry import FORMATS
+
+    known = [extension for each in FORMATS for extension in each.extensions]
+    if out.suffix.lower() not in known:
+        raise OutputError(
+            f"{out}: the extension {out.suffix!r} is not known; write one of {', '.join(known)}"
+        )
+    if save_map is not None and save_map.suffix.lower() != ".npz":
+        raise OutputError(f"{save_map}: maps are written as npz files; end the name in .npz")
+
+
+def _opened_source(
+    source: Path, reading: Mapping[str, Any]
+) -> AbstractContextManager[SequenceReader | Model]:
+    """Open a sequence, or load a model."""
+    if not is_model(source):
+        return mixseq.open_sequence(source, **reading)
+    others = [name for name in reading if name not in _READ_OF_ALL]
+    if others:
+        raise SettingsError(
+            f"{source} is a model, which is read without options; leave out those for sequences"
+        )
+    return nullcontext(mixseq.load(source))
+
+
+def _chosen_map(path: Path | None, motion: SourceMotion, shape: MeshSequence) -> Correspondence | None:
+    """Read the correspondence of two meshes from a file, None without one."""
+    if path is None:
+        return None
+    from mixseq_io.text.maps import read_map, to_correspondence
+
+    return to_correspondence(
+        read_map(path), (motion.rest, motion.header.faces), (shape.points[0], shape.faces)
+    )
+
+
+def _chosen_parts(
+    motion: SequenceReader | Model, parts: int | None, labels: LabelChoice, reading: Mapping[str, Any]
+) -> Any:
+    """Return a number of parts, labels of triangles, or None."""
+    from mixseq.signals.model import Model
+
+    if not isinstance(motion, Model):
+        return labels.parts(motion, parts, reading)
+    if labels.is_given:
+        raise SettingsError(
+            "labels are for sequences; leave out --labels and --source, the model has its own parts"
+        )
+    return parts
 
 
 def _check_models(source: Path, out: Path, contacts: Path | None) -> None:
@@ -457,25 +514,3 @@ def _save_model(out: Path, model: Any, header: Any, blocks: Any) -> None:
     from mixseq.sequence.sequence import collect
 
     mixseq.save(out, with_shapes(model, collect(header, blocks)))
-
-
-def _check_settings(
-    markers: Path | None,
-    map_file: Path | None,
-    reverse: bool,
-    method: str,
-    of_parts: Mapping[str, object],
-    picture: Path | None,
-    no_picture: bool,
-) -> None:
-    """Raise an error for options that contradict each other, before anything is read."""
-    if markers is not None and map_file is not None:
-        raise SettingsError("--markers and --map are two ways to say the same; give one of them")
-    if reverse and markers is None:
-        raise SettingsError("--reverse is about the order of --markers; give both, or neither")
-    if picture is not None and no_picture:
-        raise SettingsError("--picture and --no-picture exclude each other")
-    if method == "gradients":
-        for name, value in of_parts.items():
-            if value is not None:
-                raise SettingsError(f"the method gradients knows no parts; leave out --{name}, or --method")

@@ -10,11 +10,9 @@ from tempfile import TemporaryDirectory
 from time import perf_counter
 from typing import TYPE_CHECKING
 
-import click
-
 import mixseq
+from mixseq.cli import options
 from mixseq.cli.group import progress_bar, say
-from mixseq.cli.options import examples, quiet_option
 
 if TYPE_CHECKING:
     from mixseq.choices import PlacementName
@@ -24,8 +22,8 @@ if TYPE_CHECKING:
 FRAMES = 6
 
 
-@click.command("warm-up", epilog=examples("mixseq warm-up"))
-@quiet_option
+@options.command("warm-up", "mixseq warm-up")
+@options.quiet
 def command(quiet: bool) -> None:
     """Compile what later runs need, so that they start at once.
 
