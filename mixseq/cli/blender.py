@@ -20,9 +20,7 @@ RELEASES = ("4.2", "5.1")
     "mixseq blender --set blender=5.1 --set platform=windows-x64",
 )
 @options.out_folder(
-    default=Path(),
-    show_default=False,
-    help="Folder for the extension, made if missing.  [default: this one]",
+    default=Path(), show_default=False, help="Folder for the extension, made if missing.  [default: this one]"
 )
 @options.setting(
     "--platform",
@@ -36,7 +34,6 @@ RELEASES = ("4.2", "5.1")
     "release",
     type=click.Choice(RELEASES),
     default=RELEASES[0],
-    show_default=True,
     help="Oldest version: 4.2 is for those to 5.0, which have Python 3.11.",
 )
 @overwriting

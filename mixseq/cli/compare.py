@@ -22,9 +22,7 @@ if TYPE_CHECKING:
 
 
 @options.command(
-    "compare",
-    "mixseq compare walk.usdc decoded.usdc",
-    "mixseq compare walk.usdc walk.h5 --json",
+    "compare", "mixseq compare walk.usdc decoded.usdc", "mixseq compare walk.usdc walk.h5 --json"
 )
 @options.argument("reference")
 @options.argument("other")

@@ -51,8 +51,7 @@ def _aim(uvs: bool = True, **given: Any) -> dict[str, Any]:
         )
         return {}
     options.refuse(
-        *_OF_FITTING,
-        why=f"is for models that are not compressed; leave it out, or leave out {targets[0]}",
+        *_OF_FITTING, why=f"is for models that are not compressed; leave it out, or leave out {targets[0]}"
     )
     return given if uvs else given | {"uvs": False}
 
@@ -60,17 +59,15 @@ def _aim(uvs: bool = True, **given: Any) -> dict[str, Any]:
 aiming = options.group(
     "aim",
     options.option(
-        "--max-error",
+        "--max-error X",
         type=options.POSITIVE,
-        metavar="X",
         help="Compress: no vertex of any frame is farther off than X diagonals of the bounding box.",
     ),
-    options.option("--kg", type=options.POSITIVE, metavar="X", help="Compress, to a KG error of X percent."),
-    options.option("--size", type=as_bytes, metavar="SIZE", help="Compress into 2MB, 500kB, 1.5MiB, ..."),
+    options.option("--kg X", type=options.POSITIVE, help="Compress, to a KG error of X percent."),
+    options.option("--size SIZE", type=as_bytes, help="Compress into 2MB, 500kB, 1.5MiB, ..."),
     options.setting(
-        "--uv-error",
+        "--uv-error X",
         type=click.FloatRange(min=0, max=0.25),
-        metavar="X",
         help="Compressed: u and v are off by X at most, 0 keeps all bits.  [default: 1/16 texel of 4096]",
     ),
     options.setting(
@@ -79,14 +76,11 @@ aiming = options.group(
         help="Compressed: what keeps its numbers, vertices and faces, vertices only, or neither.  [default: keep]",
     ),
     options.setting(
-        "--chunk",
+        "--chunk N",
         type=click.IntRange(min=16),
-        metavar="N",
         help="Compressed: about N frames can be decoded without others.  [default: 512]",
     ),
-    options.setting(
-        "--uvs/--no-uvs", default=True, help="Compressed: keep texture coordinates.  [default: uvs]"
-    ),
+    options.setting("--uvs/--no-uvs", default=True, help="Compressed: keep texture coordinates."),
     make=_aim,
 )
 """Targets of compression, as ``aim``, the parameters of `mixseq.compress`."""
@@ -144,16 +138,12 @@ def coding_rows(facts: dict[str, Any]) -> Rows:
         ("still", "first frame and textures"),
         ("container", "container"),
     ]
+    motion = sizes["signals"] - sizes["surface"] - sizes["uvs"]
     rates = [
-        ("signals", sizes["signals"] - sizes["surface"] - sizes["uvs"], coding["bits_of_motion"]),
+        ("signals", motion, coding["bits_of_motion"]),
         ("total", sizes["total"], coding["bits"]["total"]),
     ]
-    texture = (
-        [("texture error", f"at most {coding['uv_error']:.3g} of the square")]
-        if coding["uv_error"] is not None
-        else []
-    )
-    return [
+    rows = [
         *(
             (name, f"{format_bytes(size)}, {rate:.3g} bits per vertex and frame")
             for name, size, rate in rates
@@ -161,6 +151,9 @@ def coding_rows(facts: dict[str, Any]) -> Rows:
         ("of it", ", ".join(f"{format_bytes(sizes[name])} {what}" for name, what in others if sizes[name])),
         ("max error", f"{stated}{coding['max_error']:.3g} of the diagonal"),
         ("KG error", f"{coding['kg_percent']:.3g} %"),
-        *texture,
-        *([("order", _RENUMBERED[coding["order"]])] if coding["order"] in _RENUMBERED else []),
     ]
+    if coding["uv_error"] is not None:
+        rows.append(("texture error", f"at most {coding['uv_error']:.3g} of the square"))
+    if coding["order"] in _RENUMBERED:
+        rows.append(("order", _RENUMBERED[coding["order"]]))
+    return rows

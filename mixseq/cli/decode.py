@@ -11,18 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import mixseq
-from mixseq.cli import options
-from mixseq.cli.files import (
-    MODEL_EXTENSIONS,
-    VAT,
-    Claim,
-    check_origin,
-    is_model,
-    overwriting,
-    read_sequence,
-    time_rows,
-    write_frames,
-)
+from mixseq.cli import files, options
 from mixseq.cli.group import announce, format_bytes, print_table, progress_bar
 from mixseq.errors import MixseqWarning, NoMeshError, SettingsError
 from mixseq.sequence.frame_rates import exact_rate, rate_text
@@ -84,16 +73,11 @@ def _bind_pose(path: Path, sequence: MeshSequence) -> MeshSequence | None:
         return None
     if found.vertex_count == sequence.vertex_count:
         return found
-    more = sequence.vertex_count > found.vertex_count
-    cure = (
-        "; if the sequence has other meshes as well, encode that one alone (mixseq encode --prim)"
-        if more
-        else ""
-    )
+    cure = "; if the sequence has other meshes as well, encode that one alone (mixseq encode --prim)"
     warnings.warn(
         f"{path}: the mesh on the skeleton has {found.vertex_count} vertices, that of the sequence has "
         f"{sequence.vertex_count}; it is left out, and the skeleton is taken as it would stand in the first frame"
-        + cure,
+        + (cure if sequence.vertex_count > found.vertex_count else ""),
         MixseqWarning,
         stacklevel=2,
     )
@@ -161,18 +145,12 @@ def _seconds(text: str) -> tuple[float, ...]:
 @options.group(
     "chosen",
     options.fps(help="Frames per second.  [default: the original frames]"),
-    options.option(
-        "--times", type=_seconds, metavar="S,S,...", help="Decode exactly these times, in seconds."
-    ),
+    options.option("--times S,S,...", type=_seconds, help="Decode exactly these times, in seconds."),
     options.frames(
         help="Only these frames of the model, by their numbers; with --fps from the first to the last of them."
     ),
-    options.option(
-        "--start", type=float, metavar="S", help="First time in seconds.  [default: that of the model]"
-    ),
-    options.option(
-        "--end", type=float, metavar="S", help="Last time in seconds.  [default: that of the model]"
-    ),
+    options.option("--start S", type=float, help="First time in seconds.  [default: that of the model]"),
+    options.option("--end S", type=float, help="Last time in seconds.  [default: that of the model]"),
 )
 @options.velocities()
 @options.option(
@@ -183,42 +161,32 @@ def _seconds(text: str) -> tuple[float, ...]:
 )
 @options.group(
     "rig",
-    options.setting("--bones", type=options.COUNT, metavar="N", help="Number of bones of a skin."),
-    options.setting(
-        "--skeleton", type=options.FILE, metavar="FILE", help="glTF or USD file with the bones of a skin."
-    ),
+    options.setting("--bones N", type=options.COUNT, help="Number of bones of a skin."),
+    options.setting("--skeleton FILE", help="glTF or USD file with the bones of a skin."),
     options.option(
-        "--kg",
-        type=options.POSITIVE,
-        metavar="P",
-        help="Give a skin as few bones as reach this KG error, in percent.",
+        "--kg P", type=options.POSITIVE, help="Give a skin as few bones as reach this KG error, in percent."
     ),
     options.setting(
-        "--correctives",
+        "--correctives E",
         type=options.POSITIVE,
-        metavar="E",
         help="Correct a skin by morph targets, up to this largest error in diagonals.",
     ),
     options.option(
-        "--max-error",
+        "--max-error E",
         type=options.POSITIVE,
-        metavar="E",
         help="Largest error of a skin's bones, of a morph or of textures, in diagonals; a morph without it is exact.",
     ),
-    options.setting(
-        "--max-targets", type=options.WHOLE, metavar="N", help="Number of morph targets at most."
-    ),
+    options.setting("--max-targets N", type=options.WHOLE, help="Number of morph targets at most."),
 )
 @options.setting(
     "--texture",
     type=click.Choice(["png16", "exr"]),
     default="png16",
-    show_default=True,
     help="Of vertex animation textures (TARGET is a folder .vat): PNG with 16 bits, or EXR.",
 )
 @options.writing
 @options.workers
-@overwriting
+@files.overwriting
 @options.quiet
 def command(
     source: Path,
@@ -230,7 +198,7 @@ def command(
     texture: TextureName,
     writing: dict[str, Any],
     workers: AbstractContextManager[Executor],
-    claim: Claim,
+    claim: files.Claim,
     quiet: bool,
 ) -> None:
     """Turn a model back into a sequence, at any frame rate.
@@ -243,7 +211,7 @@ def command(
     With --as, TARGET is a .glb or .gltf that engines play, or USD with a skeleton; it is fitted to all frames, read
     back, and compared with them. MODEL may then be a sequence, too.
     """
-    textures = target.suffix.lower() == VAT
+    textures = target.suffix.lower() == files.VAT
     if textures:
         names = {"kind", *_ONLY_FOR, "velocities", *writing} - {"max_error"}
         for option in options.given_options(*sorted(names)):
@@ -263,11 +231,11 @@ def command(
         if kind is None and not textures:
             model = mixseq.load(source)
             header = _chosen_header(model, **chosen)
-            write_frames(target, model, header, velocities, writing, progress, work)
-            table = time_rows(header)
+            files.write_frames(target, model, header, velocities, writing, progress, work)
+            table = files.time_rows(header)
         else:
             sequence = _sequence(source, chosen, progress, work)
-            check_origin(target, sequence)
+            files.check_origin(target, sequence)
             if textures:
                 report = mixseq.write_vat(target, sequence, rig.get("max_error"), texture, progress)
                 table = texture_rows(report)
@@ -284,14 +252,14 @@ def _sequence(source: Path, chosen: Mapping[str, Any], progress: Progress, worke
     """Decode the chosen frames of a model into memory, or read a sequence."""
     from mixseq.sequence.sequence import collect
 
-    named_as_model = source.suffix.lower() in MODEL_EXTENSIONS and not source.is_file()
-    if not (is_model(source) or named_as_model):
+    named_as_model = source.suffix.lower() in files.MODEL_EXTENSIONS and not source.is_file()
+    if not (files.is_model(source) or named_as_model):
         if chosen:
             raise SettingsError(
                 f"{source} is a sequence, whose frames are fitted as they are; leave out --fps, --times, --frames, "
                 "--start and --end, or turn it into a model first, with mixseq encode"
             )
-        return read_sequence(source, {}, progress)
+        return files.read_sequence(source, {}, progress)
     model = mixseq.load(source)
     header = _chosen_header(model, **chosen)
     return collect(header, model.blocks(header.times, progress=progress, workers=workers))

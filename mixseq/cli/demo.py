@@ -19,14 +19,7 @@ from mixseq.cli.info import dimension_rows
 
 @options.command("demo", "mixseq demo --out fox --frames 24")
 @options.out_folder(default=Path("mixseq-demo"))
-@options.option(
-    "--frames",
-    type=click.IntRange(min=2),
-    default=48,
-    show_default=True,
-    metavar="N",
-    help="Frames of the walk.",
-)
+@options.option("--frames N", type=click.IntRange(min=2), default=48, help="Frames of the walk.")
 @overwriting
 @options.quiet
 def command(out: Path, frames: int, claim: Claim, quiet: bool) -> None:

@@ -44,19 +44,15 @@ A script has a table for every edit:
 )
 @options.argument("source", metavar="MODEL")
 @options.argument("target", metavar="OUT")
-@options.option("--script", required=True, type=options.FILE, metavar="FILE", help="The edits, a TOML file.")
+@options.option("--script FILE", required=True, help="The edits, a TOML file.")
 @options.setting(
-    "--files-from",
+    "--files-from FOLDER",
     "folders",
-    type=options.FILE,
     multiple=True,
-    metavar="FOLDER",
     help="Let the script read files in this folder, too, besides its own; may be given several times.",
 )
 @options.setting(
-    "--travel",
-    type=options.FILE,
-    metavar="FILE",
+    "--travel FILE",
     help="Also write what in_place takes away, for engines to move the character by: a CSV file of seconds,x,y,z.",
 )
 @options.fps(help="Frames per second, where OUT is a sequence.  [default: the frames of the model]")

@@ -11,18 +11,8 @@ import click
 
 import mixseq
 from mixseq.choices import POSE_FORMS, STILLS, PoseForm, StillName
-from mixseq.cli import options
+from mixseq.cli import files, options
 from mixseq.cli.compressed import aiming, coding_facts, coding_rows, compressed
-from mixseq.cli.files import (
-    GLB,
-    MODEL_EXTENSIONS,
-    Claim,
-    LabelChoice,
-    decoded,
-    is_model,
-    labelling,
-    overwriting,
-)
 from mixseq.cli.group import announce, print_table, progress_bar
 from mixseq.cli.info import bytes_of_frames, dimension_rows, size_row
 from mixseq.errors import OutputError
@@ -48,18 +38,16 @@ if TYPE_CHECKING:
 @options.argument("target")
 @aiming
 @options.fitting
-@labelling
+@files.labelling
 @options.setting(
-    "--knots",
+    "--knots N",
     type=options.WHOLE,
-    metavar="N",
     help="Number of inner knots of all curves over time.  [default: as the tolerance asks, else all]",
 )
 @options.setting(
     "--pose",
     type=click.Choice(POSE_FORMS),
     default="modes",
-    show_default=True,
     help="Key shapes: the mean and modes, or frames of the sequence.",
 )
 @options.setting(
@@ -70,26 +58,25 @@ if TYPE_CHECKING:
 @options.option(
     "--check/--no-check",
     default=False,
-    show_default=True,
     help="Decode all frames of the finished model and compare them with SOURCE.",
 )
 @options.workers
 @options.reading
-@overwriting
+@files.overwriting
 @options.quiet
 def command(
     source: Path,
     target: Path,
     aim: dict[str, Any],
     fitting: dict[str, Any],
-    labels: LabelChoice,
+    labels: files.LabelChoice,
     knots: int | None,
     pose: PoseForm,
     still: StillName | None,
     check: bool,
     workers: AbstractContextManager[Executor],
     reading: dict[str, Any],
-    claim: Claim,
+    claim: files.Claim,
     quiet: bool,
 ) -> None:
     """Turn a sequence into a model.
@@ -102,21 +89,18 @@ def command(
     "mixseq verify". As a .glb it plays on the web (see "mixseq web"); a compressed model that SOURCE is already becomes
     one as it is.
     """
-    web = target.suffix.lower() == GLB
-    _check_name(target, compressed=bool(aim) or (web and is_model(source)))
+    web = target.suffix.lower() == files.GLB
+    _check_name(target, compressed=bool(aim) or (web and files.is_model(source)))
     if not web:
         options.refuse("still", why="is for .glb files; leave it out")
     still = still or "draco"
     claim(target)
+    from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
     from mixseq_io.verification import read_compressed
 
     start = perf_counter()
     error: Comparison | None = None
-    with (
-        workers as work,
-        progress_bar(quiet) as progress,
-        mixseq.open_sequence(source, **reading) as reader,
-    ):
+    with workers as work, progress_bar(quiet) as progress, mixseq.open_sequence(source, **reading) as reader:
         model: Model | CompressedSequence
         if aim:
             model = compressed(reader, aim, progress, still if web else None)
@@ -128,9 +112,13 @@ def command(
         mixseq.save(target, model, still=still)
         seconds = perf_counter() - start
         if check:
-            error = mixseq.compare(reader, decoded(mixseq.load(target), progress, work))
+            error = mixseq.compare(reader, files.decoded(mixseq.load(target), progress, work))
     if not quiet:
-        rows = _rows(model, target)
+        if isinstance(model, CompressedSequence):
+            rows = dict(coding_rows(coding_facts(target, model)))
+        else:
+            sizes = target.stat().st_size, bytes_of_frames(model.header)
+            rows = dict([*dimension_rows(model), size_row(*sizes)])
         rows["time"] = f"{seconds:.1f} s"
         if error is not None:
             rows["max error"] = (
@@ -144,17 +132,10 @@ def command(
 def _check_name(path: Path, compressed: bool) -> None:
     """Raise an error for a path without a model's extension."""
     suffix = path.suffix.lower()
-    if suffix == GLB and not compressed:
+    if suffix == files.GLB and not compressed:
         raise OutputError(f"{path}: a .glb holds compressed models; give --max-error, --kg or --size, too")
-    if suffix not in (*MODEL_EXTENSIONS, GLB):
+    if suffix not in (*files.MODEL_EXTENSIONS, files.GLB):
         raise OutputError(
-            f"{path}: models are HDF5 files; end the name in {' or '.join(MODEL_EXTENSIONS)}, or in {GLB} for the web"
+            f"{path}: models are HDF5 files; end the name in {' or '.join(files.MODEL_EXTENSIONS)}, or in {files.GLB} "
+            "for the web"
         )
-
-
-def _rows(model: Model | CompressedSequence, path: Path) -> dict[str, str]:
-    from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
-
-    if isinstance(model, CompressedSequence):
-        return dict(coding_rows(coding_facts(path, model)))
-    return dict([*dimension_rows(model), size_row(path.stat().st_size, bytes_of_frames(model.header))])

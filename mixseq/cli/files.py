@@ -83,7 +83,7 @@ def chosen_blocks(blocks: Iterable[FloatArray], indices: Iterable[int]) -> Itera
 
 @dataclass(frozen=True)
 class LazyFrames:
-    """Frames that are made on demand, in blocks of at most so many frames as `make` is called with."""
+    """Frames that are made on demand; `make` gets the largest number of frames in a block."""
 
     header: SequenceHeader  # mesh and times
     make: Callable[[int], Iterator[FloatArray]]
@@ -391,15 +391,12 @@ class LabelChoice:
 labelling = options.group(
     "labels",
     options.option(
-        "--labels",
-        type=options.FILE,
-        metavar="FILE",
+        "--labels FILE",
         help="Parts from labels of the faces made elsewhere: npz, or the same mesh in USD, OBJ, PLY, glTF, ...",
     ),
     options.option(
-        "--source",
+        "--source NAME",
         "label_source",
-        metavar="NAME",
         help="Which labels in that file, or else in the sequence's own: labels, groups, materials, colours, skeleton, "
         "or a family of USD subsets.  [default: the only ones]",
     ),

@@ -12,7 +12,7 @@ from mixseq.cli.group import print_table
 Table = Sequence[Sequence[str]]
 
 
-@options.command("formats", "mixseq formats", "mixseq formats --markdown")
+@options.command("formats", "mixseq formats", "mixseq formats --set markdown=yes")
 @options.setting("--markdown", is_flag=True, help="Print the tables in Markdown.")
 def command(markdown: bool) -> None:
     """List the file formats: what each can hold, which motion is read from it, and its options."""

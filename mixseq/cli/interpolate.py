@@ -52,17 +52,15 @@ def pose_of(text: str) -> Pose:
 @options.argument("source", metavar="IN")
 @options.argument("target", metavar="OUT")
 @options.option(
-    "--pose",
+    "--pose FRAME[=WEIGHT]",
     "poses",
     type=pose_of,
     multiple=True,
-    metavar="FRAME[=WEIGHT]",
     help="A frame of IN, counted from 0, and its weight; give several. The weights add up to one.",
 )
 @options.option(
-    "--steps",
+    "--steps N",
     type=click.IntRange(min=2),
-    metavar="N",
     help="Write N frames from one pose to another, two without weights, instead of one blend.",
 )
 @options.making
@@ -96,15 +94,11 @@ def command(
     claim(target)
     from mixseq.operations.interpolation import PoseInterpolator
 
-    with (
-        workers as work,
-        progress_bar(quiet) as progress,
-        mixseq.open_sequence(source, **reading) as reader,
-    ):
+    with workers as work, progress_bar(quiet) as progress, mixseq.open_sequence(source, **reading) as reader:
         numbered = [pose._replace(frame=reader.header.index_of(pose.frame)) for pose in poses]
         weights = _weights(numbered, steps, reader.header.frame_count)
         making["parts"] = labels.parts(reader, making.get("parts"), reading)
-        used = _used(weights)
+        used = [pose for pose, column in enumerate(weights.T) if column.any()]
         blend = PoseInterpolator.of(reader, **making, among=used, progress=progress, workers=work)
         header = blend.header.with_times([step / blend.header.fps for step in range(len(weights))])
         frames = (points[None] for points in blend.along(weights[:, used], progress, work))
@@ -140,10 +134,6 @@ def _check(poses: Sequence[Pose], steps: int | None) -> None:
         raise SettingsError(
             f"--steps goes from one pose to another; give --pose twice, not {len(poses)} times"
         )
-
-
-def _used(weights: NDArray[np.float64]) -> list[int]:
-    return [pose for pose, column in enumerate(weights.T) if column.any()]
 
 
 def _weights(poses: Sequence[Pose], steps: int | None, count: int) -> NDArray[np.float64]:

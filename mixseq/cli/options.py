@@ -146,14 +146,14 @@ def group(name: str, *options: Decorator, make: Callable[..., Any] = dict) -> De
 def given_options(*names: str) -> list[str]:
     """Return which of some options are on the command line, as they are spelled; a switch must change its default."""
     context = click.get_current_context()
-    params = {param.name: param for param in context.command.params}
-    return [
-        param.secondary_opts[-1] if value is False else param.opts[0]
-        for name in names
-        if (param := params.get(name)) is not None
-        and context.get_parameter_source(name) is ParameterSource.COMMANDLINE
-        and ((value := context.params[name]) is not False or param.default is not False)
-    ]
+    params = {str(param.name): param for param in context.command.params}
+    given = []
+    for name in names:
+        if name in params and context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
+            param, is_off = params[name], context.params[name] is False
+            if not (is_off and param.default is False):
+                given.append(param.secondary_opts[-1] if is_off else param.opts[0])
+    return given
 
 
 def refuse(*names: str, why: str) -> None:
@@ -165,6 +165,7 @@ def refuse(*names: str, why: str) -> None:
 # Types ----------------------------------------------------------------------------------------------------
 
 FILE = click.Path(path_type=Path)
+PATHS = ("FILE", "FOLDER", "PAGE", "PNG", "SEQUENCE")
 COUNT = click.IntRange(min=1)
 WHOLE = click.IntRange(min=0)
 POSITIVE = click.FloatRange(min=0, min_open=True)
@@ -258,45 +259,54 @@ def _workers(threads: int | None = None, cluster: str | None = None) -> Abstract
 # Partial ones are for commands to complete: ``@options.fps(help=...)``.
 
 argument = partial(click.argument, type=FILE)
-option = click.option
-setting = partial(click.option, cls=Setting)
-flag = partial(click.option, is_flag=True, default=None)
-"""Decorator like `click.option`, for a switch of a group, which has no value if it is not given."""
+
+
+def option(spec: str, *names: str, **settings: Any) -> Decorator:
+    """Return a decorator that adds an option, spelled as in help, ``--name METAVAR``; its default is shown.
+
+    With a metavar of `PATHS` its value is a path.
+    """
+    name, _, metavar = spec.partition(" ")
+    settings.setdefault("metavar", metavar or None)
+    settings.setdefault("show_default", settings.get("default") is not None)
+    if metavar in PATHS:
+        settings["type"] = FILE
+    return click.option(name, *names, **settings)
+
+
+setting = partial(option, cls=Setting)
+"""Decorator like `option`, for a setting."""
+
+flag = partial(option, is_flag=True, default=None)
+"""Decorator like `option`, for a switch of a group, which has no value if it is not given."""
 
 quiet = option("-q", "--quiet", is_flag=True, help="Print neither progress nor tables.")
 as_json = option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
-out_folder = partial(
-    option, "--out", type=FILE, show_default=True, help="Folder for the files, made if missing."
-)
-frames = partial(option, "--frames", type=FrameChoice.from_text, metavar="A-B")
-fps = partial(option, "--fps", type=RATE, metavar="N")
+out_folder = partial(option, "--out", type=FILE, help="Folder for the files, made if missing.")
+frames = partial(option, "--frames A-B", type=FrameChoice.from_text)
+fps = partial(option, "--fps N", type=RATE)
 parts = partial(
     option,
-    "--parts",
+    "--parts N",
     type=COUNT,
-    metavar="N",
     help="Number of parts; every connected component has at least one.  [default: automatic]",
 )
-threads = partial(option, "--threads", type=COUNT, metavar="N")
+threads = partial(option, "--threads N", type=COUNT)
 velocities = partial(
     option,
     "--velocities/--no-velocities",
     default=False,
-    show_default=True,
     help="Also write the velocities of all vertices, for motion blur.",
 )
 joint_width = setting(
-    "--joint-width",
+    "--joint-width N",
     type=COUNT,
     default=3,
-    show_default=True,
-    metavar="N",
     help="Largest width of joints, in strips of triangles on each side of a boundary.",
 )
 camera = setting(
-    "--camera",
+    "--camera ANGLE,HEIGHT",
     type=_angles,
-    metavar="ANGLE,HEIGHT",
     help="Degrees from the body's front, to its left, and above the horizon.  [default: front and a side]",
 )
 
@@ -305,23 +315,17 @@ SPACE_OPTIONS = (
         "--space",
         type=click.Choice(SPACES),
         default="mixed",
-        show_default=True,
         help="Shape space: parts and joints, vertices, deformation gradients, LRI coordinates, lengths and angles.",
     ),
     parts(),
     setting(
-        "--segmentation",
-        type=click.Choice(SEGMENTATIONS),
-        default="motion",
-        show_default=True,
-        help="How parts are found.",
+        "--segmentation", type=click.Choice(SEGMENTATIONS), default="motion", help="How parts are found."
     ),
     joint_width,
     setting(
         "--placement",
         type=click.Choice(PLACEMENTS),
         default="anchored",
-        show_default=True,
         help="How parts are placed: by a pose each, or where lengths and angles put them.",
     ),
     setting(
@@ -330,9 +334,8 @@ SPACE_OPTIONS = (
         help="How the edge space finds meshes: in a few steps, or by Gauss-Newton.  [default: steps]",
     ),
     setting(
-        "--volume",
+        "--volume W",
         type=click.FloatRange(min=0),
-        metavar="W",
         help="Weight of the volume in the edge space, with --projection dso.  [default: 0]",
     ),
 )
@@ -346,12 +349,11 @@ fitting = group(
     "fitting",
     flag("--exact", help="Keep everything; frames come back up to rounding."),
     option(
-        "--tolerance",
+        "--tolerance X",
         type=POSITIVE,
-        metavar="X",
         help="Largest error of a vertex, in diagonals of the bounding box.  [default: 0.0005, lossless to the eye]",
     ),
-    option("--rank", type=WHOLE, metavar="N", help="Number of shape modes; parts stay in place exactly."),
+    option("--rank N", type=WHOLE, help="Number of shape modes; parts stay in place exactly."),
     *SPACE_OPTIONS,
 )
 """Options of fitting, and those of shape spaces, as ``fitting``."""
@@ -359,26 +361,21 @@ fitting = group(
 reading = group(
     "reading",
     option(
-        "--prim",
-        metavar="PATH",
+        "--prim PATH",
         help="Mesh to read, or something above it, in USD, Alembic and glTF; / is all.  [default: all that move]",
     ),
     setting(
-        "--animation",
-        metavar="NAME",
-        help="Animation to read of glTF; none is the pose at rest.  [default: the first]",
+        "--animation NAME", help="Animation to read of glTF; none is the pose at rest.  [default: the first]"
     ),
     setting(
-        "--input-fps",
+        "--input-fps N",
         "fps",
         type=float,
-        metavar="N",
         help="Frames per second of numbered files, npz and PC2, or to sample glTF at.  [default: 24, or its keys]",
     ),
     setting(
-        "--start-frame",
+        "--start-frame N",
         type=float,
-        metavar="N",
         help="Number of the first frame, where the file does not tell; 1001 is at 41.708 s of 24 frames per second.",
     ),
     setting("--mesh", type=FILE, help="Mesh of a point cache.  [default: the file of the same name]"),
@@ -389,10 +386,9 @@ reading = group(
         help="Axis that points up, where the file does not tell; nothing is turned.",
     ),
     setting(
-        "--units",
+        "--units M",
         "metres_per_unit",
         type=POSITIVE,
-        metavar="M",
         help="Metres per unit, where the file does not tell; nothing is scaled.",
     ),
 )
@@ -409,11 +405,9 @@ writing = group(
     setting(
         "--onto", type=FILE, help="The original file to build on, if it is not where the sequence came from."
     ),
-    setting("--clips", type=COUNT, metavar="N", help="Write USD as value clips of N frames per file."),
+    setting("--clips N", type=COUNT, help="Write USD as value clips of N frames per file."),
     setting(
-        "--pack-from",
-        type=FILE,
-        metavar="FOLDER",
+        "--pack-from FOLDER",
         help="Also pack textures that are in this folder into a .usdz, not only those in the original's.",
     ),
     setting(
@@ -422,9 +416,8 @@ writing = group(
         help="Turn the sequence, so that this axis points up.  [default: as it is]",
     ),
     setting(
-        "--convert-units",
+        "--convert-units m|cm|...",
         type=_unit,
-        metavar="m|cm|...",
         help="Scale the sequence to mm, cm, m, km, in, ft, yd, or a unit of so many metres.  [default: as it is]",
     ),
 )
@@ -434,9 +427,7 @@ workers = group(
     "workers",
     threads(help="Threads to work on.  [default: all cores]"),
     option(
-        "--cluster",
-        metavar="ADDRESS",
-        help="Work on a dask cluster: tcp://host:8786, or local:N for N processes here.",
+        "--cluster ADDRESS", help="Work on a dask cluster: tcp://host:8786, or local:N for N processes here."
     ),
     make=_workers,
 )
@@ -447,8 +438,6 @@ def picture(beside: str) -> Decorator:
     """Return the options of a picture that is drawn beside a result, as ``picture``."""
     return group(
         "picture",
-        option(
-            "--picture", type=FILE, metavar="PNG", help=f"Name of the picture.  [default: beside {beside}]"
-        ),
+        option("--picture PNG", help=f"Name of the picture.  [default: beside {beside}]"),
         flag("--no-picture", help="Draw no picture."),
     )

@@ -42,50 +42,38 @@ _FILM_OPTIONS = ("size", "film_fps", "seconds", "turn", "follow", "colour", "sca
 )
 @options.argument("files", metavar="MODEL TARGET | --video FILM FILES...", nargs=-1)
 @options.option(
-    "--kind",
-    type=click.Choice(PICTURES),
-    help="One picture only.  [default: all of them on one page]",
+    "--kind", type=click.Choice(PICTURES), help="One picture only.  [default: all of them on one page]"
 )
-@options.option(
-    "--against",
-    type=options.FILE,
-    metavar="SEQUENCE",
-    help="The original in any format, to draw the errors of the model.",
-)
+@options.option("--against SEQUENCE", help="The original in any format, to draw the errors of the model.")
 @options.frames(
     help="Frames to number in the embedding, or to draw with the errors of their vertices.  [default: automatic]",
     metavar="N,N,...",
 )
-@options.option("--tolerance", type=float, metavar="D", help="Draw a line at an error of so many diagonals.")
+@options.option("--tolerance D", type=float, help="Draw a line at an error of so many diagonals.")
 @options.option(
-    "--video",
-    type=options.FILE,
-    metavar="FILE",
+    "--video FILE",
     help="Make a film of FILES side by side, sequences or models: .webp, .gif, or .mp4, which needs ffmpeg.",
 )
 @options.setting(
-    "--names",
+    "--names A,B,...",
     type=_names,
-    metavar="A,B,...",
     help="What stands above FILES in the film.  [default: names of several files]",
 )
 @options.group(
     "filming",
-    options.option("--size", type=_size, metavar="WxH", help="Pixels of the film.  [default: 1280x720]"),
+    options.option("--size WxH", type=_size, help="Pixels of the film.  [default: 1280x720]"),
     options.option(
-        "--fps",
+        "--fps N",
         "film_fps",
         type=float,
-        metavar="N",
         help="Frames per second of the film; models are decoded at its times.  [default: those of the first file]",
     ),
     options.setting(
-        "--seconds",
+        "--seconds S",
         type=float,
-        metavar="S",
         help="Duration of the film; what is shorter starts again.  [default: that of the longest file]",
     ),
-    options.setting("--turn", type=float, metavar="DEGREES", help="Let the camera go around in the film."),
+    options.setting("--turn DEGREES", type=float, help="Let the camera go around in the film."),
     options.camera,
     options.flag("--follow", cls=options.Setting, help="Let the camera go with a body that travels."),
     options.option(
@@ -95,9 +83,8 @@ _FILM_OPTIONS = ("size", "film_fps", "seconds", "turn", "follow", "colour", "sca
         "[default: clay]",
     ),
     options.setting(
-        "--scale",
+        "--scale X",
         type=float,
-        metavar="X",
         help="Error (diagonals), strain or bend (degrees) of the last colour.  [default: the largest]",
     ),
 )
@@ -132,14 +119,21 @@ def command(
         _make_film(video, files, names, filming, against, reading, claim, quiet)
         return
     options.refuse(*_FILM_OPTIONS, why="is about films; give --video as well, or leave it out")
-    source, target = _model_and_target(files)
+    if len(files) < 2:
+        missing = "TARGET" if files else "MODEL"
+        raise click.UsageError(f"Missing argument '{missing}'.", click.get_current_context())
+    if len(files) > 2:
+        raise SettingsError(
+            f"{files[2]} is one file too many; give MODEL and TARGET, or --video and any number of files"
+        )
+    source, target = files
     from mixseq.pictures.charts import picture_format
     from mixseq.pictures.models import check_settings, plot_model
     from mixseq_io.files import replacing
 
     picture_format(target)
     camera = filming.get("camera")
-    check_settings(kind, against is not None, frames and frames.ranges, tolerance, camera)
+    check_settings(kind, against is not None, None if frames is None else frames.ranges, tolerance, camera)
     if against is None and reading:
         raise SettingsError(
             "--prim, --animation, --input-fps, --mesh and --allow-gaps tell how to read a sequence; give --against"
@@ -154,25 +148,12 @@ def command(
                 model,
                 kind,
                 against=original,
-                frames=frames and frames.indices(model.header),
+                frames=None if frames is None else frames.indices(model.header),
                 tolerance=tolerance,
                 camera=camera,
                 progress=progress,
             )
     announce(target)
-
-
-def _model_and_target(files: tuple[Path, ...]) -> tuple[Path, Path]:
-    """Return the two arguments of pictures, without --video."""
-    if len(files) < 2:
-        raise click.UsageError(
-            f"Missing argument '{'TARGET' if files else 'MODEL'}'.", click.get_current_context()
-        )
-    if len(files) > 2:
-        raise SettingsError(
-            f"{files[2]} is one file too many; give MODEL and TARGET, or --video and any number of files"
-        )
-    return files[0], files[1]
 
 
 def _make_film(

@@ -14,9 +14,6 @@ from mixseq.errors import SettingsError
 from mixseq.sequence.frame_rates import exact_rate, span_text
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from mixseq.operations.resampling import Resampling
     from mixseq.runtime.parallel import Executor
     from mixseq.runtime.progress import Progress
@@ -34,23 +31,17 @@ if TYPE_CHECKING:
 @options.argument("target")
 @options.fps("rate", help="Frames per second of TARGET.  [default: those of SOURCE]")
 @options.option(
-    "--speed",
+    "--speed X",
     type=options.POSITIVE,
     default=1.0,
-    show_default=True,
-    metavar="X",
     help="How much faster the motion is; 0.5 lasts twice as long.",
 )
 @options.option("--reverse", is_flag=True, help="Play backwards.")
-@options.option(
-    "--start", type=float, metavar="S", help="Play from this second of SOURCE.  [default: the first]"
-)
+@options.option("--start S", type=float, help="Play from this second of SOURCE.  [default: the first]")
 @options.frames(help="Play only these frames of SOURCE, by their numbers, instead of --start and --end.")
-@options.option("--end", type=float, metavar="S", help="Play to this second of SOURCE.  [default: the last]")
+@options.option("--end S", type=float, help="Play to this second of SOURCE.  [default: the last]")
 @options.option(
-    "--retime",
-    type=options.FILE,
-    metavar="FILE",
+    "--retime FILE",
     help="Play by a curve instead: lines output,source (CSV), or TOML, in seconds, or in frames if the first line is "
     'unit = "frames".',
 )
@@ -59,10 +50,7 @@ if TYPE_CHECKING:
 )
 @options.velocities()
 @options.option(
-    "--tolerance",
-    type=options.POSITIVE,
-    metavar="X",
-    help="Fit a sequence only up to this fraction of its diagonal.",
+    "--tolerance X", type=options.POSITIVE, help="Fit a sequence only up to this fraction of its diagonal."
 )
 @options.option("--exact", is_flag=True, help="Fit a sequence exactly, which is the default.")
 @options.setting(
@@ -154,17 +142,13 @@ def _model(
     return mixseq.load(source)
 
 
-def _span(sources: NDArray[np.float64], fps: float) -> str:
-    """Format the first and last source time, and the range in between."""
-    first, last, low, high = sources[0], sources[-1], sources.min(), sources.max()
-    beyond = f", between {low:g} and {high:g} s" if low < min(first, last) or high > max(first, last) else ""
-    return f"{span_text(first, last, fps)}{beyond}"
-
-
 def _rows(planned: Resampling) -> list[tuple[str, str]]:
     header, retiming = planned.header, planned.retiming
     first, last = header.times[[0, -1]]
-    rows = [*time_rows(header), ("source", _span(planned.sources, planned.model.header.fps))]
+    sources = planned.sources
+    begin, end, low, high = sources[0], sources[-1], sources.min(), sources.max()
+    beyond = f", between {low:g} and {high:g} s" if low < min(begin, end) or high > max(begin, end) else ""
+    rows = [*time_rows(header), ("source", f"{span_text(begin, end, planned.model.header.fps)}{beyond}")]
     rest = 1e-3 / header.fps  # smaller ones are rounding errors
     why = f"; frames are at whole multiples of 1/{header.fps:g} s"
     if first - retiming.start > rest:

@@ -50,16 +50,13 @@ METHODS = (*SEGMENTATIONS, *_GIVEN)
 )
 @options.parts()
 @options.setting(
-    "--seed",
+    "--seed N",
     type=options.WHOLE,
-    metavar="N",
     help="Seed of the random choice of views of the method silhouettes.  [default: 0]",
 )
 @labelling
 @options.option(
-    "--against",
-    metavar="NAME",
-    help="Compare with labels of SOURCE, such as skeleton: prints the adjusted Rand index.",
+    "--against NAME", help="Compare with labels of SOURCE, such as skeleton: prints the adjusted Rand index."
 )
 @options.picture("TARGET")
 @options.option("--flatten", is_flag=True, help="Write USD that does not build on the original file.")
@@ -90,8 +87,7 @@ def command(
     from mixseq_io.text.label_files import check_holds_labels, write_labels
 
     how = _method(method, parts, labels)
-    if seed is not None:
-        _with_seed(how, seed)  # before the work
+    settings = None if seed is None else _with_seed(how, seed)
     check_holds_labels(target)
     drawn = chosen_picture(target, "parts", **picture)
     claim(target, drawn)
@@ -107,7 +103,7 @@ def command(
             wanted = replace(labels, label_source="skeleton") if how == "skeleton" else labels
             given = connected(reader.header, wanted.read(reader, reading))
         else:
-            given = _found(reader.header, some, how, parts, seed)
+            given = _found(reader.header, some, how, parts, settings)
         found = _measured(reader.header, some, given)
         agreement = None if against is None else _agreement(reader, some[0], given, against)
         write_labels(target, reader, given, flatten=flatten)
@@ -185,14 +181,17 @@ def numbered(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _found(
-    header: SequenceHeader, points: FloatArray, method: str, parts: int | None, seed: int | None
+    header: SequenceHeader,
+    points: FloatArray,
+    method: str,
+    parts: int | None,
+    settings: MethodSettings | None,
 ) -> Labels:
     from mixseq.mesh.topology import Topology
     from mixseq.segmentation.methods import segment
     from mixseq_io.text.labels import Labels
 
     topology = Topology(header.faces, header.vertex_count)
-    settings = None if seed is None else _with_seed(method, seed)
     labels = segment(points, topology, cast("SegmentationName", method), parts, settings)
     return Labels(labels, tuple(f"part_{number:02d}" for number in range(int(labels.max(initial=-1)) + 1)))
 

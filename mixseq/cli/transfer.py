@@ -14,19 +14,7 @@ import click
 
 import mixseq
 from mixseq.choices import TRANSFERS
-from mixseq.cli import options
-from mixseq.cli.files import (
-    ANIMATED,
-    Claim,
-    LabelChoice,
-    check_picture,
-    chosen_picture,
-    first_frame,
-    is_model,
-    labelling,
-    overwriting,
-    write_sequence,
-)
+from mixseq.cli import files, options
 from mixseq.cli.group import announce, print_json, print_table, progress_bar
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
 from mixseq.runtime.progress import warnings_heard
@@ -34,10 +22,8 @@ from mixseq.runtime.progress import warnings_heard
 if TYPE_CHECKING:
     from mixseq.choices import TransferName
     from mixseq.retargeting.contacts import ContactReport
-    from mixseq.retargeting.markers import Correspondence
     from mixseq.retargeting.matching import Quality
     from mixseq.retargeting.report import Counts, Coverage, TransferReport
-    from mixseq.retargeting.sources import SourceMotion
     from mixseq.retargeting.transfer import Transfer
     from mixseq.runtime.low_memory import Statistics
     from mixseq.runtime.parallel import Executor
@@ -201,7 +187,7 @@ def _percent(share: float) -> str:
 # Picture ---------------------------------------------------------------------------------------------------
 
 
-def frames_to_draw(made: Transfer, frame: int, rest_file: Path | None) -> list[int]:
+def _frames_to_draw(made: Transfer, frame: int, rest_file: Path | None) -> list[int]:
     """Choose frames for the picture, without the rest, which is always drawn."""
     from mixseq.types import evenly
 
@@ -210,33 +196,15 @@ def frames_to_draw(made: Transfer, frame: int, rest_file: Path | None) -> list[i
     return [each for each in chosen if rest_file is not None or each != frame % count] or chosen
 
 
-class PassingFrames:
-    """Record some frames ``(V', 3)`` of passing blocks."""
-
-    def __init__(self, frames: Sequence[int]) -> None:
-        self.frames = frames
-        self.points: list[FloatArray] = []
-
-    def passing(self, blocks: Iterable[FloatArray]) -> Iterator[FloatArray]:
-        """Pass on blocks of frames."""
-        first = 0
-        for block in blocks:
-            self.points += [
-                block[each - first].copy() for each in self.frames if 0 <= each - first < len(block)
-            ]
-            first += len(block)
-            yield block
-
-
-def draw(picture: Path, made: Transfer, shown: PassingFrames) -> None:
-    """Draw the source and the target beside each other in some frames."""
-    import numpy as np
-
-    from mixseq.pictures.sheets import transfer_sheet
-    from mixseq_io.files import replacing
-
-    with replacing(picture) as temporary:
-        transfer_sheet(temporary, made, shown.frames, np.stack(shown.points))
+def _recorded(
+    blocks: Iterable[FloatArray], frames: Sequence[int], points: list[FloatArray]
+) -> Iterator[FloatArray]:
+    """Pass on blocks, and append the points ``(V', 3)`` of some frames to a list."""
+    first = 0
+    for block in blocks:
+        points += [block[each - first].copy() for each in frames if 0 <= each - first < len(block)]
+        first += len(block)
+        yield block
 
 
 @options.command(
@@ -249,27 +217,18 @@ def draw(picture: Path, made: Transfer, shown: PassingFrames) -> None:
 @options.argument("source")
 @options.argument("target")
 @options.argument("out")
-@options.option(
-    "--markers",
-    type=options.FILE,
-    metavar="FILE",
-    help="Pairs of vertices that are the same: SOURCE, TARGET.",
-)
+@options.option("--markers FILE", help="Pairs of vertices that are the same: SOURCE, TARGET.")
 @options.option("--reverse", is_flag=True, help="The vertices of TARGET come first in --markers.")
-@options.option(
-    "--map", "map_file", type=options.FILE, metavar="FILE", help="Dense correspondence, instead of markers."
-)
-@options.option("--save-map", type=options.FILE, metavar="FILE", help="Keep the correspondence, for --map.")
+@options.option("--map FILE", "map_file", help="Dense correspondence, instead of markers.")
+@options.option("--save-map FILE", help="Keep the correspondence, for --map.")
 @options.option(
     "--method",
     type=click.Choice(TRANSFERS),
     default="mixed",
-    show_default=True,
     help="Parts, joints and poses, or deformation gradients (Sumner and Popović).",
 )
 @options.option(
-    "--rest",
-    metavar="FRAME|FILE",
+    "--rest FRAME|FILE",
     help="Frame in which SOURCE is in TARGET's pose, or a file with the same mesh in that pose.  [default: the first; "
     "of glTF SOURCE without animation]",
 )
@@ -277,11 +236,9 @@ def draw(picture: Path, made: Transfer, shown: PassingFrames) -> None:
     help="Number of parts of SOURCE; every connected component has at least one.  [default: automatic]"
 )
 @options.joint_width
-@labelling
+@files.labelling
 @options.option(
-    "--contacts",
-    type=options.FILE,
-    metavar="FILE",
+    "--contacts FILE",
     help='Vertices of TARGET that shall not slide while SOURCE rests there, as JSON: {"left foot": [12, 13], ...}.',
 )
 @options.option(
@@ -289,13 +246,13 @@ def draw(picture: Path, made: Transfer, shown: PassingFrames) -> None:
     is_flag=True,
     help="OUT is a model with the time and pose signals of SOURCE, a model too; only its key poses are transferred.",
 )
-@options.setting("--target-prim", metavar="PATH", help="Mesh to read of TARGET, as --prim is of SOURCE.")
+@options.setting("--target-prim PATH", help="Mesh to read of TARGET, as --prim is of SOURCE.")
 @options.picture("OUT")
 @options.as_json
 @options.reading
 @options.writing
 @options.workers
-@overwriting
+@files.overwriting
 @options.quiet
 def command(
     source: Path,
@@ -309,7 +266,7 @@ def command(
     rest: str | None,
     parts: int | None,
     joint_width: int,
-    labels: LabelChoice,
+    labels: files.LabelChoice,
     contacts: Path | None,
     as_model: bool,
     target_prim: str | None,
@@ -318,7 +275,7 @@ def command(
     reading: dict[str, Any],
     writing: dict[str, Any],
     workers: AbstractContextManager[Executor],
-    claim: Claim,
+    claim: files.Claim,
     quiet: bool,
 ) -> None:
     """Move a mesh as another one moves.
@@ -343,17 +300,22 @@ def command(
         options.refuse("markers", why="and --map are two ways to say the same; give one of them")
     if markers is None:
         options.refuse("reverse", why="is about the order of --markers; give both, or neither")
-    drawn = chosen_picture(out, "transfer", **picture)
+    drawn = files.chosen_picture(out, "transfer", **picture)
     if method == "gradients":
         for name in options.given_options("parts", "joint_width", "labels", "label_source", "contacts"):
             raise SettingsError(f"the method gradients knows no parts; leave out {name}, or --method")
     if as_model:
-        _check_models(source, out, contacts)
+        if not (files.is_model(source) and out.suffix.lower() == ".h5"):
+            raise SettingsError(
+                "--as-model makes a model of a model: SOURCE and OUT are .h5 files; see mixseq encode"
+            )
+        why = "are kept frame by frame, and only key poses are transferred; leave one out"
+        options.refuse("contacts", why=why)
     frame, rest_file = _chosen_rest(rest, source)
     claim(out, drawn, save_map, read=[rest_file])
     _check_formats(out, save_map)
     if drawn is not None:
-        check_picture(drawn)
+        files.check_picture(drawn)
     common = {name: value for name, value in reading.items() if name in _READ_OF_ALL}
     notes: list[str] = []
     with (
@@ -362,28 +324,40 @@ def command(
         warnings_heard(notes.append),
         _opened_source(source, reading) as opened,
     ):
+        import numpy as np
+
+        from mixseq.operations import key_poses, with_shapes
         from mixseq.retargeting.report import Meter
         from mixseq.retargeting.sources import source_motion
         from mixseq.retargeting.transfer import plan
-        from mixseq_io.text.maps import write_map
+        from mixseq.sequence.sequence import collect
+        from mixseq_io.files import replacing
+        from mixseq_io.text.maps import read_map, to_correspondence, write_map
         from mixseq_io.text.markers import read_contacts, read_markers
 
         pairs = None if markers is None else read_markers(markers, reverse=reverse)
         feet = None if contacts is None else read_contacts(contacts)
         if rest is not None and rest_file is None and frame >= 0:
             frame = opened.header.index_of(frame)
-        shape = first_frame(target, common | ({} if target_prim is None else {"prim": target_prim}))
+        shape = files.first_frame(target, common | ({} if target_prim is None else {"prim": target_prim}))
         rest_shape = frame if rest_file is None else _mesh_at_rest(rest_file, reading, opened, rest is None)
         given = _chosen_parts(opened, parts, labels, reading)
-        keys = None
+        model: Any = opened
         if as_model:
-            keys, rest_shape, given = _keys_of(opened, rest_shape)
-        motion = source_motion(opened if keys is None else keys, rest_shape, given, progress)
+            given = None if model.space.decomposed is None else model.space.decomposed.part_of_face
+            if isinstance(rest_shape, int):
+                rest_shape = model.sample(frames=[rest_shape])
+        moving = key_poses(model) if as_model else opened
+        motion = source_motion(moving, rest_shape, given, progress)
+        mapping = None
+        if map_file is not None:
+            meshes = (motion.rest, motion.header.faces), (shape.points[0], shape.faces)
+            mapping = to_correspondence(read_map(map_file), *meshes)
         made = plan(
             motion,
             shape,
             pairs,
-            _chosen_map(map_file, motion, shape),
+            mapping,
             method,
             contacts=feet,
             joint_width=joint_width,
@@ -392,18 +366,22 @@ def command(
         )
         if save_map is not None:
             write_map(save_map, made.correspondence, made.source.header.faces, made.header.faces)
-        meter, shown = Meter(made), PassingFrames(frames_to_draw(made, frame, rest_file))
-        blocks = shown.passing(meter.passing(made.blocks(progress, work)))
+        meter, shown = Meter(made), _frames_to_draw(made, frame, rest_file)
+        points: list[FloatArray] = []
+        blocks = _recorded(meter.passing(made.blocks(progress, work)), shown, points)
         if as_model:
-            _save_model(out, opened, made.header, blocks)
+            mixseq.save(out, with_shapes(model, collect(made.header, blocks)))
         else:
-            write_sequence(out, made.header, blocks, None, writing)
+            files.write_sequence(out, made.header, blocks, None, writing)
         report = meter.report()
         if drawn is not None:
-            draw(drawn, made, shown)
+            from mixseq.pictures.sheets import transfer_sheet
+
+            with replacing(drawn) as temporary:
+                transfer_sheet(temporary, made, shown, np.stack(points))
     if as_json:
-        files = {"source": str(source), "target": str(target), "out": str(out)}
-        print_json(files | facts(made, method, report) | {"warnings": notes})
+        named = {"source": str(source), "target": str(target), "out": str(out)}
+        print_json(named | facts(made, method, report) | {"warnings": notes})
         return
     if not quiet:
         print_table(rows(made, method, report))
@@ -413,7 +391,7 @@ def command(
 def _chosen_rest(text: str | None, source: Path) -> tuple[int, Path | None]:
     """Return the rest frame, by its number or from the end, or a file."""
     if text is None:
-        return 0, source if source.suffix.lower() in ANIMATED else None
+        return 0, source if source.suffix.lower() in files.ANIMATED else None
     return (int(text), None) if re.fullmatch(r"-?\d+", text) else (0, Path(text))
 
 
@@ -421,7 +399,9 @@ def _mesh_at_rest(
     path: Path, reading: Mapping[str, Any], opened: SequenceReader | Model, unasked: bool
 ) -> MeshSequence | int:
     """Read the source's mesh at rest; frame 0 instead, if a file that was not asked for has other meshes."""
-    shape = first_frame(path, {name: reading[name] for name in (*_READ_OF_ALL, "prim") if name in reading})
+    shape = files.first_frame(
+        path, {name: reading[name] for name in (*_READ_OF_ALL, "prim") if name in reading}
+    )
     header = opened.header
     if not unasked or (shape.vertex_count, len(shape.faces)) == (header.vertex_count, len(header.faces)):
         return shape
@@ -451,7 +431,7 @@ def _opened_source(
     source: Path, reading: Mapping[str, Any]
 ) -> AbstractContextManager[SequenceReader | Model]:
     """Open a sequence, or load a model."""
-    if not is_model(source):
+    if not files.is_model(source):
         return mixseq.open_sequence(source, **reading)
     others = [name for name in reading if name not in _READ_OF_ALL]
     if others:
@@ -461,19 +441,8 @@ def _opened_source(
     return nullcontext(mixseq.load(source))
 
 
-def _chosen_map(path: Path | None, motion: SourceMotion, shape: MeshSequence) -> Correspondence | None:
-    """Read the correspondence of two meshes from a file, None without one."""
-    if path is None:
-        return None
-    from mixseq_io.text.maps import read_map, to_correspondence
-
-    return to_correspondence(
-        read_map(path), (motion.rest, motion.header.faces), (shape.points[0], shape.faces)
-    )
-
-
 def _chosen_parts(
-    motion: SequenceReader | Model, parts: int | None, labels: LabelChoice, reading: Mapping[str, Any]
+    motion: SequenceReader | Model, parts: int | None, labels: files.LabelChoice, reading: Mapping[str, Any]
 ) -> Any:
     """Return a number of parts, labels of triangles, or None."""
     from mixseq.signals.model import Model
@@ -485,32 +454,3 @@ def _chosen_parts(
             "labels are for sequences; leave out --labels and --source, the model has its own parts"
         )
     return parts
-
-
-def _check_models(source: Path, out: Path, contacts: Path | None) -> None:
-    """Raise an error for options that a transfer between models does not support, before anything is read."""
-    if not (is_model(source) and out.suffix.lower() == ".h5"):
-        raise SettingsError(
-            "--as-model makes a model of a model: SOURCE and OUT are .h5 files; see mixseq encode"
-        )
-    if contacts is not None:
-        raise SettingsError(
-            "--contacts are kept frame by frame, and only key poses are transferred; leave one out"
-        )
-
-
-def _keys_of(model: Any, rest: Any) -> tuple[Any, Any, Any]:
-    """Return the key poses of a model as a sequence, the mesh at rest, and the parts."""
-    from mixseq.operations import key_poses
-
-    at_rest = model.sample(frames=[rest]) if isinstance(rest, int) else rest
-    parts = None if model.space.decomposed is None else model.space.decomposed.part_of_face
-    return key_poses(model), at_rest, parts
-
-
-def _save_model(out: Path, model: Any, header: Any, blocks: Any) -> None:
-    """Save the model on the transferred key poses."""
-    from mixseq.operations import with_shapes
-    from mixseq.sequence.sequence import collect
-
-    mixseq.save(out, with_shapes(model, collect(header, blocks)))

@@ -17,23 +17,13 @@ if TYPE_CHECKING:
     from mixseq_io.verification import Verification
 
 
-@options.command(
-    "verify",
-    "mixseq verify walk.h5",
-    "mixseq verify walk.h5 walk.usdc --json",
-)
+@options.command("verify", "mixseq verify walk.h5", "mixseq verify walk.h5 walk.usdc --json")
 @options.argument("path", metavar="FILE")
 @options.argument("original", required=False)
 @options.as_json
 @options.reading
 @options.quiet
-def command(
-    path: Path,
-    original: Path | None,
-    as_json: bool,
-    reading: dict[str, Any],
-    quiet: bool,
-) -> None:
+def command(path: Path, original: Path | None, as_json: bool, reading: dict[str, Any], quiet: bool) -> None:
     """Check a compressed model: that it is not damaged, and that its bound holds.
 
     FILE is what "mixseq encode --max-error", --kg or --size wrote. All checksums are checked and all frames decoded.

@@ -36,10 +36,9 @@ from mixseq.runtime.progress import Progress, silent
 
 if TYPE_CHECKING:
     from mixseq.pictures.colours import SceneColours
-    from mixseq.pictures.scene import Scene
     from mixseq.retargeting.markers import Markers
     from mixseq.runtime.parallel import Executor
-    from mixseq.sequence.sequence import FrameStore, MeshSequence
+    from mixseq.sequence.sequence import MeshSequence
     from mixseq.signals.model import Model
     from mixseq.viewer.live.marking import MarkedMeshes
 
@@ -53,33 +52,26 @@ if TYPE_CHECKING:
     "mixseq view horse.obj camel.obj --markers pairs.txt",
 )
 @options.argument("files", nargs=-1, required=True)
+@options.option("--against SEQUENCE", help="The original in any format, to colour errors.")
 @options.option(
-    "--against", type=options.FILE, metavar="SEQUENCE", help="The original in any format, to colour errors."
-)
-@options.option(
-    "--markers",
-    type=options.FILE,
-    metavar="FILE",
+    "--markers FILE",
     help="Set markers of two meshes, for mixseq transfer: click pairs of points. FILE is continued, if it is there.",
 )
 @options.option(
-    "--fps",
+    "--fps N",
     "rate",
     type=click.FloatRange(min=0, min_open=True, max=1000),
-    metavar="N",
     help="Frames per second; models are decoded at any rate.  [default: those of the first file]",
 )
 @options.group(
     "live",
     options.setting(
-        "--host",
-        metavar="ADDRESS",
+        "--host ADDRESS",
         help="Listen here; 0.0.0.0 for all who reach it and have the address.  [default: 127.0.0.1, this machine only]",
     ),
     options.setting(
-        "--port",
+        "--port N",
         type=click.IntRange(1, 65535),
-        metavar="N",
         help="Listen at this port.  [default: 8080, or the next one that is free]",
     ),
     options.flag("--read-only", help="Nothing can be edited or saved in the browser."),
@@ -93,10 +85,7 @@ if TYPE_CHECKING:
     ),
     options.camera,
     options.flag(
-        "--follow",
-        "following",
-        cls=options.Setting,
-        help="Bodies that travel stay in the middle at first.",
+        "--follow", "following", cls=options.Setting, help="Bodies that travel stay in the middle at first."
     ),
 )
 @options.setting(
@@ -107,21 +96,14 @@ if TYPE_CHECKING:
 )
 @options.threads(help="Threads that open files and decode.  [default: all cores]")
 @options.option(
-    "--export",
-    "page",
-    type=options.FILE,
-    metavar="PAGE",
-    help="Write a page (.html) that plays on its own, without a network, and end.",
+    "--export PAGE", "page", help="Write a page (.html) that plays on its own, without a network, and end."
 )
 @options.group(
     "paging",
-    options.setting(
-        "--every", type=options.COUNT, metavar="N", help="Of the frames of PAGE, keep every N-th."
-    ),
+    options.setting("--every N", type=options.COUNT, help="Of the frames of PAGE, keep every N-th."),
     options.option(
-        "--max-error",
+        "--max-error E",
         type=options.POSITIVE,
-        metavar="E",
         help="No vertex of PAGE is farther off, in diagonals; models that are compressed are taken as they are.  "
         "[default: 0.001]",
     ),
@@ -182,8 +164,7 @@ def command(
         return
     with options.threads_held(threads) as work:
         with progress_bar(quiet) as progress:
-            scene, original = _opened(files, against, rate, reading, progress)
-            colours = _scene_colours(scene, original)
+            colours = _opened(files, against, rate, reading, progress)
             if page is not None:
                 _export(page, colours, files, {"fps": rate, **paging, **looks}, progress, work)
         if page is None:
@@ -196,15 +177,19 @@ def _opened(
     fps: float | None,
     reading: Mapping[str, Any],
     progress: Progress,
-) -> tuple[Scene, FrameStore | None]:
+) -> SceneColours:
     """Open models, and read sequences."""
+    from mixseq.pictures.colours import SceneColours, check_original
     from mixseq.pictures.scene import Scene
     from mixseq.sequence.sequence import frame_store
 
     with ExitStack() as stack:
         items, original = scene_items(files, _names(files), against, reading, stack)
         scene = Scene(tuple(item.stored(progress) for item in items), fps).checked()
-        return scene, None if original is None else frame_store(original, progress)
+        stored = None if original is None else frame_store(original, progress)
+    if stored is not None:
+        check_original(scene, stored)
+    return SceneColours(scene, stored)
 
 
 def _names(files: Sequence[Path]) -> list[str]:
@@ -214,14 +199,6 @@ def _names(files: Sequence[Path]) -> list[str]:
         if len(set(names)) == len(files):
             return names
     return [f"{number + 1} {file.name}" for number, file in enumerate(files)]
-
-
-def _scene_colours(scene: Scene, original: FrameStore | None) -> SceneColours:
-    from mixseq.pictures.colours import SceneColours, check_original
-
-    if original is not None:
-        check_original(scene, original)
-    return SceneColours(scene, original)
 
 
 def _run(
