@@ -1,8 +1,6 @@
-"""Plan a batch: find the sequences, and choose the paths of their models.
+"""``mixseq batch``: find sequences, encode them here or on a cluster, and keep a report of every asset up to date.
 
-The report of a batch, with the result of every asset: in JSON, for resuming the batch, and in Markdown.
-
-Encode assets, one after the other or on a cluster, and keep the report up to date.
+The report is in JSON, for resuming the batch, and in Markdown.
 """
 
 from __future__ import annotations
@@ -25,19 +23,11 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 import mixseq
-from mixseq.cli.compressed import aim_options, compressed
-from mixseq.cli.files import Claim, Decoded, is_model, options_of, overwrite_option
+from mixseq.cli import options
+from mixseq.cli.compressed import aiming, compressed
+from mixseq.cli.files import Claim, check_options, decoded, is_model, options_of, overwriting
 from mixseq.cli.formats import as_markdown
 from mixseq.cli.group import format_bytes, print_table, printable, progress_bar, say
-from mixseq.cli.options import (
-    FILE,
-    CommandWithSettings,
-    examples,
-    fit_options,
-    quiet_option,
-    reader_options,
-    workers_options,
-)
 from mixseq.errors import FormatError, GivenUpError, MixseqError, MixseqWarning, OutputError, SettingsError
 from mixseq.runtime.progress import Progress, silent
 from mixseq.version import __version__
@@ -160,7 +150,12 @@ def _in_folder(folder: Path) -> Iterator[Path]:
             yield folder / f"{before}{'#' * min(map(len, numbers))}{after}"
         else:
             single.append(f"{before}{numbers[0]}{after}")
-    _tell_of_single(folder, [name for name in single if Path(name).stem not in caches])
+    left_out = [name for name in single if Path(name).stem not in caches]
+    if left_out:
+        shown = ", ".join(left_out[:5]) + (f" and {len(left_out) - 5} more" if len(left_out) > 5 else "")
+        warnings.warn(
+            f"{folder}: single meshes are no sequences and are left out: {shown}", MixseqWarning, stacklevel=2
+        )
 
 
 def _is_model(file: Path) -> bool:
@@ -168,14 +163,6 @@ def _is_model(file: Path) -> bool:
     with suppress(FormatError):
         return is_model(file)
     return False
-
-
-def _tell_of_single(folder: Path, names: list[str]) -> None:
-    if names:
-        shown = ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
-        warnings.warn(
-            f"{folder}: single meshes are no sequences and are left out: {shown}", MixseqWarning, stacklevel=2
-        )
 
 
 HEADING = ("asset", "frames", "vertices", "time", "max error", "KG error", "size", "bits", "")
@@ -306,24 +293,24 @@ def write_report(folder: Path, report: Report) -> None:
 
 def rows(entries: Iterable[Entry]) -> list[tuple[str, ...]]:
     """Return the rows of the table under `HEADING`."""
-    return [_row(entry) for entry in entries]
 
-
-def _row(entry: Entry) -> tuple[str, ...]:
     def shown(value: float | None, form: str) -> str:
         return "" if value is None else form.format(value)
 
-    return (
-        Path(entry.target).stem,
-        shown(entry.frames, "{:,}"),
-        shown(entry.vertices, "{:,}"),
-        shown(entry.seconds, "{:.1f} s"),
-        shown(entry.max_error, "{:.2g}"),
-        shown(entry.kg_percent, "{:.2g} %"),
-        "" if entry.bytes is None else format_bytes(entry.bytes),
-        shown(entry.bits, "{:.3g}"),
-        {"done": "", "failed": f"failed: {entry.message}", "left": "left"}[entry.state],
-    )
+    return [
+        (
+            Path(entry.target).stem,
+            shown(entry.frames, "{:,}"),
+            shown(entry.vertices, "{:,}"),
+            shown(entry.seconds, "{:.1f} s"),
+            shown(entry.max_error, "{:.2g}"),
+            shown(entry.kg_percent, "{:.2g} %"),
+            "" if entry.bytes is None else format_bytes(entry.bytes),
+            shown(entry.bits, "{:.3g}"),
+            {"done": "", "failed": f"failed: {entry.message}", "left": "left"}[entry.state],
+        )
+        for entry in entries
+    ]
 
 
 def in_markdown(report: Report) -> str:
@@ -359,9 +346,28 @@ def run(
     assets: Iterable[Asset], settings: Settings, earlier: Report, out: Path, work: Work, force: bool
 ) -> Report:
     """Encode the assets that are not done yet; the report is written before the work, and after every asset."""
-    assets = list(assets)
     with _alone(out):
-        return _run(assets, settings, earlier, out, work, force)
+        left = []
+        entries: dict[str, Entry] = {}
+        for asset in assets:
+            before = earlier.entries.get(str(asset.source))
+            if before is None or force or not before.holds_for(asset, settings):
+                left.append(asset)
+                before = Entry.of(asset, settings)
+            entries[before.source] = before
+        report = Report(
+            entries | {key: entry for key, entry in earlier.entries.items() if key not in entries}
+        )
+        write_report(out, report)
+        try:
+            for asset, result in work(settings, left):
+                report = report.with_entry(_entry(asset, settings, result))
+                write_report(out, report)
+        finally:
+            shutil.rmtree(out / UNFINISHED, ignore_errors=True)
+        report = replace(report, finished=not report.of(assets).count("left"))
+        write_report(out, report)
+        return report
 
 
 @contextmanager
@@ -384,30 +390,6 @@ def _alone(out: Path) -> Iterator[None]:
         yield
     finally:
         os.close(folder)
-
-
-def _run(
-    assets: list[Asset], settings: Settings, earlier: Report, out: Path, work: Work, force: bool
-) -> Report:
-    left = []
-    entries: dict[str, Entry] = {}
-    for asset in assets:
-        before = earlier.entries.get(str(asset.source))
-        if before is None or force or not before.holds_for(asset, settings):
-            left.append(asset)
-            before = Entry.of(asset, settings)
-        entries[before.source] = before
-    report = Report(entries | {key: entry for key, entry in earlier.entries.items() if key not in entries})
-    write_report(out, report)
-    try:
-        for asset, result in work(settings, left):
-            report = report.with_entry(_entry(asset, settings, result))
-            write_report(out, report)
-    finally:
-        shutil.rmtree(out / UNFINISHED, ignore_errors=True)
-    report = replace(report, finished=not report.of(assets).count("left"))
-    write_report(out, report)
-    return report
 
 
 def _entry(asset: Asset, settings: Settings, result: Callable[[], Entry]) -> Entry:
@@ -493,7 +475,7 @@ def _encode(settings: Settings, asset: Asset, workers: Executor | None, progress
         else:
             mixseq.save(file, mixseq.fit(reader, **fitting, progress=progress, workers=mapped))
         seconds = perf_counter() - start
-        error = mixseq.compare(reader, Decoded(mixseq.load(file), progress, mapped))
+        error = mixseq.compare(reader, decoded(mixseq.load(file), progress, mapped))
         size = file.stat().st_size
         file.replace(asset.target)
     return {
@@ -507,28 +489,23 @@ def _encode(settings: Settings, asset: Asset, workers: Executor | None, progress
     }
 
 
-@click.command(
+@options.command(
     "batch",
-    cls=CommandWithSettings,
-    epilog=examples(
-        "mixseq batch shots/*.usdc --out models",
-        "mixseq batch shots --out models --tolerance 0.001",
-        "mixseq batch shots --out small --max-error 0.001",
-        "mixseq batch shots --out models --cluster tcp://host:8786",
-    ),
+    "mixseq batch shots/*.usdc --out models",
+    "mixseq batch shots --out models --tolerance 0.001",
+    "mixseq batch shots --out small --max-error 0.001",
+    "mixseq batch shots --out models --cluster tcp://host:8786",
 )
-@click.argument("caches", nargs=-1, required=True, type=FILE)
-@click.option("--out", required=True, type=FILE, metavar="FOLDER", help="Folder for models and report.")
-@click.option("--force", is_flag=True, help="Encode everything again, also what is done.")
-@aim_options
-@fit_options
-@workers_options
-@reader_options
-@overwrite_option
-@quiet_option
-@click.pass_context
+@options.argument("caches", nargs=-1, required=True)
+@options.option("--out FOLDER", required=True, help="Folder for models and report.")
+@options.option("--force", is_flag=True, help="Encode everything again, also what is done.")
+@aiming
+@options.fitting
+@options.workers
+@options.reading
+@overwriting
+@options.quiet
 def command(
-    context: click.Context,
     caches: tuple[Path, ...],
     out: Path,
     force: bool,
@@ -549,7 +526,7 @@ def command(
 
     With --max-error, --kg or --size every model is compressed, each of them so far, see "mixseq encode".
     """
-    if fitting["exact"] + (fitting["tolerance"] is not None) + (fitting["rank"] is not None) > 1:
+    if len(options.given_options("exact", "tolerance", "rank")) > 1:
         raise SettingsError("--exact, --tolerance and --rank exclude each other; give one of them")
     if out.exists() and not out.is_dir():
         raise OutputError(f"{out} is a file; give the name of a folder")
@@ -562,11 +539,12 @@ def command(
     earlier = read_report(out).without_lost()
     names = {source: Path(entry.target).name for source, entry in earlier.entries.items()}
     assets = plan(find_sources(caches), out, names)
-    for name in reading:
-        if not any(name in options_of(asset.source, reading) for asset in assets):
-            raise SettingsError(f"none of the sequences is read with an option {name!r}")
+    check_options((asset.source for asset in assets), reading, "none of the sequences is")
     claim.permit(earlier.of_others(assets, out), unasked=False)
-    _make(out)
+    try:
+        out.mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot make the folder {out}: {error.strerror}; choose another one") from error
     with workers as mapped, progress_bar(quiet) as progress:
         work = on_cluster(mapped, progress) if isinstance(mapped, Cluster) else in_turn(mapped, progress)
         report = run(assets, settings, earlier, out.resolve(), work, force)
@@ -575,11 +553,4 @@ def command(
         print_table(rows(ours.entries.values()), HEADING)
     say(f"wrote {click.format_filename(out / 'report.md')} ({ours.summary()})")
     if ours.count("done") < len(assets):
-        context.exit(1)
-
-
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"cannot make the folder {folder}: {error.strerror}; choose another one") from error
+        click.get_current_context().exit(1)

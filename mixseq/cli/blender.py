@@ -6,43 +6,37 @@ from pathlib import Path
 
 import click
 
-from mixseq.cli.files import Claim, overwrite_option
+from mixseq.cli import options
+from mixseq.cli.files import Claim, overwriting
 from mixseq.cli.group import announce
-from mixseq.cli.options import FILE, CommandWithSettings, examples, setting
 
 PLATFORMS = ("linux-x64", "macos-arm64", "windows-x64")
 RELEASES = ("4.2", "5.1")
 
 
-@click.command(
+@options.command(
     "blender",
-    cls=CommandWithSettings,
-    epilog=examples(
-        "mixseq blender --out extensions", "mixseq blender --set blender=5.1 --set platform=windows-x64"
-    ),
+    "mixseq blender --out extensions",
+    "mixseq blender --set blender=5.1 --set platform=windows-x64",
 )
-@click.option(
-    "--out",
-    type=FILE,
-    default=Path(),
-    help="Folder for the extension, made if missing.  [default: this one]",
+@options.out_folder(
+    default=Path(), show_default=False, help="Folder for the extension, made if missing.  [default: this one]"
 )
-@setting(
+@options.setting(
     "--platform",
     "platforms",
     type=click.Choice(PLATFORMS),
     multiple=True,
     help="Where Blender runs; may be given several times.  [default: as here]",
 )
-@setting(
+@options.setting(
     "--blender",
     "release",
     type=click.Choice(RELEASES),
     default=RELEASES[0],
-    show_default=True,
     help="Oldest version: 4.2 is for those to 5.0, which have Python 3.11.",
 )
-@overwrite_option
+@overwriting
 def command(out: Path, platforms: tuple[str, ...], release: str, claim: Claim) -> None:
     """Write an extension with which Blender shows models, live.
 

@@ -4,47 +4,31 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
 import mixseq
-from mixseq.cli.files import counted, options_of
+from mixseq.cli import options
+from mixseq.cli.files import LazyFrames, check_options, chosen_blocks, counted, options_of
 from mixseq.cli.group import print_json, print_table, progress_bar, say
-from mixseq.cli.options import (
-    FILE,
-    CommandWithSettings,
-    chosen_blocks,
-    examples,
-    json_option,
-    quiet_option,
-    reader_options,
-)
-from mixseq.errors import MixseqWarning, SettingsError
+from mixseq.errors import MixseqWarning
 from mixseq.sequence.frame_rates import frame_text, number_at
 
 if TYPE_CHECKING:
     from mixseq.metrics import Comparison
     from mixseq.runtime.low_memory import Statistics
-    from mixseq.runtime.progress import Progress
     from mixseq.sequence.header import SequenceHeader
     from mixseq.sequence.sequence import Frames
-    from mixseq.types import FloatArray
 
 
-@click.command(
-    "compare",
-    cls=CommandWithSettings,
-    epilog=examples("mixseq compare walk.usdc decoded.usdc", "mixseq compare walk.usdc walk.h5 --json"),
+@options.command(
+    "compare", "mixseq compare walk.usdc decoded.usdc", "mixseq compare walk.usdc walk.h5 --json"
 )
-@click.argument("reference", type=FILE)
-@click.argument("other", type=FILE)
-@json_option
-@reader_options
-@quiet_option
+@options.argument("reference")
+@options.argument("other")
+@options.as_json
+@options.reading
+@options.quiet
 def command(reference: Path, other: Path, as_json: bool, reading: dict[str, Any], quiet: bool) -> None:
     """Measure how far a sequence is from a reference.
 
@@ -52,8 +36,7 @@ def command(reference: Path, other: Path, as_json: bool, reading: dict[str, Any]
     compared. Distances are fractions of the diagonal of the reference's bounding box.
     """
     ours, theirs = options_of(reference, reading), options_of(other, reading)
-    for name in reading.keys() - ours.keys() - theirs.keys():
-        raise SettingsError(f"neither {reference} nor {other} is read with an option {name!r}")
+    check_options((reference, other), reading, f"neither {reference} nor {other} is")
     with (
         progress_bar(quiet) as progress,
         mixseq.open_sequence(reference, **ours) as a,
@@ -61,7 +44,11 @@ def command(reference: Path, other: Path, as_json: bool, reading: dict[str, Any]
     ):
         _warn_of_axes(reference, a.header, other, b.header)
         shared = at_times_of(a, b)
-        result = mixseq.compare(_Counted(a, progress), shared)
+        count = a.header.frame_count
+        frames = LazyFrames(
+            a.header, lambda size: counted(a.blocks(size), count, "comparing frames", progress)
+        )
+        result = mixseq.compare(frames, shared)
     if as_json:
         number = number_at(result.worst_time, a.header.fps)
         left_out = b.header.frame_count - result.frames
@@ -72,8 +59,7 @@ def command(reference: Path, other: Path, as_json: bool, reading: dict[str, Any]
         )
     elif not quiet:
         if shared is not b:
-            there = b.header.frame_count
-            say(f"compared at the {result.frames} times that {other} shares, out of {there}")
+            say(f"compared at the {result.frames} times that {other} shares, out of {b.header.frame_count}")
         print_table(_rows(result, a.header.fps))
 
 
@@ -83,43 +69,11 @@ def at_times_of(a: Frames, b: Frames) -> Frames:
 
     more = b.header.frame_count > a.header.frame_count
     frames = shared_frames(a.header, b.header) if more else None
-    return b if frames is None else _Some(b, sorted(set(frames.tolist())))
-
-
-@dataclass(frozen=True)
-class _Some:
-    """Some frames of a sequence."""
-
-    frames: Frames
-    indices: list[int]
-
-    @property
-    def header(self) -> SequenceHeader:
-        """Mesh and times."""
-        whole = self.frames.header
-        return whole.with_times(whole.times[self.indices])
-
-    def blocks(self, size: int = 16) -> Iterator[FloatArray]:
-        """Iterate over the chosen frames."""
-        return chosen_blocks(self.frames.blocks(size), self.indices)
-
-
-@dataclass(frozen=True)
-class _Counted:
-    """A sequence that reports the number of frames read."""
-
-    frames: Frames
-    progress: Progress
-
-    @property
-    def header(self) -> SequenceHeader:
-        """Mesh and times."""
-        return self.frames.header
-
-    def blocks(self, size: int = 16) -> Iterator[FloatArray]:
-        """Iterate over all frames."""
-        count = self.frames.header.frame_count
-        return counted(self.frames.blocks(size), count, "comparing frames", self.progress)
+    if frames is None:
+        return b
+    indices = sorted(set(frames.tolist()))
+    header = b.header.with_times(b.header.times[indices])
+    return LazyFrames(header, lambda size: chosen_blocks(b.blocks(size), indices))
 
 
 def _warn_of_axes(reference: Path, a: SequenceHeader, other: Path, b: SequenceHeader) -> None:

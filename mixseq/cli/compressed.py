@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import wraps
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from click.core import ParameterSource
 
 import mixseq
 from mixseq.choices import ORDERS
+from mixseq.cli import options
 from mixseq.cli.group import as_bytes, format_bytes
-from mixseq.cli.options import setting
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -27,16 +25,7 @@ if TYPE_CHECKING:
 Rows = list[tuple[str, str]]
 
 _OF_FITTING = (
-    *(
-        "exact",
-        "tolerance",
-        "rank",
-        "space",
-        "parts",
-        "segmentation",
-        "joint_width",
-        "placement",
-    ),
+    *("exact", "tolerance", "rank", "space", "parts", "segmentation", "joint_width", "placement"),
     *("projection", "volume", "labels", "label_source", "knots", "pose"),
 )
 """Options of ``mixseq encode`` for models that are not compressed."""
@@ -48,69 +37,53 @@ _RENUMBERED = {
 """Messages about orders in which not all numbers are kept."""
 
 
-def aim_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Add the targets of compression; the command gets ``aim``: one of the three by name, or nothing.
+def _aim(uvs: bool = True, **given: Any) -> dict[str, Any]:
+    """Return the parameters of `mixseq.compress`: a target and more, or nothing; options beside them raise an error."""
+    targets = options.given_options("max_error", "kg", "size")
+    if len(targets) > 1:
+        raise SettingsError(
+            f"give one of {' and '.join(targets)}, not {len(targets)}: each follows from the other"
+        )
+    if not targets:
+        options.refuse(
+            *("uv_error", "uvs", "order", "chunk"),
+            why="is for compressed models; give --max-error, --kg or --size, too",
+        )
+        return {}
+    options.refuse(
+        *_OF_FITTING, why=f"is for models that are not compressed; leave it out, or leave out {targets[0]}"
+    )
+    return given if uvs else given | {"uvs": False}
 
-    Options of fitting beside them raise an error.
-    """
 
-    @click.option(
-        "--max-error",
-        type=click.FloatRange(min=0, min_open=True),
-        metavar="X",
+aiming = options.group(
+    "aim",
+    options.option(
+        "--max-error X",
+        type=options.POSITIVE,
         help="Compress: no vertex of any frame is farther off than X diagonals of the bounding box.",
-    )
-    @click.option(
-        "--kg",
-        type=click.FloatRange(min=0, min_open=True),
-        metavar="X",
-        help="Compress, to a KG error of X percent.",
-    )
-    @click.option("--size", callback=as_bytes, metavar="SIZE", help="Compress into 2MB, 500kB, 1.5MiB, ...")
-    @setting(
-        "--uv-error",
+    ),
+    options.option("--kg X", type=options.POSITIVE, help="Compress, to a KG error of X percent."),
+    options.option("--size SIZE", type=as_bytes, help="Compress into 2MB, 500kB, 1.5MiB, ..."),
+    options.setting(
+        "--uv-error X",
         type=click.FloatRange(min=0, max=0.25),
-        metavar="X",
         help="Compressed: u and v are off by X at most, 0 keeps all bits.  [default: 1/16 texel of 4096]",
-    )
-    @setting(
+    ),
+    options.setting(
         "--order",
         type=click.Choice(ORDERS),
         help="Compressed: what keeps its numbers, vertices and faces, vertices only, or neither.  [default: keep]",
-    )
-    @setting(
-        "--chunk",
+    ),
+    options.setting(
+        "--chunk N",
         type=click.IntRange(min=16),
-        metavar="N",
         help="Compressed: about N frames can be decoded without others.  [default: 512]",
-    )
-    @setting("--uvs/--no-uvs", default=True, help="Compressed: keep texture coordinates.  [default: uvs]")
-    @wraps(command)
-    def with_options(
-        *args: Any,
-        max_error: float | None,
-        kg: float | None,
-        size: int | None,
-        uv_error: float | None,
-        uvs: bool,
-        order: str | None,
-        chunk: int | None,
-        **settings: Any,
-    ) -> None:
-        aims = {"max_error": max_error, "kg": kg, "size": size}
-        aim: dict[str, Any] = {name: value for name, value in aims.items() if value is not None}
-        _check_aim(click.get_current_context(), [name.replace("_", "-") for name in aim])
-        others = {"uv_error": uv_error, "uvs": None if uvs else False, "order": order, "chunk": chunk}
-        given = {name: value for name, value in others.items() if value is not None}
-        if given and not aim:
-            option = {"uv_error": "uv-error", "uvs": "no-uvs", "order": "order", "chunk": "chunk"}[
-                next(iter(given))
-            ]
-            raise SettingsError(f"--{option} is for compressed models; give --max-error, --kg or --size, too")
-        aim |= given
-        command(*args, aim=aim, **settings)
-
-    return with_options
+    ),
+    options.setting("--uvs/--no-uvs", default=True, help="Compressed: keep texture coordinates."),
+    make=_aim,
+)
+"""Targets of compression, as ``aim``, the parameters of `mixseq.compress`."""
 
 
 def compressed(
@@ -127,19 +100,6 @@ def compressed(
             others["container"] = other_bytes(frames.header, next(iter(frames.blocks(1)))[0], still)
         aim = {**aim, "size": room_for_signals(frames.header, aim["size"], **others)}
     return mixseq.compress(frames, **aim, progress=progress)
-
-
-def _check_aim(context: click.Context, names: list[str]) -> None:
-    if len(names) > 1:
-        raise SettingsError(
-            f"give one of --{' and --'.join(names)}, not {len(names)}: each follows from the other"
-        )
-    for option in context.command.params if names else ():
-        given = option.name and context.get_parameter_source(option.name) is ParameterSource.COMMANDLINE
-        if given and option.name in _OF_FITTING:
-            raise SettingsError(
-                f"{option.opts[0]} is for models that are not compressed; leave it out, or leave out --{names[0]}"
-            )
 
 
 def coding_facts(path: Path, coded: CompressedSequence) -> dict[str, Any]:
@@ -178,16 +138,12 @@ def coding_rows(facts: dict[str, Any]) -> Rows:
         ("still", "first frame and textures"),
         ("container", "container"),
     ]
+    motion = sizes["signals"] - sizes["surface"] - sizes["uvs"]
     rates = [
-        ("signals", sizes["signals"] - sizes["surface"] - sizes["uvs"], coding["bits_of_motion"]),
+        ("signals", motion, coding["bits_of_motion"]),
         ("total", sizes["total"], coding["bits"]["total"]),
     ]
-    texture = (
-        [("texture error", f"at most {coding['uv_error']:.3g} of the square")]
-        if coding["uv_error"] is not None
-        else []
-    )
-    return [
+    rows = [
         *(
             (name, f"{format_bytes(size)}, {rate:.3g} bits per vertex and frame")
             for name, size, rate in rates
@@ -195,6 +151,9 @@ def coding_rows(facts: dict[str, Any]) -> Rows:
         ("of it", ", ".join(f"{format_bytes(sizes[name])} {what}" for name, what in others if sizes[name])),
         ("max error", f"{stated}{coding['max_error']:.3g} of the diagonal"),
         ("KG error", f"{coding['kg_percent']:.3g} %"),
-        *texture,
-        *([("order", _RENUMBERED[coding["order"]])] if coding["order"] in _RENUMBERED else []),
     ]
+    if coding["uv_error"] is not None:
+        rows.append(("texture error", f"at most {coding['uv_error']:.3g} of the square"))
+    if coding["order"] in _RENUMBERED:
+        rows.append(("order", _RENUMBERED[coding["order"]]))
+    return rows

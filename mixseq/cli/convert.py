@@ -5,45 +5,30 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import click
-
 import mixseq
-from mixseq.cli.files import Claim, counted, overwrite_option, write_sequence
+from mixseq.cli import options
+from mixseq.cli.files import Claim, chosen_blocks, counted, overwriting, write_sequence
 from mixseq.cli.group import announce, progress_bar
-from mixseq.cli.options import (
-    FILE,
-    CommandWithSettings,
-    FrameChoice,
-    chosen_blocks,
-    examples,
-    frames_option,
-    quiet_option,
-    reader_options,
-    writer_options,
-)
 
 
-@click.command(
+@options.command(
     "convert",
-    cls=CommandWithSettings,
-    epilog=examples(
-        "mixseq convert walk.usdc walk.h5",
-        "mixseq convert walk.usdc walk_####.obj",
-        "mixseq convert shot.abc part.abc --frames 1005-1010",
-        "mixseq convert fox.glb run.glb --animation Run",
-    ),
+    "mixseq convert walk.usdc walk.h5",
+    "mixseq convert walk.usdc walk_####.obj",
+    "mixseq convert shot.abc part.abc --frames 1005-1010",
+    "mixseq convert fox.glb run.glb --set animation=Run",
 )
-@click.argument("source", type=FILE)
-@click.argument("target", type=FILE)
-@frames_option("Only these frames, by their numbers.  [default: all]")
-@reader_options
-@writer_options
-@overwrite_option
-@quiet_option
+@options.argument("source")
+@options.argument("target")
+@options.frames(help="Only these frames, by their numbers.  [default: all]")
+@options.reading
+@options.writing
+@overwriting
+@options.quiet
 def command(
     source: Path,
     target: Path,
-    frames: FrameChoice | None,
+    frames: options.FrameChoice | None,
     reading: dict[str, Any],
     writing: dict[str, Any],
     claim: Claim,

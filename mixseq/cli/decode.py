@@ -1,45 +1,18 @@
-"""``mixseq decode``.
-
-Skins and morphs on the command line: fit and write them, and measure the written file.
-
-Vertex animation textures on the command line.
-"""
+"""``mixseq decode``: into sequences, skins and morphs that are measured as written, and vertex animation textures."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 import mixseq
-from mixseq.cli.files import (
-    MODEL_EXTENSIONS,
-    VAT,
-    Claim,
-    check_origin,
-    is_model,
-    overwrite_option,
-    read_sequence,
-    write_frames,
-)
-from mixseq.cli.group import announce, print_table, progress_bar
-from mixseq.cli.options import (
-    FILE,
-    CommandWithSettings,
-    FrameChoice,
-    examples,
-    frames_option,
-    quiet_option,
-    setting,
-    time_rows,
-    workers_options,
-    writer_options,
-)
+from mixseq.cli import files, options
+from mixseq.cli.group import announce, format_bytes, print_table, progress_bar
 from mixseq.errors import MixseqWarning, NoMeshError, SettingsError
 from mixseq.sequence.frame_rates import exact_rate, rate_text
 
@@ -61,67 +34,35 @@ _ONLY_FOR = {
     "max_error": "skin or morph (or a target .vat)",
     "max_targets": "skin or morph",
 }
-_BONES = ("bones", "skeleton", "max_error", "kg")
 _USELESS = {"velocities": "velocities", "onto": "other files to build on", "clips": "clips"}
 
 
-@dataclass(frozen=True)
-class RigSettings:
-    """Settings of a skin or a morph; None is the default of the fit."""
-
-    kind: str | None  # kind of the rig; None for a sequence
-    bones: int | None  # number of bones
-    skeleton: Path | None  # a file with the bones, and mostly with the mesh on them
-    correctives: float | None  # largest error of a vertex with a skin's correctives, in diagonals
-    max_error: float | None  # largest error of a vertex with a skin's bones alone, or a morph, in diagonals
-    kg: float | None  # KG error of a skin's bones, in percent
-    max_targets: int | None  # number of morph targets at most
-
-    def check(self, velocities: bool, writing: Mapping[str, Any], texture: str | None = None) -> None:
-        """Raise an error for options that exclude each other."""
-        if texture is not None:
-            raise SettingsError(
-                "texture is for vertex animation textures; leave it out, or end the target in .vat"
-            )
-        for name, kinds in _ONLY_FOR.items():
-            if getattr(self, name) is not None and (self.kind is None or self.kind not in kinds):
-                raise SettingsError(f"{_option(name)} is for --as {kinds}; leave it out, or give both")
-        telling = [_option(name) for name in _BONES if getattr(self, name) is not None]
-        if self.kind == "skin" and len(telling) > 1:
-            raise SettingsError(
-                f"{telling[0]} and {telling[1]} both tell which bones there are; give one of them"
-            )
-        if self.kind is not None:
-            for name in ["velocities"] * velocities + list(writing):
-                if name in _USELESS:
-                    raise SettingsError(
-                        f"a {self.kind} has no place for {_USELESS[name]}; leave out --{name}, or --as"
-                    )
-
-    def fit(self, sequence: MeshSequence, progress: Progress) -> Skin | Morph:
-        """Fit the rig to a sequence; a mesh on the skeleton with the same vertices is the bind pose."""
-        targets = {} if self.max_targets is None else {"max_targets": self.max_targets}
-        if self.kind == "morph":
-            return mixseq.fit_morph(sequence, self.max_error, **targets, progress=progress)
-        skeleton = bind_pose = None
-        if self.skeleton is not None:
-            skeleton = mixseq.read_skeleton(self.skeleton)
-            bind_pose = _bind_pose(self.skeleton, sequence)
-        return mixseq.fit_skin(
-            sequence,
-            self.bones,
-            self.correctives,
-            **targets,
-            progress=progress,
-            skeleton=skeleton,
-            bind_pose=bind_pose,
-            max_error=self.max_error,
-            kg=self.kg,
+def _check_rig(kind: str | None) -> None:
+    """Raise an error for options that exclude each other; without a kind, a sequence is written."""
+    options.refuse("texture", why="is for vertex animation textures; leave it out, or end the target in .vat")
+    for name, kinds in _ONLY_FOR.items():
+        if kind is None or kind not in kinds:
+            options.refuse(name, why=f"is for --as {kinds}; leave it out, or give both")
+    telling = options.given_options("bones", "skeleton", "max_error", "kg")
+    if kind == "skin" and len(telling) > 1:
+        raise SettingsError(
+            f"{telling[0]} and {telling[1]} both tell which bones there are; give one of them"
         )
+    for name, what in _USELESS.items() if kind else ():
+        for option in options.given_options(name):
+            raise SettingsError(f"a {kind} has no place for {what}; leave out {option}, or --as")
 
 
-def _option(name: str) -> str:
-    return f"--{name.replace('_', '-')}"
+def _fit_rig(
+    kind: str, sequence: MeshSequence, progress: Progress, skeleton: Path | None = None, **settings: Any
+) -> Skin | Morph:
+    """Fit a skin or a morph to a sequence; a mesh on the skeleton with the same vertices is the bind pose."""
+    if kind == "morph":
+        return mixseq.fit_morph(sequence, progress=progress, **settings)
+    if skeleton is not None:
+        settings["bind_pose"] = _bind_pose(skeleton, sequence)
+        settings["skeleton"] = mixseq.read_skeleton(skeleton)
+    return mixseq.fit_skin(sequence, progress=progress, **settings)
 
 
 def _bind_pose(path: Path, sequence: MeshSequence) -> MeshSequence | None:
@@ -132,16 +73,11 @@ def _bind_pose(path: Path, sequence: MeshSequence) -> MeshSequence | None:
         return None
     if found.vertex_count == sequence.vertex_count:
         return found
-    more = sequence.vertex_count > found.vertex_count
-    cure = (
-        "; if the sequence has other meshes as well, encode that one alone (mixseq encode --prim)"
-        if more
-        else ""
-    )
+    cure = "; if the sequence has other meshes as well, encode that one alone (mixseq encode --prim)"
     warnings.warn(
         f"{path}: the mesh on the skeleton has {found.vertex_count} vertices, that of the sequence has "
         f"{sequence.vertex_count}; it is left out, and the skeleton is taken as it would stand in the first frame"
-        + cure,
+        + (cure if sequence.vertex_count > found.vertex_count else ""),
         MixseqWarning,
         stacklevel=2,
     )
@@ -150,7 +86,6 @@ def _bind_pose(path: Path, sequence: MeshSequence) -> MeshSequence | None:
 
 def rows(path: Path, rig: Skin | Morph, sequence: MeshSequence) -> list[tuple[str, str]]:
     """Return table rows of a written file's contents and its distance from the sequence."""
-    from mixseq.cli.group import format_bytes
     from mixseq.rigging.rigs import Skin
     from mixseq_io.rig_files import GLTF
     from mixseq_io.rig_measuring import measure, size_as_frames
@@ -172,18 +107,8 @@ def rows(path: Path, rig: Skin | Morph, sequence: MeshSequence) -> list[tuple[st
     return table
 
 
-def check_textures(others: Mapping[str, Any]) -> None:
-    """Raise an error for options, by name, that textures do not support; None and False are not given."""
-    for name, value in others.items():
-        if value is not None and value is not False:
-            option = f"--{name.replace('_', '-')}"
-            raise SettingsError(f"vertex animation textures (.vat) have no place for {option}; leave it out")
-
-
 def texture_rows(report: VatReport) -> list[tuple[str, str]]:
     """Return table rows of the textures' sizes and errors."""
-    from mixseq.cli.group import format_bytes
-
     kind = report.kind if not report.rank else f"{report.kind}, {report.rank} basis vectors"
     return [
         (
@@ -196,110 +121,84 @@ def texture_rows(report: VatReport) -> list[tuple[str, str]]:
     ]
 
 
-def _as_seconds(
-    context: click.Context, option: click.Parameter, value: str | None
-) -> tuple[float, ...] | None:
-    if value is None:
-        return None
+def _seconds(text: str) -> tuple[float, ...]:
     try:
-        return tuple(float(item) for item in value.split(","))
+        return tuple(float(item) for item in text.split(","))
     except ValueError:
-        raise click.BadParameter(f"{value!r} is not a list of seconds such as 0,0.5,1.25") from None
+        raise click.BadParameter(f"{text!r} is not a list of seconds such as 0,0.5,1.25") from None
 
 
-@click.command(
+@options.command(
     "decode",
-    cls=CommandWithSettings,
-    epilog=examples(
-        "mixseq decode walk.h5 walk48.usdc --fps 48",
-        "mixseq decode walk.h5 still.obj --times 0.73",
-        "mixseq decode shot.h5 part.usdc --frames 1005-1010",
-        "mixseq decode walk.h5 slow.usdc --fps 240 --start 0.5 --end 1 --velocities",
-        "mixseq decode walk.h5 again.usdc --cluster tcp://host:8786",
-        "mixseq decode walk.h5 walk.glb --as skin --bones 30",
-        "mixseq decode walk.abc walk.glb --as skin --skeleton character.glb",
-        "mixseq decode walk.abc walk.glb --as morph --max-error 0.001",
-        "mixseq decode walk.h5 walk.vat --max-error 0.001",
+    "mixseq decode walk.h5 walk48.usdc --fps 48",
+    "mixseq decode walk.h5 still.obj --times 0.73",
+    "mixseq decode shot.h5 part.usdc --frames 1005-1010",
+    "mixseq decode walk.h5 slow.usdc --fps 240 --start 0.5 --end 1 --velocities",
+    "mixseq decode walk.h5 again.usdc --cluster tcp://host:8786",
+    "mixseq decode walk.h5 walk.glb --as skin --set bones=30",
+    "mixseq decode walk.abc walk.glb --as skin --set skeleton=character.glb",
+    "mixseq decode walk.abc walk.glb --as morph --max-error 0.001",
+    "mixseq decode walk.h5 walk.vat --max-error 0.001",
+)
+@options.argument("source", metavar="MODEL")
+@options.argument("target")
+@options.group(
+    "chosen",
+    options.fps(help="Frames per second.  [default: the original frames]"),
+    options.option("--times S,S,...", type=_seconds, help="Decode exactly these times, in seconds."),
+    options.frames(
+        help="Only these frames of the model, by their numbers; with --fps from the first to the last of them."
     ),
+    options.option("--start S", type=float, help="First time in seconds.  [default: that of the model]"),
+    options.option("--end S", type=float, help="Last time in seconds.  [default: that of the model]"),
 )
-@click.argument("source", metavar="MODEL", type=FILE)
-@click.argument("target", type=FILE)
-@click.option(
-    "--fps",
-    type=click.FloatRange(min=0, min_open=True, max=1_000_000),
-    metavar="N",
-    help="Frames per second.  [default: the original frames]",
-)
-@click.option(
-    "--times", callback=_as_seconds, metavar="S,S,...", help="Decode exactly these times, in seconds."
-)
-@frames_option(
-    "Only these frames of the model, by their numbers; with --fps from the first to the last of them."
-)
-@click.option("--start", type=float, metavar="S", help="First time in seconds.  [default: that of the model]")
-@click.option("--end", type=float, metavar="S", help="Last time in seconds.  [default: that of the model]")
-@click.option(
-    "--velocities/--no-velocities",
-    default=False,
-    show_default=True,
-    help="Also write the velocities of all vertices, for motion blur.",
-)
-@click.option(
+@options.velocities()
+@options.option(
     "--as",
     "kind",
     type=click.Choice(["skin", "morph"]),
     help="Write glTF or USD for engines: a skin over moving bones, or a mesh with few morph targets.",
 )
-@setting("--bones", type=click.IntRange(min=1), metavar="N", help="Number of bones of a skin.")
-@setting("--skeleton", type=FILE, metavar="FILE", help="glTF or USD file with the bones of a skin.")
-@click.option(
-    "--kg",
-    type=click.FloatRange(min=0, min_open=True),
-    metavar="P",
-    help="Give a skin as few bones as reach this KG error, in percent.",
+@options.group(
+    "rig",
+    options.setting("--bones N", type=options.COUNT, help="Number of bones of a skin."),
+    options.setting("--skeleton FILE", help="glTF or USD file with the bones of a skin."),
+    options.option(
+        "--kg P", type=options.POSITIVE, help="Give a skin as few bones as reach this KG error, in percent."
+    ),
+    options.setting(
+        "--correctives E",
+        type=options.POSITIVE,
+        help="Correct a skin by morph targets, up to this largest error in diagonals.",
+    ),
+    options.option(
+        "--max-error E",
+        type=options.POSITIVE,
+        help="Largest error of a skin's bones, of a morph or of textures, in diagonals; a morph without it is exact.",
+    ),
+    options.setting("--max-targets N", type=options.WHOLE, help="Number of morph targets at most."),
 )
-@setting(
-    "--correctives",
-    type=click.FloatRange(min=0, min_open=True),
-    metavar="E",
-    help="Correct a skin by morph targets, up to this largest error in diagonals.",
-)
-@click.option(
-    "--max-error",
-    type=click.FloatRange(min=0, min_open=True),
-    metavar="E",
-    help="Largest error of a skin's bones, of a morph or of textures, in diagonals; a morph without it is exact.",
-)
-@setting(
+@options.setting(
     "--texture",
     type=click.Choice(["png16", "exr"]),
-    help="Of vertex animation textures (TARGET is a folder .vat): PNG with 16 bits, or EXR.  [default: png16]",
+    default="png16",
+    help="Of vertex animation textures (TARGET is a folder .vat): PNG with 16 bits, or EXR.",
 )
-@setting("--max-targets", type=click.IntRange(min=0), metavar="N", help="Number of morph targets at most.")
-@writer_options
-@workers_options
-@overwrite_option
-@quiet_option
+@options.writing
+@options.workers
+@files.overwriting
+@options.quiet
 def command(
     source: Path,
     target: Path,
-    fps: float | None,
-    times: tuple[float, ...] | None,
-    frames: FrameChoice | None,
-    start: float | None,
-    end: float | None,
+    chosen: dict[str, Any],
     velocities: bool,
     kind: str | None,
-    bones: int | None,
-    skeleton: Path | None,
-    kg: float | None,
-    correctives: float | None,
-    max_error: float | None,
-    max_targets: int | None,
-    texture: TextureName | None,
+    rig: dict[str, Any],
+    texture: TextureName,
     writing: dict[str, Any],
     workers: AbstractContextManager[Executor],
-    claim: Claim,
+    claim: files.Claim,
     quiet: bool,
 ) -> None:
     """Turn a model back into a sequence, at any frame rate.
@@ -312,14 +211,13 @@ def command(
     With --as, TARGET is a .glb or .gltf that engines play, or USD with a skeleton; it is fitted to all frames, read
     back, and compared with them. MODEL may then be a sequence, too.
     """
-    chosen = Chosen(times, frames, fps, start, end)
-    settings = RigSettings(kind, bones, skeleton, correctives, max_error, kg, max_targets)
-    textures = target.suffix.lower() == VAT
+    textures = target.suffix.lower() == files.VAT
     if textures:
-        of_rigs = {name: value for name, value in vars(settings).items() if name not in ("kind", "max_error")}
-        check_textures({"as": kind, "velocities": velocities, **of_rigs, **writing})
+        names = {"kind", *_ONLY_FOR, "velocities", *writing} - {"max_error"}
+        for option in options.given_options(*sorted(names)):
+            raise SettingsError(f"vertex animation textures (.vat) have no place for {option}; leave it out")
     else:
-        settings.check(velocities, writing, texture)
+        _check_rig(kind)
     claim(target)
     if textures:
         from mixseq_io.vat.writer import check_vat_target
@@ -332,70 +230,61 @@ def command(
     with workers as work, progress_bar(quiet) as progress:
         if kind is None and not textures:
             model = mixseq.load(source)
-            header = chosen.of(model)
-            write_frames(target, model, header, velocities, writing, progress, work)
-            table = time_rows(header)
+            header = _chosen_header(model, **chosen)
+            files.write_frames(target, model, header, velocities, writing, progress, work)
+            table = files.time_rows(header)
         else:
             sequence = _sequence(source, chosen, progress, work)
-            check_origin(target, sequence)
+            files.check_origin(target, sequence)
             if textures:
-                report = mixseq.write_vat(target, sequence, max_error, texture or "png16", progress)
+                report = mixseq.write_vat(target, sequence, rig.get("max_error"), texture, progress)
                 table = texture_rows(report)
             else:
-                rig = settings.fit(sequence, progress)
-                mixseq.write_rig(target, rig)
-                table = [] if quiet else rows(target, rig, sequence)
+                made = _fit_rig(kind or "", sequence, progress, **rig)
+                mixseq.write_rig(target, made)
+                table = [] if quiet else rows(target, made, sequence)
     if not quiet:
         print_table(table)
     announce(target)
 
 
-def _sequence(
-    source: Path,
-    chosen: Chosen,
-    progress: Progress,
-    workers: Executor,
-) -> MeshSequence:
+def _sequence(source: Path, chosen: Mapping[str, Any], progress: Progress, workers: Executor) -> MeshSequence:
     """Decode the chosen frames of a model into memory, or read a sequence."""
     from mixseq.sequence.sequence import collect
 
-    named_as_model = source.suffix.lower() in MODEL_EXTENSIONS and not source.is_file()
-    if not (is_model(source) or named_as_model):
-        if chosen != Chosen():
+    named_as_model = source.suffix.lower() in files.MODEL_EXTENSIONS and not source.is_file()
+    if not (files.is_model(source) or named_as_model):
+        if chosen:
             raise SettingsError(
                 f"{source} is a sequence, whose frames are fitted as they are; leave out --fps, --times, --frames, "
                 "--start and --end, or turn it into a model first, with mixseq encode"
             )
-        return read_sequence(source, {}, progress)
+        return files.read_sequence(source, {}, progress)
     model = mixseq.load(source)
-    header = chosen.of(model)
+    header = _chosen_header(model, **chosen)
     return collect(header, model.blocks(header.times, progress=progress, workers=workers))
 
 
-@dataclass(frozen=True)
-class Chosen:
-    """Frames to decode, by the options; by default those of the model."""
-
-    times: tuple[float, ...] | None = None
-    frames: FrameChoice | None = None
-    fps: float | None = None
-    start: float | None = None
-    end: float | None = None
-
-    def of(self, model: Model) -> SequenceHeader:
-        """Return the header of the decoded frames."""
-        if self.frames is not None:
-            for name in ("times", "start", "end"):
-                if getattr(self, name) is not None:
-                    raise SettingsError(f"--frames tells all frames; leave out --{name}")
-            if self.fps is not None:
-                return _range(model, self.fps, *self.frames.span(model.header))
-            return model.header_at(model.times[self.frames.indices(model.header)])
-        if self.times is None:
-            return _range(model, self.fps, self.start, self.end)
-        if self.start is None and self.end is None:
-            return model.header_at(self.times, self.fps)
-        raise SettingsError("--times tells all times; leave out --start and --end")
+def _chosen_header(
+    model: Model,
+    fps: float | None = None,
+    times: tuple[float, ...] | None = None,
+    frames: options.FrameChoice | None = None,
+    start: float | None = None,
+    end: float | None = None,
+) -> SequenceHeader:
+    """Return the header of the frames to decode, by default those of the model."""
+    if frames is not None:
+        for option in options.given_options("times", "start", "end"):
+            raise SettingsError(f"--frames tells all frames; leave out {option}")
+        if fps is not None:
+            return _range(model, fps, *frames.span(model.header))
+        return model.header_at(model.times[frames.indices(model.header)])
+    if times is None:
+        return _range(model, fps, start, end)
+    if start is None and end is None:
+        return model.header_at(times, fps)
+    raise SettingsError("--times tells all times; leave out --start and --end")
 
 
 def _range(model: Model, fps: float | None, start: float | None, end: float | None) -> SequenceHeader:

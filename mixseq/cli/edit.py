@@ -7,20 +7,10 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
 import mixseq
-from mixseq.cli.files import MODEL_EXTENSIONS, Claim, check_target, overwrite_option, write_frames
+from mixseq.cli import options
+from mixseq.cli.files import MODEL_EXTENSIONS, Claim, check_target, overwriting, write_frames
 from mixseq.cli.group import announce, print_table, progress_bar
-from mixseq.cli.options import (
-    FILE,
-    CommandWithSettings,
-    examples,
-    quiet_option,
-    setting,
-    workers_options,
-    writer_options,
-)
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -46,48 +36,31 @@ A script has a table for every edit:
 """
 
 
-@click.command(
+@options.command(
     "edit",
-    cls=CommandWithSettings,
-    epilog=SCRIPT
-    + examples(
-        "mixseq edit run.h5 attack.h5 --script attack.toml",
-        "mixseq edit walk.h5 long.usdc --script edits.toml --fps 48",
-    ),
+    "mixseq edit run.h5 attack.h5 --script attack.toml",
+    "mixseq edit walk.h5 long.usdc --script edits.toml --fps 48",
+    before=SCRIPT,
 )
-@click.argument("source", metavar="MODEL", type=FILE)
-@click.argument("target", metavar="OUT", type=FILE)
-@click.option("--script", required=True, type=FILE, metavar="FILE", help="The edits, a TOML file.")
-@setting(
-    "--files-from",
+@options.argument("source", metavar="MODEL")
+@options.argument("target", metavar="OUT")
+@options.option("--script FILE", required=True, help="The edits, a TOML file.")
+@options.setting(
+    "--files-from FOLDER",
     "folders",
-    type=FILE,
     multiple=True,
-    metavar="FOLDER",
     help="Let the script read files in this folder, too, besides its own; may be given several times.",
 )
-@setting(
-    "--travel",
-    type=FILE,
-    metavar="FILE",
+@options.setting(
+    "--travel FILE",
     help="Also write what in_place takes away, for engines to move the character by: a CSV file of seconds,x,y,z.",
 )
-@click.option(
-    "--fps",
-    type=click.FloatRange(min=0, min_open=True, max=1_000_000),
-    metavar="N",
-    help="Frames per second, where OUT is a sequence.  [default: the frames of the model]",
-)
-@click.option(
-    "--velocities/--no-velocities",
-    default=False,
-    show_default=True,
-    help="Also write the velocities of all vertices, where OUT is a sequence.",
-)
-@writer_options
-@workers_options
-@overwrite_option
-@quiet_option
+@options.fps(help="Frames per second, where OUT is a sequence.  [default: the frames of the model]")
+@options.velocities(help="Also write the velocities of all vertices, where OUT is a sequence.")
+@options.writing
+@options.workers
+@overwriting
+@options.quiet
 def command(
     source: Path,
     target: Path,
@@ -113,13 +86,11 @@ def command(
     from mixseq.operations.script import RETIMING, Readers, read_script
 
     as_model = target.suffix.lower() in MODEL_EXTENSIONS
-    of_sequences = {"fps": fps, "velocities": velocities, **writing}
-    if as_model and any(of_sequences.values()):
-        named = next(name for name, value in of_sequences.items() if value)
-        raise SettingsError(
-            f"--{named.replace('_', '-')} is for sequences; OUT is a model, decode or resample it then"
+    if as_model:
+        options.refuse(
+            *("fps", "velocities", *writing),
+            why="is for sequences; OUT is a model, decode or resample it then",
         )
-
     claim(target, travel)
 
     def unlike_target(path: Path) -> Path:

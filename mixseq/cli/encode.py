@@ -11,22 +11,11 @@ import click
 
 import mixseq
 from mixseq.choices import POSE_FORMS, STILLS, PoseForm, StillName
-from mixseq.cli.compressed import aim_options, coding_facts, coding_rows, compressed
-from mixseq.cli.files import GLB, Claim, Decoded, check_model_name, is_model, overwrite_option, parts_given
+from mixseq.cli import files, options
+from mixseq.cli.compressed import aiming, coding_facts, coding_rows, compressed
 from mixseq.cli.group import announce, print_table, progress_bar
 from mixseq.cli.info import bytes_of_frames, dimension_rows, size_row
-from mixseq.cli.options import (
-    FILE,
-    CommandWithSettings,
-    examples,
-    fit_options,
-    labels_options,
-    quiet_option,
-    reader_options,
-    setting,
-    workers_options,
-)
-from mixseq.errors import SettingsError
+from mixseq.errors import OutputError
 
 if TYPE_CHECKING:
     from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
@@ -35,111 +24,101 @@ if TYPE_CHECKING:
     from mixseq.signals.model import Model
 
 
-@click.command(
+@options.command(
     "encode",
-    cls=CommandWithSettings,
-    epilog=examples(
-        "mixseq encode walk.usdc walk.h5 --check",
-        "mixseq encode walk.usdc walk.h5 --exact",
-        "mixseq encode walk.usdc walk.h5 --tolerance 0.002 --parts 12",
-        "mixseq encode man.glb man.h5 --source skeleton",
-        "mixseq encode walk.usdc small.h5 --max-error 0.001",
-        "mixseq encode walk.usdc small.h5 --size 200kB",
-        "mixseq encode walk.usdz walk.glb --max-error 0.001",
-    ),
+    "mixseq encode walk.usdc walk.h5 --check",
+    "mixseq encode walk.usdc walk.h5 --exact",
+    "mixseq encode walk.usdc walk.h5 --tolerance 0.002 --parts 12",
+    "mixseq encode man.glb man.h5 --source skeleton",
+    "mixseq encode walk.usdc small.h5 --max-error 0.001",
+    "mixseq encode walk.usdc small.h5 --size 200kB",
+    "mixseq encode walk.usdz walk.glb --max-error 0.001",
 )
-@click.argument("source", type=FILE)
-@click.argument("target", type=FILE)
-@aim_options
-@fit_options
-@labels_options
-@setting(
-    "--knots",
-    type=click.IntRange(min=0),
-    metavar="N",
+@options.argument("source")
+@options.argument("target")
+@aiming
+@options.fitting
+@files.labelling
+@options.setting(
+    "--knots N",
+    type=options.WHOLE,
     help="Number of inner knots of all curves over time.  [default: as the tolerance asks, else all]",
 )
-@setting(
+@options.setting(
     "--pose",
     type=click.Choice(POSE_FORMS),
     default="modes",
-    show_default=True,
     help="Key shapes: the mean and modes, or frames of the sequence.",
 )
-@setting(
+@options.setting(
     "--still",
     type=click.Choice(STILLS),
     help="Of a .glb: the first frame for other viewers, by Draco, as float32, or left out.  [default: draco]",
 )
-@click.option(
+@options.option(
     "--check/--no-check",
     default=False,
-    show_default=True,
     help="Decode all frames of the finished model and compare them with SOURCE.",
 )
-@workers_options
-@reader_options
-@overwrite_option
-@quiet_option
+@options.workers
+@options.reading
+@files.overwriting
+@options.quiet
 def command(
     source: Path,
     target: Path,
     aim: dict[str, Any],
     fitting: dict[str, Any],
-    labels: Path | None,
-    label_source: str | None,
+    labels: files.LabelChoice,
     knots: int | None,
     pose: PoseForm,
     still: StillName | None,
     check: bool,
     workers: AbstractContextManager[Executor],
     reading: dict[str, Any],
-    claim: Claim,
+    claim: files.Claim,
     quiet: bool,
 ) -> None:
     """Turn a sequence into a model.
 
     SOURCE is a sequence in any format, and may be larger than memory. The model in TARGET, an HDF5 file (compressed
-    also a .glb), reproduces
-    its frames within the tolerance and can be decoded at any time in between.
+    also a .glb), reproduces its frames within the tolerance and can be decoded at any time in between.
 
     With --max-error, --kg or --size the model is compressed: as few bytes as that error takes, or as small an error as
-    fits into that many bytes. An error that --max-error asks for is guaranteed, the
-    others are measured; see "mixseq verify". As a .glb it plays on the web (see "mixseq web"); a compressed model that
-    SOURCE is already becomes one as it is.
+    fits into that many bytes. An error that --max-error asks for is guaranteed, the others are measured; see
+    "mixseq verify". As a .glb it plays on the web (see "mixseq web"); a compressed model that SOURCE is already becomes
+    one as it is.
     """
-    web = target.suffix.lower() == GLB
-    check_model_name(target, compressed=bool(aim) or (web and is_model(source)))
-    if still is not None and not web:
-        raise SettingsError("--still is for .glb files; leave it out")
+    web = target.suffix.lower() == files.GLB
+    _check_name(target, compressed=bool(aim) or (web and files.is_model(source)))
+    if not web:
+        options.refuse("still", why="is for .glb files; leave it out")
     still = still or "draco"
     claim(target)
+    from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
     from mixseq_io.verification import read_compressed
 
     start = perf_counter()
     error: Comparison | None = None
-    with (
-        workers as work,
-        progress_bar(quiet) as progress,
-        mixseq.open_sequence(source, **reading) as reader,
-    ):
+    with workers as work, progress_bar(quiet) as progress, mixseq.open_sequence(source, **reading) as reader:
         model: Model | CompressedSequence
         if aim:
             model = compressed(reader, aim, progress, still if web else None)
         elif web:
             model = read_compressed(source)
         else:
-            if labels is not None or label_source is not None:
-                fitting = fitting | {
-                    "parts": parts_given(reader, fitting.get("parts"), labels, label_source, reading)
-                }
+            fitting["parts"] = labels.parts(reader, fitting.get("parts"), reading)
             model = mixseq.fit(reader, **fitting, knots=knots, pose=pose, progress=progress, workers=work)
         mixseq.save(target, model, still=still)
         seconds = perf_counter() - start
         if check:
-            error = mixseq.compare(reader, Decoded(mixseq.load(target), progress, work))
+            error = mixseq.compare(reader, files.decoded(mixseq.load(target), progress, work))
     if not quiet:
-        rows = _rows(model, target)
+        if isinstance(model, CompressedSequence):
+            rows = dict(coding_rows(coding_facts(target, model)))
+        else:
+            sizes = target.stat().st_size, bytes_of_frames(model.header)
+            rows = dict([*dimension_rows(model), size_row(*sizes)])
         rows["time"] = f"{seconds:.1f} s"
         if error is not None:
             rows["max error"] = (
@@ -150,9 +129,13 @@ def command(
     announce(target)
 
 
-def _rows(model: Model | CompressedSequence, path: Path) -> dict[str, str]:
-    from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
-
-    if isinstance(model, CompressedSequence):
-        return dict(coding_rows(coding_facts(path, model)))
-    return dict([*dimension_rows(model), size_row(path.stat().st_size, bytes_of_frames(model.header))])
+def _check_name(path: Path, compressed: bool) -> None:
+    """Raise an error for a path without a model's extension."""
+    suffix = path.suffix.lower()
+    if suffix == files.GLB and not compressed:
+        raise OutputError(f"{path}: a .glb holds compressed models; give --max-error, --kg or --size, too")
+    if suffix not in (*files.MODEL_EXTENSIONS, files.GLB):
+        raise OutputError(
+            f"{path}: models are HDF5 files; end the name in {' or '.join(files.MODEL_EXTENSIONS)}, or in {files.GLB} "
+            "for the web"
+        )

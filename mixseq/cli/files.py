@@ -1,13 +1,7 @@
-"""Read with progress, and check files before long work starts.
-
-Protect files from being overwritten: no input is an output, and no file is replaced without consent.
+"""Read and write files, and protect them from being overwritten: no input is an output.
 
 On a terminal, replacing a named target needs an answer, before the work. Without a terminal it is replaced, as other
 tools in scripts do, so that a script may run twice. ``--overwrite`` and ``--no-overwrite`` answer in advance.
-
-Labels chosen by ``--labels`` and ``--source``, and their connected parts.
-
-Read and write the files of a transfer, checked before the work.
 """
 
 from __future__ import annotations
@@ -15,30 +9,26 @@ from __future__ import annotations
 import os
 import re
 import sys
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, nullcontext
+from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import wraps
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 import mixseq
+from mixseq.cli import options
 from mixseq.cli.group import printable
-from mixseq.errors import MixseqWarning, OutputError, SettingsError
+from mixseq.errors import OutputError, SettingsError
 from mixseq.runtime.progress import Progress
+from mixseq.sequence.frame_rates import frames_text, number_at, rate_text
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import ArrayLike, NDArray
 
     from mixseq.pictures.scene import SceneItem
-    from mixseq.retargeting.markers import Correspondence, Markers
-    from mixseq.retargeting.sources import SourceMotion
-    from mixseq.retargeting.transfer import Transfer
     from mixseq.runtime.parallel import Executor
     from mixseq.sequence.header import SequenceHeader
     from mixseq.sequence.sequence import MeshSequence
@@ -77,6 +67,45 @@ def counted(blocks: Iterable[FloatArray], frames: int, what: str, progress: Prog
         yield block
         done += len(block)
         progress(done, frames, what)
+
+
+def chosen_blocks(blocks: Iterable[FloatArray], indices: Iterable[int]) -> Iterator[FloatArray]:
+    """Yield the chosen frames of a sequence's blocks, in order; later ones are not read."""
+    left, first = sorted(indices), 0
+    for block in blocks:
+        here = [index - first for index in left if index < first + len(block)]
+        if here:
+            yield block[here]
+        left, first = left[len(here) :], first + len(block)
+        if not left:
+            return
+
+
+@dataclass(frozen=True)
+class LazyFrames:
+    """Frames that are made on demand; `make` gets the largest number of frames in a block."""
+
+    header: SequenceHeader  # mesh and times
+    make: Callable[[int], Iterator[FloatArray]]
+
+    def blocks(self, size: int = 16) -> Iterator[FloatArray]:
+        """Make all frames."""
+        return self.make(size)
+
+
+def decoded(model: Model, progress: Progress, workers: Executor) -> LazyFrames:
+    """Return the frames of a model, decoded on demand."""
+    return LazyFrames(model.header, lambda _: model.blocks(model.times, progress=progress, workers=workers))
+
+
+def time_rows(header: SequenceHeader) -> list[tuple[str, str]]:
+    """Return table rows about the written frames."""
+    first, last = (float(time) for time in header.times[[0, -1]])
+    numbers = (number_at(time, header.fps) for time in (first, last))
+    return [
+        ("frames", frames_text(header.frame_count, *numbers)),
+        ("time", f"{first:g} to {last:g} s at {rate_text(header.fps)} frames per second"),
+    ]
 
 
 def write_frames(
@@ -188,23 +217,6 @@ def _share_files(target: Path, source: Path) -> bool:
     return not ours.isdisjoint(file.resolve() for file in of_source)
 
 
-def check_model_name(path: Path, compressed: bool) -> None:
-    """Raise an error for a path without a model's extension."""
-    suffix = path.suffix.lower()
-    if suffix == GLB and not compressed:
-        raise OutputError(f"{path}: a .glb holds compressed models; give --max-error, --kg or --size, too")
-    if suffix not in (*MODEL_EXTENSIONS, GLB):
-        raise OutputError(
-            f"{path}: models are HDF5 files; end the name in {' or '.join(MODEL_EXTENSIONS)}, or in {GLB} for the web"
-        )
-
-
-def free_name(path: Path) -> Path:
-    """Return the path, with a number appended if the file exists."""
-    tries = (path, *(path.with_stem(f"{path.stem}-{number}") for number in range(2, 10_000)))
-    return next(each for each in tries if not each.exists())
-
-
 def options_of(path: Path, reading: Mapping[str, Any]) -> dict[str, Any]:
     """Return the options that the file's format supports: several files may differ in format."""
     from mixseq_io.registry import FORMATS
@@ -217,10 +229,14 @@ def options_of(path: Path, reading: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in reading.items() if name in known}
 
 
-def check_options(files: Sequence[Path], reading: Mapping[str, Any]) -> None:
+def check_options(
+    files: Iterable[Path], reading: Mapping[str, Any], none: str = "none of the files is"
+) -> None:
     """Raise an error for options that no format of the files supports."""
-    for name in reading.keys() - set().union(*(options_of(file, reading) for file in files)):
-        raise SettingsError(f"none of the files is read with an option {name!r}")
+    known = set().union(*(options_of(file, reading) for file in files))
+    for name in reading:
+        if name not in known:
+            raise SettingsError(f"{none} read with an option {name!r}")
 
 
 def scene_items(
@@ -243,24 +259,6 @@ def scene_items(
         for name, file in zip(names, files, strict=True)
     ]
     return items, None if against is None else opened(against)
-
-
-@dataclass(frozen=True)
-class Decoded:
-    """The frames of a model, decoded on demand."""
-
-    model: Model
-    progress: Progress
-    workers: Executor
-
-    @property
-    def header(self) -> SequenceHeader:
-        """Mesh and times."""
-        return self.model.header
-
-    def blocks(self, size: int = 16) -> Iterator[FloatArray]:
-        """Decode all frames."""
-        return self.model.blocks(self.model.times, progress=self.progress, workers=self.workers)
 
 
 _CACHES = (".pc2", ".mdd")
@@ -304,22 +302,22 @@ class Claim:
             raise OutputError(f"{exist}; give another name, or --overwrite")
 
 
-def overwrite_option(command: Callable[..., None]) -> Callable[..., None]:
-    """Add ``--overwrite``; the command gets a `Claim` as ``claim``, to be called before the work."""
+def _claim(overwrite: bool | None = None) -> Claim:
+    given = click.get_current_context().params
+    files = _paths(value for name, value in given.items() if name not in _FOLDERS)
+    return Claim(overwrite, tuple(files), bool(given.get("clips")))
 
-    @click.option(
+
+overwriting = options.group(
+    "claim",
+    options.option(
         "--overwrite/--no-overwrite",
         default=None,
         help="Replace files that exist, or refuse to.  [default: ask, on a terminal]",
-    )
-    @wraps(command)
-    def with_option(*args: Any, overwrite: bool | None, **settings: Any) -> None:
-        given = click.get_current_context().params
-        files = [value for name, value in given.items() if name not in _FOLDERS]
-        claim = Claim(overwrite, tuple(_paths(files)), bool(given.get("clips")))
-        command(*args, claim=claim, **settings)
-
-    return with_option
+    ),
+    make=_claim,
+)
+"""Option ``--overwrite``, as ``claim``, to be called before the work."""
 
 
 def on_terminal() -> bool:
@@ -359,184 +357,84 @@ def _named(files: Sequence[Path]) -> str:
     return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
-def chosen_labels(
-    reader: SequenceReader, labels: Path | None, source: str | None, reading: Mapping[str, Any]
-) -> Labels:
-    """Read labels of an open sequence from a file, or from the sequence itself."""
-    from mixseq_io.text.label_files import labels_of, read_labels
+@dataclass(frozen=True)
+class LabelChoice:
+    """Labels of the faces made elsewhere, by the options."""
 
-    if labels is None:
-        return labels_of(reader, source)
-    return read_labels(labels, reader, source, **options_of(labels, reading))
+    labels: Path | None = None  # a file; None for the labels of the sequence itself
+    label_source: str | None = None  # which labels there
 
+    @property
+    def is_given(self) -> bool:
+        """Whether there are any."""
+        return self != LabelChoice()
 
-def parts_given(
-    reader: SequenceReader,
-    parts: int | None,
-    labels: Path | None,
-    source: str | None,
-    reading: Mapping[str, Any],
-) -> NDArray[np.int64]:
-    """Return the part of every triangle ``(F,)`` from labels; raises an error if a number of parts contradicts them."""
-    if parts is not None:
-        raise SettingsError("--labels and --source tell the parts; leave out --parts, or them")
-    return chosen_labels(reader, labels, source, reading).part_of_face
+    def read(self, reader: SequenceReader, reading: Mapping[str, Any]) -> Labels:
+        """Read the labels of an open sequence."""
+        from mixseq_io.text.label_files import labels_of, read_labels
 
+        if self.labels is None:
+            return labels_of(reader, self.label_source)
+        return read_labels(self.labels, reader, self.label_source, **options_of(self.labels, reading))
 
-def connected(header: SequenceHeader, labels: Labels) -> Labels:
-    """Split labels into connected parts; the second part of a label "arm" is "arm_1", unless that is a label."""
-    import numpy as np
-
-    from mixseq.mesh.topology import Topology
-    from mixseq.segmentation.methods import segment_by_labels
-    from mixseq_io.text.labels import Labels
-
-    parts = segment_by_labels(labels.part_of_face, Topology(header.faces, header.vertex_count))
-    _, first = np.unique(parts, return_index=True)
-    label_of_part = labels.part_of_face[first].tolist()
-    return Labels(parts, numbered([labels.names[label] for label in label_of_part]))
+    def parts(
+        self, reader: SequenceReader, count: int | None, reading: Mapping[str, Any]
+    ) -> int | NDArray[np.int64] | None:
+        """Return the part of every triangle ``(F,)`` from labels; without labels, the number of parts."""
+        if not self.is_given:
+            return count
+        if count is not None:
+            raise SettingsError("--labels and --source tell the parts; leave out --parts, or them")
+        return self.read(reader, reading).part_of_face
 
 
-def numbered(names: Sequence[str]) -> tuple[str, ...]:
-    """Append numbers to repeated names, skipping existing ones: arm, arm, arm_1 become arm, arm_2, arm_1."""
-    used, result = set(names), []
-    counts: dict[str, count[int]] = {}
-    for name in names:
-        if name in counts:
-            result.append(next(free for number in counts[name] if (free := f"{name}_{number}") not in used))
-            used.add(result[-1])
-        else:
-            counts[name] = count(1)
-            result.append(name)
-    return tuple(result)
+labelling = options.group(
+    "labels",
+    options.option(
+        "--labels FILE",
+        help="Parts from labels of the faces made elsewhere: npz, or the same mesh in USD, OBJ, PLY, glTF, ...",
+    ),
+    options.option(
+        "--source NAME",
+        "label_source",
+        help="Which labels in that file, or else in the sequence's own: labels, groups, materials, colours, skeleton, "
+        "or a family of USD subsets.  [default: the only ones]",
+    ),
+    make=LabelChoice,
+)
+"""Options of labels made elsewhere, as ``labels``."""
 
 
-_ANIMATED = (".glb", ".gltf")  # formats that have a pose beside their animations
-
-READ_OF_ALL = ("up_axis", "metres_per_unit")  # reader options that hold for every file
-
-
-def chosen_rest(text: str | None, source: Path) -> tuple[int, Path | None]:
-    """Return the rest frame, by its number or from the end, or a file."""
-    if text is None:
-        return 0, source if source.suffix.lower() in _ANIMATED else None
-    return (int(text), None) if re.fullmatch(r"-?\d+", text) else (0, Path(text))
-
-
-def mesh_at_rest(
-    path: Path, reading: Mapping[str, Any], opened: SequenceReader | Model, unasked: bool
-) -> MeshSequence | int:
-    """Read the source's mesh at rest; frame 0 instead, if a file that was not asked for has other meshes."""
-    shape = first_frame(path, {name: reading[name] for name in (*READ_OF_ALL, "prim") if name in reading})
-    header = opened.header
-    if not unasked or (shape.vertex_count, len(shape.faces)) == (header.vertex_count, len(header.faces)):
-        return shape
-    warnings.warn(
-        f"{path}: without animation there are other meshes than those that move, so frame 0 counts as the rest; "
-        "--prim / takes all meshes, --rest FRAME says that a frame is meant",
-        MixseqWarning,
-        stacklevel=2,
-    )
-    return 0
-
-
-def picture_beside(out: Path) -> Path:
-    """Return the path of the picture; that of numbered files has no number."""
-    stem = re.sub(r"[-_. ]*(#+|\*+|%\d*d)", "", out.stem)
-    return out.with_name(f"{stem}-transfer.png" if stem else "transfer.png")
-
-
-def check_formats(out: Path, picture: Path | None, save_map: Path | None) -> None:
-    """Raise an error for unsupported extensions, before the work."""
-    from mixseq_io.registry import FORMATS
-
-    known = [extension for each in FORMATS for extension in each.extensions]
-    if out.suffix.lower() not in known:
-        raise OutputError(
-            f"{out}: the extension {out.suffix!r} is not known; write one of {', '.join(known)}"
-        )
-    if save_map is not None and save_map.suffix.lower() != ".npz":
-        raise OutputError(f"{save_map}: maps are written as npz files; end the name in .npz")
-    if picture is not None:
-        from mixseq.pictures.page import matplotlib_module
-
-        if picture.suffix.lower() != ".png":
-            raise OutputError(f"{picture}: the picture is a PNG file; end the name in .png")
-        matplotlib_module("figure")
-
-
-def opened_source(source: Path, reading: Mapping[str, Any]) -> AbstractContextManager[SequenceReader | Model]:
-    """Open a sequence, or load a model."""
-    if not is_model(source):
-        return mixseq.open_sequence(source, **reading)
-    others = [name for name in reading if name not in READ_OF_ALL]
-    if others:
-        raise SettingsError(
-            f"{source} is a model, which is read without options; leave out those for sequences"
-        )
-    return nullcontext(mixseq.load(source))
+ANIMATED = (".glb", ".gltf")
+"""Extensions of formats that have a pose beside their animations."""
 
 
 def first_frame(path: Path, reading: Mapping[str, Any]) -> MeshSequence:
     """Read the first frame of a file; of glTF, whose animations rarely begin at rest, the pose without animation."""
     from mixseq.sequence.sequence import MeshSequence
 
-    still = {"animation": "none"} if path.suffix.lower() in _ANIMATED else {}
+    still = {"animation": "none"} if path.suffix.lower() in ANIMATED else {}
     with mixseq.open_sequence(path, **options_of(path, still | dict(reading))) as reader:
         first = next(iter(reader.blocks(1)))[:1]
         return MeshSequence.from_header(reader.header.with_times(reader.header.times[:1]), first)
 
 
-def chosen_parts(
-    motion: SequenceReader | Model,
-    parts: int | None,
-    labels: Path | None,
-    label_source: str | None,
-    reading: Mapping[str, Any],
-) -> Any:
-    """Return a number of parts, labels of triangles, or None."""
-    from mixseq.signals.model import Model
-
-    if labels is None and label_source is None:
-        return parts
-    if isinstance(motion, Model):
-        raise SettingsError(
-            "labels are for sequences; leave out --labels and --source, the model has its own parts"
-        )
-    return parts_given(motion, parts, labels, label_source, reading)
+def chosen_picture(
+    target: Path, what: str, picture: Path | None = None, no_picture: bool = False
+) -> Path | None:
+    """Return the path of the picture, by default beside the target; that of numbered files has no number."""
+    if picture is None:
+        stem = re.sub(r"[-_. ]*(#+|\*+|%\d*d)", "", target.stem)
+        return None if no_picture else target.with_name("-".join(filter(None, (stem, f"{what}.png"))))
+    if no_picture:
+        raise SettingsError("--picture and --no-picture exclude each other")
+    return picture
 
 
-def chosen_markers(path: Path | None, reverse: bool) -> Markers | None:
-    """Read the markers of a file, None without one."""
-    if path is None:
-        return None
-    from mixseq_io.text.markers import read_markers
+def check_picture(picture: Path) -> None:
+    """Raise an error, before the work, for other extensions, or if the drawing library is missing."""
+    from mixseq.pictures.page import matplotlib_module
 
-    return read_markers(path, reverse=reverse)
-
-
-def chosen_contacts(path: Path | None) -> dict[str, list[int]] | None:
-    """Read the contacts of a file, None without one."""
-    if path is None:
-        return None
-    from mixseq_io.text.markers import read_contacts
-
-    return read_contacts(path)
-
-
-def chosen_map(path: Path | None, motion: SourceMotion, shape: MeshSequence) -> Correspondence | None:
-    """Read the correspondence of two meshes from a file, None without one."""
-    if path is None:
-        return None
-    from mixseq_io.text.maps import read_map, to_correspondence
-
-    return to_correspondence(
-        read_map(path), (motion.rest, motion.header.faces), (shape.points[0], shape.faces)
-    )
-
-
-def save_correspondence(path: Path, made: Transfer) -> None:
-    """Write the correspondence of a transfer, for reuse."""
-    from mixseq_io.text.maps import write_map
-
-    write_map(path, made.correspondence, made.source.header.faces, made.header.faces)
+    if picture.suffix.lower() != ".png":
+        raise OutputError(f"{picture}: the picture is a PNG file; end the name in .png")
+    matplotlib_module("figure")

@@ -6,16 +6,14 @@ from collections.abc import Sequence
 
 import click
 
+from mixseq.cli import options
 from mixseq.cli.group import print_table
-from mixseq.cli.options import CommandWithSettings, examples, setting
 
 Table = Sequence[Sequence[str]]
 
 
-@click.command(
-    "formats", cls=CommandWithSettings, epilog=examples("mixseq formats", "mixseq formats --markdown")
-)
-@setting("--markdown", is_flag=True, help="Print the tables in Markdown.")
+@options.command("formats", "mixseq formats", "mixseq formats --set markdown=yes")
+@options.setting("--markdown", is_flag=True, help="Print the tables in Markdown.")
 def command(markdown: bool) -> None:
     """List the file formats: what each can hold, which motion is read from it, and its options."""
     from mixseq_io.registry import capabilities, motions

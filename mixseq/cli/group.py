@@ -13,18 +13,8 @@ Exit codes:
 
 Anything else is a bug in mixseq, and those do come with a traceback.
 
-Output of commands: tables and finished files on stdout, progress on stderr.
-
-Names in files are untrusted: they must not move the cursor, colour or rename the terminal, or reverse the rest of a
-line. So all output goes through `printable`; JSON has escapes of its own.
-
-Limited address space, as after ``ulimit -v``: one thread, and a minimum.
-
-C libraries, with the stacks and arenas of their threads, take address space by the hundred megabytes before any work
-begins. Without it they crash, abort or hang, none of which Python can catch. So they are not loaded below a minimum,
-and start no threads under a limit.
-
-Parse sizes, and limit the memory of every command.
+Commands print tables and finished files on stdout, progress on stderr. Names in files are untrusted: they must not move
+the cursor, colour or rename the terminal, or reverse the rest of a line, so all output goes through `printable`.
 """
 
 from __future__ import annotations
@@ -97,10 +87,11 @@ def print_json(data: dict[str, Any]) -> None:
     click.echo(json.dumps(data, indent=2, allow_nan=False))
 
 
-def announce(path: Path) -> None:
-    """Print that a file is written, and which others it needs."""
-    size = f" ({format_bytes(path.stat().st_size)})" if path.is_file() else ""
-    say(f"wrote {click.format_filename(path)}{size}{needed(path)}")
+def announce(*paths: Path | None) -> None:
+    """Print which files are written, and which others they need."""
+    for path in filter(None, paths):
+        size = f" ({format_bytes(path.stat().st_size)})" if path.is_file() else ""
+        say(f"wrote {click.format_filename(path)}{size}{needed(path)}")
 
 
 def needed(path: Path) -> str:
@@ -154,6 +145,10 @@ def progress_bar(quiet: bool) -> Iterator[Progress]:
         yield tell
 
 
+# Without address space, as after ``ulimit -v``, C libraries crash, abort or hang, none of which Python can catch: they
+# take it by the hundred megabytes, with the stacks and arenas of their threads. So under a limit they start no threads,
+# and are not loaded below a minimum.
+
 FLOOR = 2000 << 20
 """Smallest address space in bytes: small files take up to 1.8 GB on one thread (measured), libraries a sixth of it."""
 
@@ -195,38 +190,40 @@ _UNITS = {"": 1, "b": 1, "kb": 1e3, "mb": 1e6, "gb": 1e9, "kib": 2**10, "mib": 2
 _SIZE = re.compile(r"(\d+\.?\d*|\.\d+)\s*([kmg]?i?b|)", re.IGNORECASE)
 
 
-def as_bytes(context: click.Context, option: click.Parameter, value: str | None) -> int | None:
+def as_bytes(text: str) -> int:
     """Parse a size such as 2MB, 500kB or 1.5MiB; without a unit, bytes."""
-    if value is None:
-        return None
-    found = _SIZE.fullmatch(value.strip())
+    found = _SIZE.fullmatch(text.strip())
     unit = found and _UNITS.get(found[2].lower())
     if not found or not unit or float(found[1]) * unit < 1:
-        raise click.BadParameter(f"{value!r} is not a size such as 2MB, 500kB or 1.5MiB")
+        raise click.BadParameter(f"{text!r} is not a size such as 2MB, 500kB or 1.5MiB")
     return int(float(found[1]) * unit)
 
 
-def _limit_memory(context: click.Context, option: click.Parameter, value: str | None) -> None:
-    size = as_bytes(context, option, value)
-    if size is None:
-        return
-    from mixseq_io.files import VARIABLE
+def _limit_memory(context: click.Context, option: click.Parameter, size: int | None) -> None:
+    if size is not None:
+        from mixseq_io.files import VARIABLE
 
-    # Inherited by threads and processes started here.
-    before = os.environ.get(VARIABLE)
-    os.environ[VARIABLE] = str(size / (1 << 30))
+        # Inherited by threads and processes started here.
+        context.with_resource(environment(**{VARIABLE: str(size / (1 << 30))}))
 
-    def restore() -> None:
-        if before is None:
-            del os.environ[VARIABLE]
-        else:
-            os.environ[VARIABLE] = before
 
-    context.call_on_close(restore)
+@contextmanager
+def environment(**variables: str) -> Iterator[None]:
+    """Set environment variables meanwhile."""
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name)
+            if value is not None:
+                os.environ[name] = value
 
 
 max_memory = click.Option(
     ["--max-memory"],
+    type=as_bytes,
     callback=_limit_memory,
     expose_value=False,
     metavar="SIZE",

@@ -7,13 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
 import mixseq
+from mixseq.cli import options
 from mixseq.cli.compressed import coding_facts, coding_rows
 from mixseq.cli.files import is_model
 from mixseq.cli.group import format_bytes, print_json, print_table
-from mixseq.cli.options import FILE, CommandWithSettings, examples, json_option, quiet_option, reader_options
 from mixseq.sequence.frame_rates import frames_text, number_at, rate_text
 
 if TYPE_CHECKING:
@@ -24,18 +22,18 @@ if TYPE_CHECKING:
 Rows = list[tuple[str, str]]
 
 
-@click.command(
-    "info", cls=CommandWithSettings, epilog=examples("mixseq info walk.usdc", "mixseq info walk.h5 --json")
-)
-@click.argument("path", metavar="FILE", type=FILE)
-@json_option
-@reader_options
-@quiet_option
+@options.command("info", "mixseq info walk.usdc", "mixseq info walk.h5 --json")
+@options.argument("path", metavar="FILE")
+@options.as_json
+@options.reading
+@options.quiet
 def command(path: Path, as_json: bool, reading: dict[str, Any], quiet: bool) -> None:
     """Tell what is in a sequence or a model.
 
     Of a sequence only the first frame is read.
     """
+    from mixseq_io.verification import is_compressed, read_compressed
+
     facts: dict[str, Any] = {
         "file": str(path),
         "bytes": {"total": path.stat().st_size if path.is_file() else None},
@@ -44,7 +42,8 @@ def command(path: Path, as_json: bool, reading: dict[str, Any], quiet: bool) -> 
         model = mixseq.load(path)
         facts |= {"kind": "model", **_mesh(model.header, model.space.scale), **_dimensions(model)}
         facts["bytes"]["frames"] = bytes_of_frames(model.header)
-        facts |= _coding(path)
+        if is_compressed(path):
+            facts |= coding_facts(path, read_compressed(path))
     else:
         with mixseq.open_sequence(path, **reading) as reader:
             first = next(iter(reader.blocks(1)))[0]
@@ -106,13 +105,6 @@ def _surface(header: SequenceHeader) -> dict[str, Any]:
         "subdivision": surface.subdivision,
         "origin": None if surface.origin is None else surface.origin.path,
     }
-
-
-def _coding(path: Path) -> dict[str, Any]:
-    """Return the facts about a compressed model, empty for others."""
-    from mixseq_io.verification import is_compressed, read_compressed
-
-    return coding_facts(path, read_compressed(path)) if is_compressed(path) else {}
 
 
 def bytes_of_frames(header: SequenceHeader) -> int:
@@ -177,44 +169,34 @@ def _rows(facts: dict[str, Any]) -> Rows:
 
 
 def _topology_rows(report: dict[str, Any]) -> Rows:
+    what = ("non-manifold edges", "inconsistent edges", "unused vertices")
+    counts = {name: report[name.replace("-", "_").replace(" ", "_")] for name in what}
     return [
         ("closed", "yes" if report["closed"] else f"no, {report['boundary_edges']:,} boundary edges"),
         ("components", f"{report['components']:,}"),
-        *(
-            (what, f"{report[key]:,}")
-            for what, key in (
-                ("non-manifold edges", "non_manifold_edges"),
-                ("inconsistent edges", "inconsistent_edges"),
-                ("unused vertices", "unused_vertices"),
-            )
-            if report[key]
-        ),
+        *((name, f"{count:,}") for name, count in counts.items() if count),
     ]
 
 
 def _surface_rows(surface: dict[str, Any]) -> Rows:
     objects, face_sets = surface["objects"], surface["face_sets"]
-    rows = []
-    if len(objects) > 1:
-        rows.append(
-            ("meshes", f"{len(objects)}: {_list([each['path'] or each['name'] for each in objects])}")
-        )
-    if face_sets:
-        rows.append(("face sets", f"{len(face_sets)}: {_list([each['name'] for each in face_sets])}"))
-    if surface["uvs"]:
-        rows.append(("texture", f"{surface['uvs']:,} coordinates"))
-    if surface["colours"]:
-        rows.append(("colours", f"{surface['colours']:,}"))
-    if surface["creases"]:
-        rows.append(("hard edges", "yes"))
     schemes = Counter(each["subdivision"] for each in objects)
+    rows = [
+        ("meshes", [each["path"] or each["name"] for each in objects] if len(objects) > 1 else []),
+        ("face sets", [each["name"] for each in face_sets]),
+    ]
+    texts = [
+        *((what, f"{len(names)}: {_list(names)}" if names else "") for what, names in rows),
+        ("texture", f"{surface['uvs']:,} coordinates" if surface["uvs"] else ""),
+        ("colours", f"{surface['colours']:,}" if surface["colours"] else ""),
+        ("hard edges", "yes" if surface["creases"] else ""),
+    ]
     if len(schemes) > 1:
-        rows.append(
-            ("subdivision", ", ".join(f"{name} of {count:,}" for name, count in schemes.most_common()))
-        )
+        each_scheme = ", ".join(f"{name} of {count:,}" for name, count in schemes.most_common())
+        texts.append(("subdivision", each_scheme))
     elif surface["subdivision"] != "none":
-        rows.append(("subdivision", surface["subdivision"]))
-    return rows
+        texts.append(("subdivision", surface["subdivision"]))
+    return [row for row in texts if row[1]]
 
 
 def _dimension_rows(facts: dict[str, Any], triangles: int) -> Rows:

@@ -11,19 +11,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 import mixseq
-from mixseq.cli.files import Claim, overwrite_option, parts_given, write_sequence
+from mixseq.cli import options
+from mixseq.cli.files import Claim, LabelChoice, labelling, overwriting, write_sequence
 from mixseq.cli.group import announce, print_table, progress_bar
-from mixseq.cli.options import (
-    FILE,
-    CommandWithSettings,
-    examples,
-    labels_options,
-    quiet_option,
-    reader_options,
-    space_options,
-    workers_options,
-    writer_options,
-)
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -53,46 +43,40 @@ def pose_of(text: str) -> Pose:
     raise click.BadParameter(f"{text!r} is not FRAME=WEIGHT, for example 2=0.5 or 2=1/3")
 
 
-@click.command(
+@options.command(
     "interpolate",
-    cls=CommandWithSettings,
-    epilog=examples(
-        "mixseq interpolate lion.npz half.obj --pose 2=0.5 --pose 5=0.5",
-        "mixseq interpolate lion.npz mean.ply --pose 0=1/3 --pose 2=1/3 --pose 5=1/3 --space edge",
-        "mixseq interpolate lion.npz morph.usdc --pose 2 --pose 5 --steps 24",
-    ),
+    "mixseq interpolate lion.npz half.obj --pose 2=0.5 --pose 5=0.5",
+    "mixseq interpolate lion.npz mean.ply --pose 0=1/3 --pose 2=1/3 --pose 5=1/3 --space edge",
+    "mixseq interpolate lion.npz morph.usdc --pose 2 --pose 5 --steps 24",
 )
-@click.argument("source", metavar="IN", type=FILE)
-@click.argument("target", metavar="OUT", type=FILE)
-@click.option(
-    "--pose",
+@options.argument("source", metavar="IN")
+@options.argument("target", metavar="OUT")
+@options.option(
+    "--pose FRAME[=WEIGHT]",
     "poses",
     type=pose_of,
     multiple=True,
-    metavar="FRAME[=WEIGHT]",
     help="A frame of IN, counted from 0, and its weight; give several. The weights add up to one.",
 )
-@click.option(
-    "--steps",
+@options.option(
+    "--steps N",
     type=click.IntRange(min=2),
-    metavar="N",
     help="Write N frames from one pose to another, two without weights, instead of one blend.",
 )
-@space_options
-@labels_options
-@reader_options
-@writer_options
-@workers_options
-@overwrite_option
-@quiet_option
+@options.making
+@labelling
+@options.reading
+@options.writing
+@options.workers
+@overwriting
+@options.quiet
 def command(
     source: Path,
     target: Path,
     poses: tuple[Pose, ...],
     steps: int | None,
     making: dict[str, Any],
-    labels: Path | None,
-    label_source: str | None,
+    labels: LabelChoice,
     reading: dict[str, Any],
     writing: dict[str, Any],
     workers: AbstractContextManager[Executor],
@@ -110,17 +94,11 @@ def command(
     claim(target)
     from mixseq.operations.interpolation import PoseInterpolator
 
-    with (
-        workers as work,
-        progress_bar(quiet) as progress,
-        mixseq.open_sequence(source, **reading) as reader,
-    ):
+    with workers as work, progress_bar(quiet) as progress, mixseq.open_sequence(source, **reading) as reader:
         numbered = [pose._replace(frame=reader.header.index_of(pose.frame)) for pose in poses]
         weights = _weights(numbered, steps, reader.header.frame_count)
-        if labels is not None or label_source is not None:
-            parts = parts_given(reader, making.get("parts"), labels, label_source, reading)
-            making = making | {"parts": parts}
-        used = _used(weights)
+        making["parts"] = labels.parts(reader, making.get("parts"), reading)
+        used = [pose for pose, column in enumerate(weights.T) if column.any()]
         blend = PoseInterpolator.of(reader, **making, among=used, progress=progress, workers=work)
         header = blend.header.with_times([step / blend.header.fps for step in range(len(weights))])
         frames = (points[None] for points in blend.along(weights[:, used], progress, work))
@@ -156,10 +134,6 @@ def _check(poses: Sequence[Pose], steps: int | None) -> None:
         raise SettingsError(
             f"--steps goes from one pose to another; give --pose twice, not {len(poses)} times"
         )
-
-
-def _used(weights: NDArray[np.float64]) -> list[int]:
-    return [pose for pose, column in enumerate(weights.T) if column.any()]
 
 
 def _weights(poses: Sequence[Pose], steps: int | None, count: int) -> NDArray[np.float64]:

@@ -1,19 +1,12 @@
-"""Arguments and options shared by several commands.
+"""Arguments and options of the commands, each defined once, in groups that a command gets as one argument.
 
-Settings: rare options, given as ``--set NAME=VALUE``, to keep the list of options short.
-
-The setting ``joint_width`` is also the option ``--joint-width``. Help lists settings apart from options.
-
-The camera option of films, pages and the viewer.
-
-Frames chosen by their numbers in the time line: ``1005-1010``, ``1001,1005-1010``.
+Rare options are settings: ``--joint-width 2`` is also ``--set joint_width=2``, and help lists them after the options.
 """
 
 from __future__ import annotations
 
-import os
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import partial, wraps
@@ -21,16 +14,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from mixseq.choices import PLACEMENTS, PROJECTIONS, SEGMENTATIONS, SPACES
+from mixseq.cli.group import environment
 from mixseq.errors import SettingsError
-from mixseq.sequence.frame_rates import NEAR, frames_text, number_at, number_text, rate_text, time_of
+from mixseq.sequence.frame_rates import NEAR, number_text, time_of
 
 if TYPE_CHECKING:
     from mixseq.runtime.parallel import Executor
     from mixseq.sequence.header import SequenceHeader
-    from mixseq.types import FloatArray
 
+
+Command = Callable[..., None]
+Decorator = Callable[[Command], Command]
 
 ON = ("yes", "true", "on", "1")
 OFF = ("no", "false", "off", "0")
@@ -57,10 +54,6 @@ class Setting(click.Option):
         if value.lower() not in OFF:
             raise click.BadParameter(f"{self.key}={value} is neither yes nor no", param_hint="'--set'")
         return self.secondary_opts[-1:]
-
-
-setting = partial(click.option, cls=Setting)
-"""Decorator like `click.option`, for a setting."""
 
 
 class CommandWithSettings(click.Command):
@@ -118,340 +111,85 @@ class CommandWithSettings(click.Command):
                     formatter.write_dl(rows)
 
 
-def _as_camera(
-    context: click.Context, option: click.Parameter, value: str | None
-) -> tuple[float, float] | None:
-    if value is None:
-        return None
-    try:
-        angle, height = map(float, value.split(","))
-    except ValueError:
-        raise click.BadParameter(f"{value!r} is no angle and height such as 30,15") from None
-    return angle, height
-
-
-camera_option = setting(
-    "--camera",
-    callback=_as_camera,
-    metavar="ANGLE,HEIGHT",
-    help="Degrees from the body's front, to its left, and above the horizon.  [default: front and a side]",
-)
-"""Option ``--camera``; the command gets ``camera``, a pair of numbers or None."""
-
-
-Command = Callable[..., None]
-
-FILE = click.Path(path_type=Path)
-
-quiet_option = click.option("-q", "--quiet", is_flag=True, help="Print neither progress nor tables.")
-json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
-
-
 def examples(*lines: str) -> str:
     """Return the end of a help text, marked so that click does not reflow it."""
     return "\b\nExamples:\n" + "\n".join(f"  {line}" for line in lines)
 
 
-def reader_options(command: Command) -> Command:
-    """Add the options of the formats' readers; the command gets the given ones as ``reading``."""
-
-    @click.option(
-        "--prim",
-        metavar="PATH",
-        help="Mesh to read, or something above it, in USD, Alembic and glTF; / is all.  [default: all that move]",
-    )
-    @setting(
-        "--animation",
-        metavar="NAME",
-        help="Animation to read of glTF; none is the pose at rest.  [default: the first]",
-    )
-    @setting(
-        "--input-fps",
-        "fps",
-        type=float,
-        metavar="N",
-        help="Frames per second of numbered files, npz and PC2, or to sample glTF at.  [default: 24, or its keys]",
-    )
-    @setting(
-        "--start-frame",
-        type=float,
-        metavar="N",
-        help="Number of the first frame, where the file does not tell; 1001 is at 41.708 s of 24 frames per second.",
-    )
-    @setting("--mesh", type=FILE, help="Mesh of a point cache.  [default: the file of the same name]")
-    @setting("--allow-gaps", is_flag=True, help="Accept missing numbers among numbered files.")
-    @setting(
-        "--up-axis",
-        type=click.Choice(["X", "Y", "Z"]),
-        help="Axis that points up, where the file does not tell; nothing is turned.",
-    )
-    @setting(
-        "--units",
-        "metres_per_unit",
-        type=click.FloatRange(min=0, min_open=True),
-        metavar="M",
-        help="Metres per unit, where the file does not tell; nothing is scaled.",
-    )
-    @wraps(command)
-    def with_options(
-        *args: Any,
-        prim: str | None,
-        animation: str | None,
-        fps: float | None,
-        start_frame: float | None,
-        mesh: Path | None,
-        allow_gaps: bool,
-        up_axis: str | None,
-        metres_per_unit: float | None,
-        **settings: Any,
-    ) -> None:
-        given = {
-            "up_axis": up_axis,
-            "metres_per_unit": metres_per_unit,
-            "prim": prim,
-            "animation": animation,
-            "fps": fps,
-            "start_frame": start_frame,
-            "mesh": mesh,
-            "allow_gaps": allow_gaps or None,
-        }
-        command(*args, reading=_those_given(given), **settings)
-
-    return with_options
+def command(name: str, *lines: str, before: str = "") -> Callable[[Command], click.Command]:
+    """Return a decorator that makes a command, with lines of examples at the end of its help."""
+    return click.command(name, cls=CommandWithSettings, epilog=before + examples(*lines))
 
 
-def _unit(context: click.Context, option: click.Parameter, value: str | None) -> float | None:
-    from mixseq.sequence.sequence import metres_of
+def group(name: str, *options: Decorator, make: Callable[..., Any] = dict) -> Decorator:
+    """Return a decorator that adds options; the command gets those with a value as one argument.
 
-    return None if value is None else metres_of(value)
+    The argument `name` is what `make` returns for the options by keyword.
+    """
 
+    def add(function: Command) -> Command:
+        others = len(vars(function).get("__click_params__", ()))
+        for option in reversed(options):
+            option(function)
+        keys = [param.name for param in reversed(vars(function)["__click_params__"][others:])]
 
-def writer_options(command: Command) -> Command:
-    """Add the options of writing sequences; the command gets the given ones as ``writing``."""
+        @wraps(function)
+        def with_group(**values: Any) -> None:
+            given = {key: value for key in keys if (value := values.pop(key)) is not None}
+            function(**values, **{name: make(**given)})
 
-    @click.option(
-        "--flatten", is_flag=True, help="Write USD, Alembic or glTF that does not build on the original file."
-    )
-    @setting(
-        "--keep-start",
-        is_flag=True,
-        help="Write glTF whose animation begins when the sequence does, and not at 0.",
-    )
-    @setting(
-        "--onto", type=FILE, help="The original file to build on, if it is not where the sequence came from."
-    )
-    @setting(
-        "--clips",
-        type=click.IntRange(min=1),
-        metavar="N",
-        help="Write USD as value clips of N frames per file.",
-    )
-    @setting(
-        "--pack-from",
-        type=FILE,
-        metavar="FOLDER",
-        help="Also pack textures that are in this folder into a .usdz, not only those in the original's.",
-    )
-    @setting(
-        "--convert-axes",
-        type=click.Choice(["Y", "Z"]),
-        help="Turn the sequence, so that this axis points up.  [default: as it is]",
-    )
-    @setting(
-        "--convert-units",
-        callback=_unit,
-        metavar="m|cm|...",
-        help="Scale the sequence to mm, cm, m, km, in, ft, yd, or a unit of so many metres.  [default: as it is]",
-    )
-    @wraps(command)
-    def with_options(
-        *args: Any,
-        flatten: bool,
-        keep_start: bool,
-        onto: Path | None,
-        clips: int | None,
-        pack_from: Path | None,
-        convert_axes: str | None,
-        convert_units: float | None,
-        **settings: Any,
-    ) -> None:
-        given = {
-            "convert_axes": convert_axes,
-            "convert_units": convert_units,
-            "flatten": flatten or None,
-            "keep_start": keep_start or None,
-            "onto": onto,
-            "clips": clips,
-            "pack_from": pack_from,
-        }
-        command(*args, writing=_those_given(given), **settings)
+        return with_group
 
-    return with_options
+    return add
 
 
-def fit_options(command: Command) -> Command:
-    """Add the options of fitting shared by files and batches; the command gets all of them as ``fitting``."""
-
-    @click.option("--exact", is_flag=True, help="Keep everything; frames come back up to rounding.")
-    @click.option(
-        "--tolerance",
-        type=click.FloatRange(min=0, min_open=True),
-        metavar="X",
-        help="Largest error of a vertex, in diagonals of the bounding box.  [default: 0.0005, lossless to the eye]",
-    )
-    @click.option(
-        "--rank",
-        type=click.IntRange(min=0),
-        metavar="N",
-        help="Number of shape modes; parts stay in place exactly.",
-    )
-    @space_options
-    @wraps(command)
-    def with_options(*args: Any, making: dict[str, Any], **settings: Any) -> None:
-        detail = {name: settings.pop(name) for name in ("exact", "tolerance", "rank")}
-        command(*args, fitting=detail | making, **settings)
-
-    return with_options
+def given_options(*names: str) -> list[str]:
+    """Return which of some options are on the command line, as they are spelled; a switch must change its default."""
+    context = click.get_current_context()
+    params = {str(param.name): param for param in context.command.params}
+    given = []
+    for name in names:
+        if name in params and context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
+            param, is_off = params[name], context.params[name] is False
+            if not (is_off and param.default is False):
+                given.append(param.secondary_opts[-1] if is_off else param.opts[0])
+    return given
 
 
-def space_options(command: Command) -> Command:
-    """Add the options of shape spaces; the command gets all of them as ``making``, plain values."""
-
-    @click.option(
-        "--space",
-        type=click.Choice(SPACES),
-        default="mixed",
-        show_default=True,
-        help="Shape space: parts and joints, vertices, deformation gradients, LRI coordinates, lengths and angles.",
-    )
-    @click.option(
-        "--parts",
-        type=click.IntRange(min=1),
-        metavar="N",
-        help="Number of parts; every connected component has at least one.  [default: automatic]",
-    )
-    @setting(
-        "--segmentation",
-        type=click.Choice(SEGMENTATIONS),
-        default="motion",
-        show_default=True,
-        help="How parts are found.",
-    )
-    @setting(
-        "--joint-width",
-        type=click.IntRange(min=1),
-        default=3,
-        show_default=True,
-        metavar="N",
-        help="Largest width of joints, in strips of triangles on each side of a boundary.",
-    )
-    @setting(
-        "--placement",
-        type=click.Choice(PLACEMENTS),
-        default="anchored",
-        show_default=True,
-        help="How parts are placed: by a pose each, or where lengths and angles put them.",
-    )
-    @setting(
-        "--projection",
-        type=click.Choice(PROJECTIONS),
-        help="How the edge space finds meshes: in a few steps, or by Gauss-Newton.  [default: steps]",
-    )
-    @setting(
-        "--volume",
-        type=click.FloatRange(min=0),
-        metavar="W",
-        help="Weight of the volume in the edge space, with --projection dso.  [default: 0]",
-    )
-    @wraps(command)
-    def with_options(*args: Any, **settings: Any) -> None:
-        making = {name: settings.pop(name) for name in _MAKING}
-        command(*args, making=_those_given(making), **settings)
-
-    return with_options
+def refuse(*names: str, why: str) -> None:
+    """Raise an error that begins with the first of some options that is on the command line."""
+    for option in given_options(*names):
+        raise SettingsError(f"{option} {why}")
 
 
-_MAKING = (
-    *("space", "parts", "segmentation", "joint_width", "placement"),
-    *("projection", "volume"),
-)
+# Types ----------------------------------------------------------------------------------------------------
 
-
-def labels_options(command: Command) -> Command:
-    """Add the options of labels made elsewhere; the command gets ``labels`` and ``label_source``."""
-    from_file = click.option(
-        "--labels",
-        type=FILE,
-        metavar="FILE",
-        help="Parts from labels of the faces made elsewhere: npz, or the same mesh in USD, OBJ, PLY, glTF, ...",
-    )
-    by = click.option(
-        "--source",
-        "label_source",
-        metavar="NAME",
-        help="Which labels in that file, or else in the sequence's own: labels, groups, materials, colours, skeleton, "
-        "or a family of USD subsets.  [default: the only ones]",
-    )
-    return from_file(by(command))
-
-
-def workers_options(command: Command) -> Command:
-    """Add the options of parallel work; the command gets ``workers``, a context that yields an `Executor`."""
-
-    @click.option(
-        "--threads", type=click.IntRange(min=1), metavar="N", help="Threads to work on.  [default: all cores]"
-    )
-    @click.option(
-        "--cluster",
-        metavar="ADDRESS",
-        help="Work on a dask cluster: tcp://host:8786, or local:N for N processes here.",
-    )
-    @wraps(command)
-    def with_options(*args: Any, threads: int | None, cluster: str | None, **settings: Any) -> None:
-        command(*args, workers=_workers(threads, cluster), **settings)
-
-    return with_options
-
-
-def _workers(threads: int | None, address: str | None) -> AbstractContextManager[Executor]:
-    if address is None:
-        return threads_held(threads)
-    if threads is not None:
-        raise SettingsError("--threads and --cluster exclude each other; a cluster has threads of its own")
-    from mixseq.runtime.cluster import cluster
-
-    return cluster(address)
-
-
-@contextmanager
-def threads_held(count: int | None) -> Iterator[Executor]:
-    """Set the number of threads meanwhile, also for code without the executor."""
-    from mixseq.runtime.parallel import on_threads
-
-    before = os.environ.get("MIXSEQ_THREADS")
-    if count is not None:
-        os.environ["MIXSEQ_THREADS"] = str(count)
-    try:
-        yield on_threads()
-    finally:
-        if count is not None:
-            os.environ.pop("MIXSEQ_THREADS")
-        if before is not None:
-            os.environ["MIXSEQ_THREADS"] = before
-
-
-def _those_given(options: dict[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in options.items() if value is not None}
-
+FILE = click.Path(path_type=Path)
+PATHS = ("FILE", "FOLDER", "PAGE", "PNG", "SEQUENCE")
+COUNT = click.IntRange(min=1)
+WHOLE = click.IntRange(min=0)
+POSITIVE = click.FloatRange(min=0, min_open=True)
+RATE = click.FloatRange(min=0, min_open=True, max=1_000_000)
 
 _RANGE = re.compile(r"\s*(-?\d+)(?:-(-?\d+))?\s*")
 
 
 @dataclass(frozen=True)
 class FrameChoice:
-    """Frames by their numbers."""
+    """Frames by their numbers in the time line: ``1005-1010``, ``1001,1005-1010``."""
 
     ranges: tuple[tuple[int, int], ...]  # first and last number of every range; equal for a single frame
+
+    @classmethod
+    def from_text(cls, text: str) -> FrameChoice:
+        """Parse the value of an option."""
+        found = [_RANGE.fullmatch(part) for part in text.split(",")]
+        ranges = [(int(each[1]), int(each[2] or each[1])) for each in found if each]
+        if len(ranges) < len(found) or any(first > last for first, last in ranges):
+            raise click.BadParameter(
+                f"{text!r} is not a range of frames such as 1005-1010, or a list of them"
+            )
+        return cls(tuple(ranges))
 
     def indices(self, header: SequenceHeader) -> list[int]:
         """Return the indices of the chosen frames of a sequence, in order."""
@@ -484,38 +222,222 @@ class FrameChoice:
                 )
 
 
-def _as_choice(context: click.Context, option: click.Parameter, value: str | None) -> FrameChoice | None:
-    if value is None:
-        return None
-    found = [_RANGE.fullmatch(part) for part in value.split(",")]
-    ranges = [(int(each[1]), int(each[2] or each[1])) for each in found if each]
-    if len(ranges) < len(found) or any(first > last for first, last in ranges):
-        raise click.BadParameter(f"{value!r} is not a range of frames such as 1005-1010, or a list of them")
-    return FrameChoice(tuple(ranges))
+def _angles(text: str) -> tuple[float, float]:
+    try:
+        angle, height = map(float, text.split(","))
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is no angle and height such as 30,15") from None
+    return angle, height
 
 
-def frames_option(help_text: str, metavar: str = "A-B") -> Callable[[Command], Command]:
-    """Return the option ``--frames``; the command gets ``frames``, a `FrameChoice` or None."""
-    return click.option("--frames", callback=_as_choice, metavar=metavar, help=help_text)
+def _unit(text: str) -> float:
+    from mixseq.sequence.sequence import metres_of
+
+    return metres_of(text)
 
 
-def chosen_blocks(blocks: Iterable[FloatArray], indices: Iterable[int]) -> Iterator[FloatArray]:
-    """Yield the chosen frames of a sequence's blocks, in order; later ones are not read."""
-    left, first = sorted(indices), 0
-    for block in blocks:
-        here = [index - first for index in left if index < first + len(block)]
-        if here:
-            yield block[here]
-        left, first = left[len(here) :], first + len(block)
-        if not left:
-            return
+@contextmanager
+def threads_held(count: int | None) -> Iterator[Executor]:
+    """Set the number of threads meanwhile, also for code without the executor."""
+    from mixseq.runtime.parallel import on_threads
+
+    with environment(**({} if count is None else {"MIXSEQ_THREADS": str(count)})):
+        yield on_threads()
 
 
-def time_rows(header: SequenceHeader) -> list[tuple[str, str]]:
-    """Return table rows about the written frames."""
-    first, last = (float(time) for time in header.times[[0, -1]])
-    numbers = (number_at(time, header.fps) for time in (first, last))
-    return [
-        ("frames", frames_text(header.frame_count, *numbers)),
-        ("time", f"{first:g} to {last:g} s at {rate_text(header.fps)} frames per second"),
-    ]
+def _workers(threads: int | None = None, cluster: str | None = None) -> AbstractContextManager[Executor]:
+    if cluster is None:
+        return threads_held(threads)
+    if threads is not None:
+        raise SettingsError("--threads and --cluster exclude each other; a cluster has threads of its own")
+    from mixseq.runtime.cluster import cluster as connected
+
+    return connected(cluster)
+
+
+# Options --------------------------------------------------------------------------------------------------
+# Partial ones are for commands to complete: ``@options.fps(help=...)``.
+
+argument = partial(click.argument, type=FILE)
+
+
+def option(spec: str, *names: str, **settings: Any) -> Decorator:
+    """Return a decorator that adds an option, spelled as in help, ``--name METAVAR``; its default is shown.
+
+    With a metavar of `PATHS` its value is a path.
+    """
+    name, _, metavar = spec.partition(" ")
+    settings.setdefault("metavar", metavar or None)
+    settings.setdefault("show_default", settings.get("default") is not None)
+    if metavar in PATHS:
+        settings["type"] = FILE
+    return click.option(name, *names, **settings)
+
+
+setting = partial(option, cls=Setting)
+"""Decorator like `option`, for a setting."""
+
+flag = partial(option, is_flag=True, default=None)
+"""Decorator like `option`, for a switch of a group, which has no value if it is not given."""
+
+quiet = option("-q", "--quiet", is_flag=True, help="Print neither progress nor tables.")
+as_json = option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
+out_folder = partial(option, "--out", type=FILE, help="Folder for the files, made if missing.")
+frames = partial(option, "--frames A-B", type=FrameChoice.from_text)
+fps = partial(option, "--fps N", type=RATE)
+parts = partial(
+    option,
+    "--parts N",
+    type=COUNT,
+    help="Number of parts; every connected component has at least one.  [default: automatic]",
+)
+threads = partial(option, "--threads N", type=COUNT)
+velocities = partial(
+    option,
+    "--velocities/--no-velocities",
+    default=False,
+    help="Also write the velocities of all vertices, for motion blur.",
+)
+joint_width = setting(
+    "--joint-width N",
+    type=COUNT,
+    default=3,
+    help="Largest width of joints, in strips of triangles on each side of a boundary.",
+)
+camera = setting(
+    "--camera ANGLE,HEIGHT",
+    type=_angles,
+    help="Degrees from the body's front, to its left, and above the horizon.  [default: front and a side]",
+)
+
+SPACE_OPTIONS = (
+    option(
+        "--space",
+        type=click.Choice(SPACES),
+        default="mixed",
+        help="Shape space: parts and joints, vertices, deformation gradients, LRI coordinates, lengths and angles.",
+    ),
+    parts(),
+    setting(
+        "--segmentation", type=click.Choice(SEGMENTATIONS), default="motion", help="How parts are found."
+    ),
+    joint_width,
+    setting(
+        "--placement",
+        type=click.Choice(PLACEMENTS),
+        default="anchored",
+        help="How parts are placed: by a pose each, or where lengths and angles put them.",
+    ),
+    setting(
+        "--projection",
+        type=click.Choice(PROJECTIONS),
+        help="How the edge space finds meshes: in a few steps, or by Gauss-Newton.  [default: steps]",
+    ),
+    setting(
+        "--volume W",
+        type=click.FloatRange(min=0),
+        help="Weight of the volume in the edge space, with --projection dso.  [default: 0]",
+    ),
+)
+
+# Groups ---------------------------------------------------------------------------------------------------
+
+making = group("making", *SPACE_OPTIONS)
+"""Options of shape spaces, as ``making``."""
+
+fitting = group(
+    "fitting",
+    flag("--exact", help="Keep everything; frames come back up to rounding."),
+    option(
+        "--tolerance X",
+        type=POSITIVE,
+        help="Largest error of a vertex, in diagonals of the bounding box.  [default: 0.0005, lossless to the eye]",
+    ),
+    option("--rank N", type=WHOLE, help="Number of shape modes; parts stay in place exactly."),
+    *SPACE_OPTIONS,
+)
+"""Options of fitting, and those of shape spaces, as ``fitting``."""
+
+reading = group(
+    "reading",
+    option(
+        "--prim PATH",
+        help="Mesh to read, or something above it, in USD, Alembic and glTF; / is all.  [default: all that move]",
+    ),
+    setting(
+        "--animation NAME", help="Animation to read of glTF; none is the pose at rest.  [default: the first]"
+    ),
+    setting(
+        "--input-fps N",
+        "fps",
+        type=float,
+        help="Frames per second of numbered files, npz and PC2, or to sample glTF at.  [default: 24, or its keys]",
+    ),
+    setting(
+        "--start-frame N",
+        type=float,
+        help="Number of the first frame, where the file does not tell; 1001 is at 41.708 s of 24 frames per second.",
+    ),
+    setting("--mesh", type=FILE, help="Mesh of a point cache.  [default: the file of the same name]"),
+    flag("--allow-gaps", cls=Setting, help="Accept missing numbers among numbered files."),
+    setting(
+        "--up-axis",
+        type=click.Choice(["X", "Y", "Z"]),
+        help="Axis that points up, where the file does not tell; nothing is turned.",
+    ),
+    setting(
+        "--units M",
+        "metres_per_unit",
+        type=POSITIVE,
+        help="Metres per unit, where the file does not tell; nothing is scaled.",
+    ),
+)
+"""Options of the formats' readers, as ``reading``."""
+
+writing = group(
+    "writing",
+    flag("--flatten", help="Write USD, Alembic or glTF that does not build on the original file."),
+    flag(
+        "--keep-start",
+        cls=Setting,
+        help="Write glTF whose animation begins when the sequence does, and not at 0.",
+    ),
+    setting(
+        "--onto", type=FILE, help="The original file to build on, if it is not where the sequence came from."
+    ),
+    setting("--clips N", type=COUNT, help="Write USD as value clips of N frames per file."),
+    setting(
+        "--pack-from FOLDER",
+        help="Also pack textures that are in this folder into a .usdz, not only those in the original's.",
+    ),
+    setting(
+        "--convert-axes",
+        type=click.Choice(["Y", "Z"]),
+        help="Turn the sequence, so that this axis points up.  [default: as it is]",
+    ),
+    setting(
+        "--convert-units m|cm|...",
+        type=_unit,
+        help="Scale the sequence to mm, cm, m, km, in, ft, yd, or a unit of so many metres.  [default: as it is]",
+    ),
+)
+"""Options of writing sequences, as ``writing``."""
+
+workers = group(
+    "workers",
+    threads(help="Threads to work on.  [default: all cores]"),
+    option(
+        "--cluster ADDRESS", help="Work on a dask cluster: tcp://host:8786, or local:N for N processes here."
+    ),
+    make=_workers,
+)
+"""Options of parallel work, as ``workers``, a context that yields an `Executor`."""
+
+
+def picture(beside: str) -> Decorator:
+    """Return the options of a picture that is drawn beside a result, as ``picture``."""
+    return group(
+        "picture",
+        option("--picture PNG", help=f"Name of the picture.  [default: beside {beside}]"),
+        flag("--no-picture", help="Draw no picture."),
+    )

@@ -6,101 +6,63 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
 import mixseq
-from mixseq.cli.files import Claim, is_model, overwrite_option, write_sequence
+from mixseq.cli import options
+from mixseq.cli.files import Claim, is_model, overwriting, time_rows, write_sequence
 from mixseq.cli.group import announce, print_table, progress_bar
-from mixseq.cli.options import (
-    FILE,
-    CommandWithSettings,
-    FrameChoice,
-    examples,
-    frames_option,
-    quiet_option,
-    reader_options,
-    setting,
-    time_rows,
-    workers_options,
-    writer_options,
-)
 from mixseq.errors import SettingsError
 from mixseq.sequence.frame_rates import exact_rate, span_text
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from mixseq.operations.resampling import Resampling
     from mixseq.runtime.parallel import Executor
     from mixseq.runtime.progress import Progress
     from mixseq.signals.model import Model
 
 
-@click.command(
+@options.command(
     "resample",
-    cls=CommandWithSettings,
-    epilog=examples(
-        "mixseq resample walk.usdc walk60.usdc --fps 60",
-        "mixseq resample walk.h5 slow.usdc --speed 0.25 --start 0.5 --end 1 --velocities",
-        "mixseq resample walk.npz back.npz --reverse --tolerance 0.001",
-        "mixseq resample walk.h5 ramp.usdc --retime ramp.csv",
-    ),
+    "mixseq resample walk.usdc walk60.usdc --fps 60",
+    "mixseq resample walk.h5 slow.usdc --speed 0.25 --start 0.5 --end 1 --velocities",
+    "mixseq resample walk.npz back.npz --reverse --tolerance 0.001",
+    "mixseq resample walk.h5 ramp.usdc --retime ramp.csv",
 )
-@click.argument("source", type=FILE)
-@click.argument("target", type=FILE)
-@click.option(
-    "--fps",
-    "rate",
-    type=click.FloatRange(min=0, min_open=True, max=1_000_000),
-    metavar="N",
-    help="Frames per second of TARGET.  [default: those of SOURCE]",
-)
-@click.option(
-    "--speed",
-    type=click.FloatRange(min=0, min_open=True),
+@options.argument("source")
+@options.argument("target")
+@options.fps("rate", help="Frames per second of TARGET.  [default: those of SOURCE]")
+@options.option(
+    "--speed X",
+    type=options.POSITIVE,
     default=1.0,
-    show_default=True,
-    metavar="X",
     help="How much faster the motion is; 0.5 lasts twice as long.",
 )
-@click.option("--reverse", is_flag=True, help="Play backwards.")
-@click.option(
-    "--start", type=float, metavar="S", help="Play from this second of SOURCE.  [default: the first]"
-)
-@frames_option("Play only these frames of SOURCE, by their numbers, instead of --start and --end.")
-@click.option("--end", type=float, metavar="S", help="Play to this second of SOURCE.  [default: the last]")
-@click.option(
-    "--retime",
-    type=FILE,
-    metavar="FILE",
+@options.option("--reverse", is_flag=True, help="Play backwards.")
+@options.option("--start S", type=float, help="Play from this second of SOURCE.  [default: the first]")
+@options.frames(help="Play only these frames of SOURCE, by their numbers, instead of --start and --end.")
+@options.option("--end S", type=float, help="Play to this second of SOURCE.  [default: the last]")
+@options.option(
+    "--retime FILE",
     help="Play by a curve instead: lines output,source (CSV), or TOML, in seconds, or in frames if the first line is "
     'unit = "frames".',
 )
-@setting("--linear", is_flag=True, help="Join the points of --retime by straight lines, not smoothly.")
-@click.option(
-    "--velocities/--no-velocities",
-    default=False,
-    show_default=True,
-    help="Also write the velocities of all vertices, for motion blur.",
+@options.setting(
+    "--linear", is_flag=True, help="Join the points of --retime by straight lines, not smoothly."
 )
-@click.option(
-    "--tolerance",
-    type=click.FloatRange(min=0, min_open=True),
-    metavar="X",
-    help="Fit a sequence only up to this fraction of its diagonal.",
+@options.velocities()
+@options.option(
+    "--tolerance X", type=options.POSITIVE, help="Fit a sequence only up to this fraction of its diagonal."
 )
-@click.option("--exact", is_flag=True, help="Fit a sequence exactly, which is the default.")
-@setting(
+@options.option("--exact", is_flag=True, help="Fit a sequence exactly, which is the default.")
+@options.setting(
     "--whole-stage",
     is_flag=True,
     help="Retime everything else in the original of a USD layer, too: cameras, hair, lights, other meshes.",
 )
-@reader_options
-@writer_options
-@workers_options
-@overwrite_option
-@quiet_option
+@options.reading
+@options.writing
+@options.workers
+@overwriting
+@options.quiet
 def command(
     source: Path,
     target: Path,
@@ -109,7 +71,7 @@ def command(
     reverse: bool,
     start: float | None,
     end: float | None,
-    frames: FrameChoice | None,
+    frames: options.FrameChoice | None,
     retime: Path | None,
     linear: bool,
     velocities: bool,
@@ -180,17 +142,13 @@ def _model(
     return mixseq.load(source)
 
 
-def _span(sources: NDArray[np.float64], fps: float) -> str:
-    """Format the first and last source time, and the range in between."""
-    first, last, low, high = sources[0], sources[-1], sources.min(), sources.max()
-    beyond = f", between {low:g} and {high:g} s" if low < min(first, last) or high > max(first, last) else ""
-    return f"{span_text(first, last, fps)}{beyond}"
-
-
 def _rows(planned: Resampling) -> list[tuple[str, str]]:
     header, retiming = planned.header, planned.retiming
     first, last = header.times[[0, -1]]
-    rows = [*time_rows(header), ("source", _span(planned.sources, planned.model.header.fps))]
+    sources = planned.sources
+    begin, end, low, high = sources[0], sources[-1], sources.min(), sources.max()
+    beyond = f", between {low:g} and {high:g} s" if low < min(begin, end) or high > max(begin, end) else ""
+    rows = [*time_rows(header), ("source", f"{span_text(begin, end, planned.model.header.fps)}{beyond}")]
     rest = 1e-3 / header.fps  # smaller ones are rounding errors
     why = f"; frames are at whole multiples of 1/{header.fps:g} s"
     if first - retiming.start > rest:

@@ -1,52 +1,22 @@
-"""``mixseq transfer``.
-
-The report of ``mixseq transfer``, as a table, as JSON and as a picture.
-"""
+"""``mixseq transfer``, and its report: a table, JSON, and a picture."""
 
 from __future__ import annotations
 
+import re
+import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import click
 
 import mixseq
 from mixseq.choices import TRANSFERS
-from mixseq.cli.files import (
-    READ_OF_ALL,
-    Claim,
-    check_formats,
-    chosen_contacts,
-    chosen_map,
-    chosen_markers,
-    chosen_parts,
-    chosen_rest,
-    first_frame,
-    is_model,
-    mesh_at_rest,
-    opened_source,
-    overwrite_option,
-    picture_beside,
-    save_correspondence,
-    write_sequence,
-)
+from mixseq.cli import files, options
 from mixseq.cli.group import announce, print_json, print_table, progress_bar
-from mixseq.cli.options import (
-    FILE,
-    CommandWithSettings,
-    examples,
-    json_option,
-    labels_options,
-    quiet_option,
-    reader_options,
-    setting,
-    workers_options,
-    writer_options,
-)
-from mixseq.errors import SettingsError
+from mixseq.errors import MixseqWarning, OutputError, SettingsError
 from mixseq.runtime.progress import warnings_heard
 
 if TYPE_CHECKING:
@@ -58,8 +28,13 @@ if TYPE_CHECKING:
     from mixseq.runtime.low_memory import Statistics
     from mixseq.runtime.parallel import Executor
     from mixseq.sequence.header import SequenceHeader
+    from mixseq.sequence.sequence import MeshSequence
+    from mixseq.signals.model import Model
     from mixseq.types import FloatArray
+    from mixseq_io.reader import SequenceReader
 
+
+_READ_OF_ALL = ("up_axis", "metres_per_unit")  # reader options that hold for every file
 
 NAMED = 4
 """Largest number of followers and markers named in the table."""
@@ -212,7 +187,7 @@ def _percent(share: float) -> str:
 # Picture ---------------------------------------------------------------------------------------------------
 
 
-def frames_to_draw(made: Transfer, frame: int, rest_file: Path | None) -> list[int]:
+def _frames_to_draw(made: Transfer, frame: int, rest_file: Path | None) -> list[int]:
     """Choose frames for the picture, without the rest, which is always drawn."""
     from mixseq.types import evenly
 
@@ -221,102 +196,64 @@ def frames_to_draw(made: Transfer, frame: int, rest_file: Path | None) -> list[i
     return [each for each in chosen if rest_file is not None or each != frame % count] or chosen
 
 
-class PassingFrames:
-    """Record some frames ``(V', 3)`` of passing blocks."""
-
-    def __init__(self, frames: Sequence[int]) -> None:
-        self.frames = frames
-        self.points: list[FloatArray] = []
-
-    def passing(self, blocks: Iterable[FloatArray]) -> Iterator[FloatArray]:
-        """Pass on blocks of frames."""
-        first = 0
-        for block in blocks:
-            self.points += [
-                block[each - first].copy() for each in self.frames if 0 <= each - first < len(block)
-            ]
-            first += len(block)
-            yield block
+def _recorded(
+    blocks: Iterable[FloatArray], frames: Sequence[int], points: list[FloatArray]
+) -> Iterator[FloatArray]:
+    """Pass on blocks, and append the points ``(V', 3)`` of some frames to a list."""
+    first = 0
+    for block in blocks:
+        points += [block[each - first].copy() for each in frames if 0 <= each - first < len(block)]
+        first += len(block)
+        yield block
 
 
-def draw(picture: Path, made: Transfer, shown: PassingFrames) -> None:
-    """Draw the source and the target beside each other in some frames."""
-    import numpy as np
-
-    from mixseq.pictures.sheets import transfer_sheet
-    from mixseq_io.files import replacing
-
-    with replacing(picture) as temporary:
-        transfer_sheet(temporary, made, shown.frames, np.stack(shown.points))
-
-
-@click.command(
+@options.command(
     "transfer",
-    cls=CommandWithSettings,
-    epilog=examples(
-        "mixseq transfer walk.usdc tall.obj tall_walk.usdc",
-        "mixseq transfer horse.h5 camel.obj camel.usdc --markers pairs.txt --save-map map.npz",
-        "mixseq transfer gallop.abc camel.obj camel.abc --map map.npz --rest horse.obj",
-        "mixseq transfer gallop.h5 camel.obj camel.h5 --markers pairs.txt --as-model",
-    ),
+    "mixseq transfer walk.usdc tall.obj tall_walk.usdc",
+    "mixseq transfer horse.h5 camel.obj camel.usdc --markers pairs.txt --save-map map.npz",
+    "mixseq transfer gallop.abc camel.obj camel.abc --map map.npz --rest horse.obj",
+    "mixseq transfer gallop.h5 camel.obj camel.h5 --markers pairs.txt --as-model",
 )
-@click.argument("source", type=FILE)
-@click.argument("target", type=FILE)
-@click.argument("out", type=FILE)
-@click.option(
-    "--markers", type=FILE, metavar="FILE", help="Pairs of vertices that are the same: SOURCE, TARGET."
-)
-@click.option("--reverse", is_flag=True, help="The vertices of TARGET come first in --markers.")
-@click.option(
-    "--map", "map_file", type=FILE, metavar="FILE", help="Dense correspondence, instead of markers."
-)
-@click.option("--save-map", type=FILE, metavar="FILE", help="Keep the correspondence, for --map.")
-@click.option(
+@options.argument("source")
+@options.argument("target")
+@options.argument("out")
+@options.option("--markers FILE", help="Pairs of vertices that are the same: SOURCE, TARGET.")
+@options.option("--reverse", is_flag=True, help="The vertices of TARGET come first in --markers.")
+@options.option("--map FILE", "map_file", help="Dense correspondence, instead of markers.")
+@options.option("--save-map FILE", help="Keep the correspondence, for --map.")
+@options.option(
     "--method",
     type=click.Choice(TRANSFERS),
     default="mixed",
-    show_default=True,
     help="Parts, joints and poses, or deformation gradients (Sumner and Popović).",
 )
-@click.option(
-    "--rest",
-    metavar="FRAME|FILE",
+@options.option(
+    "--rest FRAME|FILE",
     help="Frame in which SOURCE is in TARGET's pose, or a file with the same mesh in that pose.  [default: the first; "
     "of glTF SOURCE without animation]",
 )
-@click.option(
-    "--parts",
-    type=click.IntRange(min=1),
-    metavar="N",
-    help="Number of parts of SOURCE; every connected component has at least one.  [default: automatic]",
+@options.parts(
+    help="Number of parts of SOURCE; every connected component has at least one.  [default: automatic]"
 )
-@setting(
-    "--joint-width",
-    type=click.IntRange(min=1),
-    metavar="N",
-    help="Largest width of joints, in strips of triangles on each side of a boundary.  [default: 3]",
-)
-@labels_options
-@click.option(
-    "--contacts",
-    type=FILE,
-    metavar="FILE",
+@options.joint_width
+@files.labelling
+@options.option(
+    "--contacts FILE",
     help='Vertices of TARGET that shall not slide while SOURCE rests there, as JSON: {"left foot": [12, 13], ...}.',
 )
-@click.option(
+@options.option(
     "--as-model",
     is_flag=True,
     help="OUT is a model with the time and pose signals of SOURCE, a model too; only its key poses are transferred.",
 )
-@setting("--target-prim", metavar="PATH", help="Mesh to read of TARGET, as --prim is of SOURCE.")
-@click.option("--picture", type=FILE, metavar="PNG", help="Name of the picture.  [default: beside OUT]")
-@click.option("--no-picture", is_flag=True, help="Draw no picture.")
-@json_option
-@reader_options
-@writer_options
-@workers_options
-@overwrite_option
-@quiet_option
+@options.setting("--target-prim PATH", help="Mesh to read of TARGET, as --prim is of SOURCE.")
+@options.picture("OUT")
+@options.as_json
+@options.reading
+@options.writing
+@options.workers
+@files.overwriting
+@options.quiet
 def command(
     source: Path,
     target: Path,
@@ -325,22 +262,20 @@ def command(
     reverse: bool,
     map_file: Path | None,
     save_map: Path | None,
-    method: str,
+    method: TransferName,
     rest: str | None,
     parts: int | None,
-    joint_width: int | None,
-    labels: Path | None,
-    label_source: str | None,
+    joint_width: int,
+    labels: files.LabelChoice,
     contacts: Path | None,
     as_model: bool,
     target_prim: str | None,
-    picture: Path | None,
-    no_picture: bool,
+    picture: dict[str, Any],
     as_json: bool,
     reading: dict[str, Any],
     writing: dict[str, Any],
     workers: AbstractContextManager[Executor],
-    claim: Claim,
+    claim: files.Claim,
     quiet: bool,
 ) -> None:
     """Move a mesh as another one moves.
@@ -361,121 +296,161 @@ def command(
 
     --up-axis and --units are for all files, the other options for reading for SOURCE.
     """
-    of_parts = {
-        "parts": parts,
-        "joint-width": joint_width,
-        "labels": labels,
-        "source": label_source,
-        "contacts": contacts,
-    }
-    _check_settings(markers, map_file, reverse, method, of_parts, picture, no_picture)
+    if map_file is not None:
+        options.refuse("markers", why="and --map are two ways to say the same; give one of them")
+    if markers is None:
+        options.refuse("reverse", why="is about the order of --markers; give both, or neither")
+    drawn = files.chosen_picture(out, "transfer", **picture)
+    if method == "gradients":
+        for name in options.given_options("parts", "joint_width", "labels", "label_source", "contacts"):
+            raise SettingsError(f"the method gradients knows no parts; leave out {name}, or --method")
     if as_model:
-        _check_models(source, out, contacts)
-    frame, rest_file = chosen_rest(rest, source)
-    drawn = None if no_picture else picture or picture_beside(out)
+        if not (files.is_model(source) and out.suffix.lower() == ".h5"):
+            raise SettingsError(
+                "--as-model makes a model of a model: SOURCE and OUT are .h5 files; see mixseq encode"
+            )
+        why = "are kept frame by frame, and only key poses are transferred; leave one out"
+        options.refuse("contacts", why=why)
+    frame, rest_file = _chosen_rest(rest, source)
     claim(out, drawn, save_map, read=[rest_file])
-    check_formats(out, drawn, save_map)
-    common = {name: value for name, value in reading.items() if name in READ_OF_ALL}
+    _check_formats(out, save_map)
+    if drawn is not None:
+        files.check_picture(drawn)
+    common = {name: value for name, value in reading.items() if name in _READ_OF_ALL}
     notes: list[str] = []
     with (
         workers as work,
         progress_bar(quiet) as progress,
         warnings_heard(notes.append),
-        opened_source(source, reading) as opened,
+        _opened_source(source, reading) as opened,
     ):
+        import numpy as np
+
+        from mixseq.operations import key_poses, with_shapes
         from mixseq.retargeting.report import Meter
         from mixseq.retargeting.sources import source_motion
         from mixseq.retargeting.transfer import plan
+        from mixseq.sequence.sequence import collect
+        from mixseq_io.files import replacing
+        from mixseq_io.text.maps import read_map, to_correspondence, write_map
+        from mixseq_io.text.markers import read_contacts, read_markers
 
-        pairs, feet = chosen_markers(markers, reverse), chosen_contacts(contacts)
+        pairs = None if markers is None else read_markers(markers, reverse=reverse)
+        feet = None if contacts is None else read_contacts(contacts)
         if rest is not None and rest_file is None and frame >= 0:
             frame = opened.header.index_of(frame)
-        shape = first_frame(target, common | ({} if target_prim is None else {"prim": target_prim}))
-        rest_shape = frame if rest_file is None else mesh_at_rest(rest_file, reading, opened, rest is None)
-        given = chosen_parts(opened, parts, labels, label_source, reading)
-        keys = None
+        shape = files.first_frame(target, common | ({} if target_prim is None else {"prim": target_prim}))
+        rest_shape = frame if rest_file is None else _mesh_at_rest(rest_file, reading, opened, rest is None)
+        given = _chosen_parts(opened, parts, labels, reading)
+        model: Any = opened
         if as_model:
-            keys, rest_shape, given = _keys_of(opened, rest_shape)
-        motion = source_motion(opened if keys is None else keys, rest_shape, given, progress)
+            given = None if model.space.decomposed is None else model.space.decomposed.part_of_face
+            if isinstance(rest_shape, int):
+                rest_shape = model.sample(frames=[rest_shape])
+        moving = key_poses(model) if as_model else opened
+        motion = source_motion(moving, rest_shape, given, progress)
+        mapping = None
+        if map_file is not None:
+            meshes = (motion.rest, motion.header.faces), (shape.points[0], shape.faces)
+            mapping = to_correspondence(read_map(map_file), *meshes)
         made = plan(
             motion,
             shape,
             pairs,
-            chosen_map(map_file, motion, shape),
-            cast("TransferName", method),
+            mapping,
+            method,
             contacts=feet,
-            joint_width=joint_width or 3,
+            joint_width=joint_width,
             progress=progress,
             workers=work,
         )
         if save_map is not None:
-            save_correspondence(save_map, made)
-        meter, shown = Meter(made), PassingFrames(frames_to_draw(made, frame, rest_file))
-        blocks = shown.passing(meter.passing(made.blocks(progress, work)))
+            write_map(save_map, made.correspondence, made.source.header.faces, made.header.faces)
+        meter, shown = Meter(made), _frames_to_draw(made, frame, rest_file)
+        points: list[FloatArray] = []
+        blocks = _recorded(meter.passing(made.blocks(progress, work)), shown, points)
         if as_model:
-            _save_model(out, opened, made.header, blocks)
+            mixseq.save(out, with_shapes(model, collect(made.header, blocks)))
         else:
-            write_sequence(out, made.header, blocks, None, writing)
+            files.write_sequence(out, made.header, blocks, None, writing)
         report = meter.report()
         if drawn is not None:
-            draw(drawn, made, shown)
+            from mixseq.pictures.sheets import transfer_sheet
+
+            with replacing(drawn) as temporary:
+                transfer_sheet(temporary, made, shown, np.stack(points))
     if as_json:
-        files = {"source": str(source), "target": str(target), "out": str(out)}
-        print_json(files | facts(made, method, report) | {"warnings": notes})
+        named = {"source": str(source), "target": str(target), "out": str(out)}
+        print_json(named | facts(made, method, report) | {"warnings": notes})
         return
     if not quiet:
         print_table(rows(made, method, report))
-    for each in (save_map, out, drawn):
-        if each is not None:
-            announce(each)
+    announce(save_map, out, drawn)
 
 
-def _check_models(source: Path, out: Path, contacts: Path | None) -> None:
-    """Raise an error for options that a transfer between models does not support, before anything is read."""
-    if not (is_model(source) and out.suffix.lower() == ".h5"):
-        raise SettingsError(
-            "--as-model makes a model of a model: SOURCE and OUT are .h5 files; see mixseq encode"
+def _chosen_rest(text: str | None, source: Path) -> tuple[int, Path | None]:
+    """Return the rest frame, by its number or from the end, or a file."""
+    if text is None:
+        return 0, source if source.suffix.lower() in files.ANIMATED else None
+    return (int(text), None) if re.fullmatch(r"-?\d+", text) else (0, Path(text))
+
+
+def _mesh_at_rest(
+    path: Path, reading: Mapping[str, Any], opened: SequenceReader | Model, unasked: bool
+) -> MeshSequence | int:
+    """Read the source's mesh at rest; frame 0 instead, if a file that was not asked for has other meshes."""
+    shape = files.first_frame(
+        path, {name: reading[name] for name in (*_READ_OF_ALL, "prim") if name in reading}
+    )
+    header = opened.header
+    if not unasked or (shape.vertex_count, len(shape.faces)) == (header.vertex_count, len(header.faces)):
+        return shape
+    warnings.warn(
+        f"{path}: without animation there are other meshes than those that move, so frame 0 counts as the rest; "
+        "--prim / takes all meshes, --rest FRAME says that a frame is meant",
+        MixseqWarning,
+        stacklevel=2,
+    )
+    return 0
+
+
+def _check_formats(out: Path, save_map: Path | None) -> None:
+    """Raise an error for unsupported extensions, before the work."""
+    from mixseq_io.registry import FORMATS
+
+    known = [extension for each in FORMATS for extension in each.extensions]
+    if out.suffix.lower() not in known:
+        raise OutputError(
+            f"{out}: the extension {out.suffix!r} is not known; write one of {', '.join(known)}"
         )
-    if contacts is not None:
+    if save_map is not None and save_map.suffix.lower() != ".npz":
+        raise OutputError(f"{save_map}: maps are written as npz files; end the name in .npz")
+
+
+def _opened_source(
+    source: Path, reading: Mapping[str, Any]
+) -> AbstractContextManager[SequenceReader | Model]:
+    """Open a sequence, or load a model."""
+    if not files.is_model(source):
+        return mixseq.open_sequence(source, **reading)
+    others = [name for name in reading if name not in _READ_OF_ALL]
+    if others:
         raise SettingsError(
-            "--contacts are kept frame by frame, and only key poses are transferred; leave one out"
+            f"{source} is a model, which is read without options; leave out those for sequences"
         )
+    return nullcontext(mixseq.load(source))
 
 
-def _keys_of(model: Any, rest: Any) -> tuple[Any, Any, Any]:
-    """Return the key poses of a model as a sequence, the mesh at rest, and the parts."""
-    from mixseq.operations import key_poses
+def _chosen_parts(
+    motion: SequenceReader | Model, parts: int | None, labels: files.LabelChoice, reading: Mapping[str, Any]
+) -> Any:
+    """Return a number of parts, labels of triangles, or None."""
+    from mixseq.signals.model import Model
 
-    at_rest = model.sample(frames=[rest]) if isinstance(rest, int) else rest
-    parts = None if model.space.decomposed is None else model.space.decomposed.part_of_face
-    return key_poses(model), at_rest, parts
-
-
-def _save_model(out: Path, model: Any, header: Any, blocks: Any) -> None:
-    """Save the model on the transferred key poses."""
-    from mixseq.operations import with_shapes
-    from mixseq.sequence.sequence import collect
-
-    mixseq.save(out, with_shapes(model, collect(header, blocks)))
-
-
-def _check_settings(
-    markers: Path | None,
-    map_file: Path | None,
-    reverse: bool,
-    method: str,
-    of_parts: Mapping[str, object],
-    picture: Path | None,
-    no_picture: bool,
-) -> None:
-    """Raise an error for options that contradict each other, before anything is read."""
-    if markers is not None and map_file is not None:
-        raise SettingsError("--markers and --map are two ways to say the same; give one of them")
-    if reverse and markers is None:
-        raise SettingsError("--reverse is about the order of --markers; give both, or neither")
-    if picture is not None and no_picture:
-        raise SettingsError("--picture and --no-picture exclude each other")
-    if method == "gradients":
-        for name, value in of_parts.items():
-            if value is not None:
-                raise SettingsError(f"the method gradients knows no parts; leave out --{name}, or --method")
+    if not isinstance(motion, Model):
+        return labels.parts(motion, parts, reading)
+    if labels.is_given:
+        raise SettingsError(
+            "labels are for sequences; leave out --labels and --source, the model has its own parts"
+        )
+    return parts

@@ -9,33 +9,21 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import mixseq
+from mixseq.cli import options
 from mixseq.cli.group import print_json, print_table, progress_bar
-from mixseq.cli.options import FILE, CommandWithSettings, examples, json_option, quiet_option, reader_options
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
     from mixseq_io.verification import Verification
 
 
-@click.command(
-    "verify",
-    cls=CommandWithSettings,
-    epilog=examples("mixseq verify walk.h5", "mixseq verify walk.h5 walk.usdc --json"),
-)
-@click.argument("path", metavar="FILE", type=FILE)
-@click.argument("original", required=False, type=FILE)
-@json_option
-@reader_options
-@quiet_option
-@click.pass_context
-def command(
-    context: click.Context,
-    path: Path,
-    original: Path | None,
-    as_json: bool,
-    reading: dict[str, Any],
-    quiet: bool,
-) -> None:
+@options.command("verify", "mixseq verify walk.h5", "mixseq verify walk.h5 walk.usdc --json")
+@options.argument("path", metavar="FILE")
+@options.argument("original", required=False)
+@options.as_json
+@options.reading
+@options.quiet
+def command(path: Path, original: Path | None, as_json: bool, reading: dict[str, Any], quiet: bool) -> None:
     """Check a compressed model: that it is not damaged, and that its bound holds.
 
     FILE is what "mixseq encode --max-error", --kg or --size wrote. All checksums are checked and all frames decoded.
@@ -60,7 +48,7 @@ def command(
     elif not quiet:
         print_table(_rows(found, worst))
     if not found.holds:
-        context.exit(1)
+        click.get_current_context().exit(1)
 
 
 def _rows(found: Verification, worst: str | None) -> list[tuple[str, str]]:

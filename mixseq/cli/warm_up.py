@@ -4,28 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter
 from typing import TYPE_CHECKING
 
-import click
-
 import mixseq
+from mixseq.cli import options
 from mixseq.cli.group import progress_bar, say
-from mixseq.cli.options import examples, quiet_option
 
 if TYPE_CHECKING:
-    from mixseq.choices import PlacementName
-    from mixseq.sequence.sequence import MeshSequence
+    from mixseq.signals.model import Model
 
 
 FRAMES = 6
 
 
-@click.command("warm-up", epilog=examples("mixseq warm-up"))
-@quiet_option
+@options.command("warm-up", "mixseq warm-up")
+@options.quiet
 def command(quiet: bool) -> None:
     """Compile what later runs need, so that they start at once.
 
@@ -56,23 +52,15 @@ def _work() -> Iterator[list[tuple[str, Callable[[], object]]]]:
     uvs = CornerValues(walk.points[0][:, :2], corners)
     walk = replace(walk, surface=Surface(uvs=uvs, hard_edges=corners))
     coarse = walk.with_points(walk.points.astype(np.float32))
+
+    def sample(model: Model) -> None:
+        model.sample(fps=30, velocities=True)
+
     with TemporaryDirectory(prefix="mixseq-") as folder:
         file = Path(folder) / "walk.h5"
         yield [
-            ("compressing", partial(_compress, walk, file)),
-            ("decoding", partial(_decode, file)),
-            ("fitting, anchored", partial(_fit, coarse, "anchored")),
-            ("fitting, free", partial(_fit, walk, "free")),
+            ("compressing", lambda: mixseq.save(file, mixseq.compress(walk, max_error=0.01, order="free"))),
+            ("decoding", lambda: sample(mixseq.load(file))),
+            ("fitting, anchored", lambda: sample(mixseq.fit(coarse, placement="anchored"))),
+            ("fitting, free", lambda: sample(mixseq.fit(walk, placement="free"))),
         ]
-
-
-def _compress(walk: MeshSequence, file: Path) -> None:
-    mixseq.save(file, mixseq.compress(walk, max_error=0.01, order="free"))
-
-
-def _decode(file: Path) -> None:
-    mixseq.load(file).sample(fps=30, velocities=True)
-
-
-def _fit(walk: MeshSequence, placement: PlacementName) -> None:
-    mixseq.fit(walk, placement=placement).sample(fps=30, velocities=True)

@@ -4,23 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import click
-
-from mixseq.cli.files import Claim, overwrite_option
+from mixseq.cli import options
+from mixseq.cli.files import Claim, overwriting
 from mixseq.cli.group import announce
-from mixseq.cli.options import FILE, CommandWithSettings, examples, quiet_option
 
 
-@click.command("web", cls=CommandWithSettings, epilog=examples("mixseq web --out site/mixseq"))
-@click.option(
-    "--out",
-    type=FILE,
-    default=Path("mixseq-web"),
-    show_default=True,
-    help="Folder for the files, made if missing.",
-)
-@overwrite_option
-@quiet_option
+@options.command("web", "mixseq web --out site/mixseq")
+@options.out_folder(default=Path("mixseq-web"))
+@overwriting
+@options.quiet
 def command(out: Path, claim: Claim, quiet: bool) -> None:
     """Write what plays compressed models in browsers.
 

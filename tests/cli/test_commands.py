@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import json
+import re
 import shlex
 from collections.abc import Callable
 from dataclasses import replace
@@ -62,6 +64,30 @@ def test_help_has_examples_that_parse(run: Run, name: str) -> None:
         command = main.get_command(click.Context(main), name)
         assert command is not None
         command.make_context(name, arguments)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_lists_what_its_examples_use(run: Run, name: str) -> None:
+    listed, _, lines = succeed(run(name, "--help")).partition("Options:")[2].partition("Examples:")
+    options, _, settings = listed.partition("Settings (--set NAME=VALUE):")
+    assert set(re.findall(r" (--[a-z-]+)", lines)) <= set(
+        re.findall(r"^  .*?(--[a-z-]+)", options, re.MULTILINE)
+    )
+    used = set(re.findall(r"--set ([a-z_]+)=", lines))
+    assert used <= set(re.findall(r"^  ([a-z_]+)=", settings, re.MULTILINE))
+
+
+def test_defaults_are_those_in_python() -> None:
+    python = inspect.signature(mixseq.fit).parameters
+    command = main.get_command(click.Context(main), "encode")
+    assert command is not None
+    shown = {
+        str(each.name): each.default
+        for each in command.params
+        if each.name in ("space", "placement", "joint_width")
+    }
+    assert shown == {name: python[name].default for name in shown}
+    assert len(shown) == 3
 
 
 # info -----------------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from pxr import Usd, UsdGeom
 
 import mixseq
 from mixseq.choices import SEGMENTATIONS
-from mixseq.cli.files import numbered
+from mixseq.cli.segment import numbered
 from mixseq.segmentation.methods import METHODS
 from mixseq_io import read_labels
 from tests.formats.gltf_maker import Maker

@@ -74,7 +74,7 @@ PATIENCE = 60.0
         ),
         ("view bar.npz --export new.html --read-only", "--read-only is about the viewer in a browser"),
         ("view bar.npz --export new.html --host 0.0.0.0", "--host is about the viewer in a browser"),
-        ("view bar.npz --export new.html --no-browser", "--browser is about the viewer in a browser"),
+        ("view bar.npz --export new.html --no-browser", "--no-browser is about the viewer in a browser"),
         ("view bar.npz --export new.html --shading simple", "--shading is about the viewer in a browser"),
         ("view bar.npz --export new.pdf", "new.pdf: pages end in .html"),
         ("view none.npz --export new", "new: pages end in .html"),
