@@ -171,33 +171,27 @@ def flat_faces(points: FloatArray, faces: IntArray, height: float) -> NDArray[np
     return np.asarray(double_area <= height * longest)
 
 
-def length_gradients(points: FloatArray, edges: IntArray) -> Float:
-    """Return the derivative ``(E, 3)`` of each length by its second vertex (by its first: the negative)."""
-    difference = points[edges[:, 1]] - points[edges[:, 0]]
-    length = np.sqrt(np.einsum("ei,ei->e", difference, difference))
-    return np.asarray(difference / np.maximum(length, np.finfo(np.float64).tiny)[:, None], dtype=np.float64)
+def triangle_areas(points: FloatArray, faces: IntArray) -> Float:
+    """Return the areas ``(F,)`` of triangles ``(F, 3)`` of points ``(V, 3)``."""
+    a, b, c = (points[corner] for corner in faces.T)
+    return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
 
 
-def dihedral_gradients(points: FloatArray, hinges: IntArray) -> Float:
-    """Return the derivatives ``(H, 4, 3)`` of each dihedral angle by its vertices a, b, c, d.
+def volume(points: FloatArray, faces: IntArray) -> float:
+    """Return the signed volume of points ``(n, 3)`` about their mean, over faces ``(m, 3)``."""
+    x = points - points.mean(axis=0)
+    a, b, c = (x[corner] for corner in faces.T)
+    return float(np.einsum("fi,fi->", a, np.cross(b, c))) / 6.0
 
-    With ``e = b - a`` and ``tc = (c - a).e / |e|^2`` (``td`` likewise) the gradient of the angle is
-    ``gc = -|e| n1 / |n1|^2``, ``gd = -|e| n2 / |n2|^2``, ``ga = -(1 - tc) gc - (1 - td) gd``,
-    ``gb = -tc gc - td gd``.
-    """
-    a, b, c, d = (points[hinges[:, i]] for i in range(4))
-    e = b - a
-    n1, n2 = np.cross(e, c - a), np.cross(d - a, e)
-    tiny = np.finfo(np.float64).tiny
-    ee = np.maximum(np.einsum("hi,hi->h", e, e), tiny)
-    length = np.sqrt(ee)
-    gc = -(length / np.maximum(np.einsum("hi,hi->h", n1, n1), tiny))[:, None] * n1
-    gd = -(length / np.maximum(np.einsum("hi,hi->h", n2, n2), tiny))[:, None] * n2
-    tc = (np.einsum("hi,hi->h", c - a, e) / ee)[:, None]
-    td = (np.einsum("hi,hi->h", d - a, e) / ee)[:, None]
-    ga = -(1.0 - tc) * gc - (1.0 - td) * gd
-    gb = -tc * gc - td * gd
-    return np.asarray(np.stack([ga, gb, gc, gd], axis=1), dtype=np.float64)
+
+def volume_gradient(points: FloatArray, faces: IntArray) -> Float:
+    """Return the derivatives ``(n, 3)`` of `volume`; they add up to zero."""
+    x = points - points.mean(axis=0)
+    a, b, c = (x[corner] for corner in faces.T)
+    pulls = np.concatenate([np.cross(b, c), np.cross(c, a), np.cross(a, b)]) / 6.0
+    corners = faces.T.reshape(-1)
+    gradient = np.stack([np.bincount(corners, pull, minlength=len(x)) for pull in pulls.T], axis=1)
+    return np.asarray(gradient - gradient.mean(axis=0))
 
 
 def wrap(angles: FloatArray) -> Float:

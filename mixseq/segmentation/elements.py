@@ -25,11 +25,10 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse import csgraph
 
 from mixseq.errors import SettingsError
-from mixseq.mesh.topology import Topology
+from mixseq.mesh.measures import triangle_areas
+from mixseq.mesh.topology import Topology, connected
 from mixseq.types import Float, FloatArray, Index, IntArray, Mask, Single
 
 
@@ -108,11 +107,8 @@ class Passes:
 
     def cut(self, where: Index) -> Index:
         """Cut the tree at n hinges; number the regions ``(F,)`` by decreasing area."""
-        count = len(self.face_areas)
-        i, j = self.topology.hinge_faces[np.delete(self.hinges, where)].T
-        graph = sparse.coo_array((np.ones(len(i), dtype=bool), (i, j)), shape=(count, count))
-        region = csgraph.connected_components(graph, directed=False)[1]
-        return by_area(region, self.face_areas)
+        kept = self.topology.hinge_faces[np.delete(self.hinges, where)]
+        return by_area(connected(len(self.face_areas), kept), self.face_areas)
 
     def deepest(self, parts: int, least_area: float) -> Index:
         """Choose the deepest passes that leave `parts` regions; the least area is halved until there are enough."""
@@ -269,11 +265,7 @@ class Elements:
 
 def face_areas(x: Float, topology: Topology) -> Float:
     """Return the areas ``(F,)`` of faces in a frame ``(V, 3)`` of unit size, tiny ones without area."""
-    from mixseq.segmentation.segmentation_kernels import measure_areas
-
-    areas = np.empty(len(topology.faces))
-    measure_areas(x, topology.faces, areas)
-    return np.maximum(areas, 1e-12, out=areas)
+    return np.maximum(triangle_areas(x, topology.faces), 1e-12)
 
 
 def _filled(members: NDArray[np.integer], none: int, width: int = 0) -> Table:

@@ -28,13 +28,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse import csgraph
 
 from mixseq.errors import SegmentationError, SettingsError
 from mixseq.mesh.polygons import frozen
 from mixseq.mesh.rigid import aligning_rotations, bend, mean_shape
-from mixseq.mesh.topology import Topology, face_patches, hinges_inside, spread, vertices_of
+from mixseq.mesh.topology import Topology, connected, face_patches, hinges_inside, spread, vertices_of
 from mixseq.segmentation.elements import Boundaries
 from mixseq.types import Float, FloatArray, Index, Mask, evenly
 
@@ -255,9 +253,7 @@ def _points_of_contact(topology: Topology, patches: Index) -> Mask:
         at_end = topology.faces[sides] == end[:, None, None]
         links.append(3 * sides + at_end.argmax(axis=2))  # the corners of both faces at this end of the hinge
     inside = np.flatnonzero(np.repeat(marked, 3))
-    i, j = np.searchsorted(inside, np.concatenate(links)).T
-    graph = sparse.coo_array((np.ones(len(i)), (i, j)), shape=(len(inside), len(inside)))
-    fan = csgraph.connected_components(graph, directed=False)[1]
+    fan = connected(len(inside), np.searchsorted(inside, np.concatenate(links)))
     corners = np.stack([topology.faces.reshape(-1)[inside], fan], axis=1)
     vertex_of_fan = np.unique(corners, axis=0)[:, 0]
     return np.asarray(np.bincount(vertex_of_fan, minlength=topology.vertex_count) > 1)

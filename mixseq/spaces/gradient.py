@@ -38,12 +38,11 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse import csgraph
 
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.rotations import matrices, unwrap, vectors
-from mixseq.mesh.topology import Topology
+from mixseq.mesh.topology import Topology, connected
 from mixseq.mesh.triangle_mesh import completed, with_area
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.parallel import one_blas_thread
@@ -84,9 +83,7 @@ class Integration(PickledWithoutCaches):
     @cached_property
     def solved(self) -> Index:
         """Unknown vertices: all but the first of every component."""
-        i, j = self.sides.T
-        graph = sparse.coo_array((np.ones(len(i)), (i, j)), shape=(self.count, self.count))
-        component = csgraph.connected_components(graph, directed=False)[1]
+        component = connected(self.count, self.sides)
         return np.setdiff1d(np.arange(self.count), np.unique(component, return_index=True)[1])
 
     @cached_property

@@ -25,6 +25,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from mixseq.mesh.measures import triangle_areas
 from mixseq.mesh.nearest import attach
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.rotations import (
@@ -36,7 +37,7 @@ from mixseq.mesh.rotations import (
     rotations_of,
     turned,
 )
-from mixseq.mesh.topology import Topology
+from mixseq.mesh.topology import Topology, connected
 from mixseq.segmentation.elements import Boundaries
 from mixseq.segmentation.joints import Decomposition
 from mixseq.spaces.mixed import posing_kernels as kernels
@@ -292,10 +293,8 @@ def articulation_of(
     labels, count = decomposition.part_of_face, len(decomposition.parts)
     boundaries = Boundaries.of(topology, labels)
     pairs, places = boundaries.parts, boundaries.middles(reference)
-    a, b, c = np.moveaxis(reference[topology.faces], 1, 0)
-    sizes = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
-    areas = np.bincount(labels, sizes, minlength=count).astype(np.float64)
-    component = _connected(count, pairs)
+    areas = np.bincount(labels, triangle_areas(reference, topology.faces), minlength=count).astype(np.float64)
+    component = connected(count, pairs)
     part_of_vertex = np.full(topology.vertex_count, -1, dtype=np.int64)
     for number, part in enumerate(decomposition.parts):
         part_of_vertex[part] = number
@@ -315,15 +314,9 @@ def articulation_of(
         radii=radii,
         masses=np.array([len(part) for part in decomposition.parts], dtype=np.float64),
         areas=areas,
-        bodies=_connected(count, pairs),
+        bodies=connected(count, pairs),
         pairs=pairs,
         pivots=places - rest_centres[pairs[:, 1]],
         steadiness=Steadiness.equal(count, len(pairs)) if steadiness is None else steadiness,
         relation_weight=relation_weight,
     )
-
-
-def _connected(count: int, pairs: Index) -> Index:
-    """Return the connected component ``(count,)`` of each node of a graph with edges ``(n, 2)``."""
-    graph = sparse.coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(count, count))
-    return csgraph.connected_components(graph, directed=False)[1].astype(np.int64)

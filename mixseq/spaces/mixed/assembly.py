@@ -21,13 +21,12 @@ import numpy as np
 from mixseq.mesh.measures import edge_lengths, sound_lengths
 from mixseq.mesh.rigid import kabsch
 from mixseq.mesh.rotations import inverse, product, quaternions, rotations_of
-from mixseq.mesh.topology import Topology
+from mixseq.mesh.topology import Topology, connected
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.shells.face_frames import (
     FrameGraph,
     Hinges,
     bridging,
-    connected,
     flat_triangles,
     frames_of,
     turned_sides,
@@ -115,7 +114,7 @@ class Assembly(PickledWithoutCaches):
         pairs = self._node[self.topology.hinge_faces[self._crossing]]
         known = np.zeros(self._count, dtype=bool)
         known[self._seeds] = True
-        return FrameGraph(self._count, pairs, weights, known, 1.0)
+        return FrameGraph(pairs, weights, known)
 
     @cached_property
     def hinges(self) -> Hinges:
@@ -130,7 +129,7 @@ class Assembly(PickledWithoutCaches):
         position_weights = np.zeros(t.vertex_count)
         position_weights[np.unique(component, return_index=True)[1]] = 1.0
         typical = edge_lengths(self.reference, t.edges)
-        return Shell(t, self.reference, typical, ties, position_weights, self.relaxation.bending)
+        return Shell(t, self.reference, typical, position_weights, self.relaxation.bending, ties)
 
     @cached_property
     def _ties(self) -> Index:
@@ -202,7 +201,7 @@ class Assembly(PickledWithoutCaches):
         sides[~loose] = inside @ np.swapaxes(matrices, 1, 2)[self._node[~loose]]
         apart = frame.unposed[self._ties[:, 1]] - frame.unposed[self._ties[:, 0]]
         tied = np.einsum("tij,tj->ti", matrices[self._tied_parts], apart)
-        return self.shell.integrated(sides, tied, np.zeros((t.vertex_count, 3)))
+        return self.shell.integrated(sides, np.zeros((t.vertex_count, 3)), tied)
 
     def _seed_frames(self, frame: FreeFrame) -> Float:
         """Rotations ``(r, 4)`` of the seeds in the posed mesh."""
