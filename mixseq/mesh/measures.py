@@ -1,27 +1,20 @@
-r"""The diagonal of a bounding box, the unit of lengths and errors, at any scale.
+r"""Measures of a mesh: its diagonal, lengths, dihedral angles, areas, volume, and normals of corners.
 
-Squares of lengths below 1e-154 or above 1e154 overflow double precision, so exponents are shifted before squaring.
-Results are bitwise equal wherever squares fit anyway.
-
-Normals of corners, with authored hard edges.
-
-Normals are computed for every frame: the normal ``n_g`` of a group ``g`` of corners sums over its corners ``c`` the
-normals of their polygons, weighted by the polygons' areas,
-
-    n_g = normalised sum over c in g of m_p(c),    m_p = 1/2 sum over the polygon's corners of x_i × x_(i+1),
-
-where ``m_p`` is the vector area of polygon ``p``, of an n-gon too, planar or not. Groups of corners with a common
-normal belong to the surface (`mixseq.mesh.surface.Surface.hard_edges`).
-
-Edge lengths and signed dihedral angles, their gradients, and angles unwrapped along time.
+The diagonal of a bounding box is the unit of lengths and errors, at any scale. Squares of lengths below 1e-154 or above
+1e154 overflow double precision, so exponents are shifted before squaring; results are bitwise equal wherever squares
+fit anyway.
 
 For a hinge with edge ``ab`` and opposite vertices ``c`` (first face) and ``d`` (second face), with
-``e = b - a``, ``n1 = e x (c - a)`` and ``n2 = (d - a) x e``,
+``e = b - a``, ``n1 = e x (c - a)`` and ``n2 = (d - a) x e``, the dihedral angle is
 
 .. math:: \theta = \mathrm{atan2}\bigl((n_1 \times n_2) \cdot e / |e|,\; n_1 \cdot n_2\bigr)
 
 in radians in (-pi, pi]: 0 where flat, positive where the surface is convex under the orientation of the first
 face (a -> b -> c counter-clockwise seen from outside).
+
+The normal of a group of corners, which belongs to the surface (`mixseq.mesh.surface.Surface.hard_edges`), is the
+normalised sum over its corners of the vector areas of their polygons, :math:`\frac12 \sum x_i \times x_{i+1}` over the
+corners of each, of an n-gon too, planar or not.
 """
 
 from __future__ import annotations
@@ -171,6 +164,12 @@ def flat_faces(points: FloatArray, faces: IntArray, height: float) -> NDArray[np
     return np.asarray(double_area <= height * longest)
 
 
+def summed(values: FloatArray, places: IntArray, count: int) -> Float:
+    """Sum values ``(m, k)`` at their places ``(m,)`` to ``(count, k)``, in order."""
+    sums = [np.bincount(places, column, minlength=count) for column in values.T]
+    return np.stack(sums, axis=1).astype(np.float64)  # without any places they are integers
+
+
 def triangle_areas(points: FloatArray, faces: IntArray) -> Float:
     """Return the areas ``(F,)`` of triangles ``(F, 3)`` of points ``(V, 3)``."""
     a, b, c = (points[corner] for corner in faces.T)
@@ -189,8 +188,7 @@ def volume_gradient(points: FloatArray, faces: IntArray) -> Float:
     x = points - points.mean(axis=0)
     a, b, c = (x[corner] for corner in faces.T)
     pulls = np.concatenate([np.cross(b, c), np.cross(c, a), np.cross(a, b)]) / 6.0
-    corners = faces.T.reshape(-1)
-    gradient = np.stack([np.bincount(corners, pull, minlength=len(x)) for pull in pulls.T], axis=1)
+    gradient = summed(pulls, faces.T.reshape(-1), len(x))
     return np.asarray(gradient - gradient.mean(axis=0))
 
 

@@ -1,14 +1,10 @@
-"""Elements of clustering: faces of a mesh, or cells of faces, and their trajectories.
+"""Elements of segmentations: faces or cells of faces with their trajectories, boundaries of parts, and landscapes.
 
-Every element has a few vertices, which define its motion, and neighbours, over which costs are averaged.
+An element of clustering has a few vertices, which define its motion, and neighbours, over which costs are averaged.
 
-Boundaries between neighbouring parts.
-
-Growing regions over a landscape, and the passes between them.
-
-Every hinge has a height. Rising water connects faces across hinges in the order of height, which is Kruskal's
-algorithm for the minimum spanning tree of the dual graph: its nodes are faces, its edges hinges. A hinge that joins two
-lakes is the *pass* between them, with
+Regions grow over a *landscape*, in which every hinge has a height. Rising water connects faces across hinges in the
+order of height, which is Kruskal's algorithm for the minimum spanning tree of the dual graph: its nodes are faces, its
+edges hinges. A hinge that joins two lakes is the *pass* between them, with
 
 - an *area*: that of the smaller lake when they meet,
 - a *depth*: its height above the bottom of the shallower lake (the persistence of that lake).
@@ -27,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
-from mixseq.mesh.measures import triangle_areas
+from mixseq.mesh.measures import summed, triangle_areas
 from mixseq.mesh.topology import Topology, connected
 from mixseq.types import Float, FloatArray, Index, IntArray, Mask, Single
 
@@ -51,9 +47,8 @@ class Boundaries:
 
     def middles(self, frame: FloatArray) -> Float:
         """Return the middles ``(n, 3)`` of the boundaries in a frame ``(V, 3)``: means of edge midpoints."""
-        middles = frame[self.edges].mean(axis=1)
-        sums = [np.bincount(self.pair, column, minlength=len(self.parts)) for column in middles.T]
-        return np.stack(sums, axis=1) / np.bincount(self.pair, minlength=len(self.parts))[:, None]
+        sums = summed(frame[self.edges].mean(axis=1), self.pair, len(self.parts))
+        return sums / np.bincount(self.pair, minlength=len(self.parts))[:, None]
 
 
 @dataclass(frozen=True, eq=False)

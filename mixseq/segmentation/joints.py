@@ -15,10 +15,8 @@ further, to keep a core of a third of its vertices. Width 1 takes nothing from a
 Three things cannot be solved for from lengths and angles and are given back to the parts: faces without area,
 vertices where a joint is connected by a point only, and patches of a joint without a face that one part holds.
 
-Observations of frames for the width of joints, gathered block by block.
-
-A decomposition needs the relative rotations of neighbouring parts, and the faces without area in some frame. Both are
-small and additive over blocks of frames, so that a sequence need not be in memory as a whole.
+The rotations of parts, and the faces without area in some frame, are observed block by block: both are small and
+additive over blocks of frames, so that a sequence need not be in memory as a whole.
 """
 
 from __future__ import annotations

@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
+from mixseq.mesh.measures import summed
 from mixseq.mesh.rigid import aligning_rotations
 from mixseq.mesh.rotations import continued, quaternions, rotations_of
 from mixseq.mesh.topology import Topology
@@ -165,8 +166,7 @@ class Pieces:
     def merged(self, rows: Float) -> Float:
         """Return vertices ``(V, 3)`` of posed rows ``(N, 3)``; the mean where several share one."""
         counts = np.bincount(self.row_vertices)
-        sums = [np.bincount(self.row_vertices, column) for column in rows.T]
-        return np.stack(sums, axis=1) / counts[:, None]
+        return summed(rows, self.row_vertices, len(counts)) / counts[:, None]
 
     @cached_property
     def _own_rows(self) -> list[Index]:

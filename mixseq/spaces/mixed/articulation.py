@@ -151,26 +151,20 @@ class Articulation:
     @cached_property
     def _systems(self) -> tuple[Float, ...]:
         """Weights ``(p,)``, ``(n,)`` and inverse ``(p, p)`` of rotations; weights ``(n,)`` and inverse of centres."""
+        steady, inertia = self.steadiness, self.masses * np.square(self.radii)
+        _, *places = self._system(self.masses, steady.centres, steady.relation_points)
+        return *self._system(inertia, steady.turns, steady.relation_turns), *places
+
+    def _system(self, sizes: Float, parts: Float, relations: Float) -> tuple[Float, Float, Float]:
+        """Weights of parts ``(p,)`` and relations ``(n,)``, and the inverse ``(p, p)`` of their matrix."""
         i, j = self.pairs.T
-        found: list[Float] = []
-        sizes = self.masses * np.square(self.radii), self.masses
-        steady = self.steadiness
-        pairs = zip(
-            sizes,
-            (steady.turns, steady.centres),
-            (steady.relation_turns, steady.relation_points),
-            strict=True,
-        )
-        for size, part, relation in pairs:
-            own, weights = size * part, self.relation_weight * np.minimum(size[i], size[j]) * relation
-            matrix = np.diag(own)
-            np.add.at(matrix, (i, i), weights)
-            np.add.at(matrix, (j, j), weights)
-            np.add.at(matrix, (i, j), -weights)
-            np.add.at(matrix, (j, i), -weights)
-            found += [own, weights, np.asarray(np.linalg.inv(matrix))]
-        own_turns, turn_weights, turn_inverse, _, place_weights, place_inverse = found
-        return own_turns, turn_weights, turn_inverse, place_weights, place_inverse
+        own, weights = sizes * parts, self.relation_weight * np.minimum(sizes[i], sizes[j]) * relations
+        matrix = np.diag(own)
+        np.add.at(matrix, (i, i), weights)
+        np.add.at(matrix, (j, j), weights)
+        np.add.at(matrix, (i, j), -weights)
+        np.add.at(matrix, (j, i), -weights)
+        return own, weights, np.asarray(np.linalg.inv(matrix))
 
     # From frames -------------------------------------------------------------------------------------------
 
@@ -226,25 +220,8 @@ class Articulation:
 
     def _agreed(self, poses: PartPoses) -> tuple[Numbers, Numbers]:
         """Return the poses ``(p, 4)``, ``(p, 3)`` of one frame that agree best."""
-        turns, centres, relation_turns, relation_points = map(np.ascontiguousarray, poses)
-        own, turn_weights, turn_inverse, place_weights, place_inverse = self._systems
-        order, before = self._tree
-        return kernels.agree(
-            turns,
-            centres,
-            relation_turns,
-            relation_points,
-            self.pairs,
-            self.pivots,
-            order,
-            before,
-            self._links,
-            own,
-            turn_weights,
-            turn_inverse,
-            place_weights,
-            place_inverse,
-        )
+        arrays = map(np.ascontiguousarray, poses)
+        return kernels.agree(*arrays, self.pairs, self.pivots, *self._tree, self._links, *self._systems)
 
     def measured(self, poses: PartPoses) -> Steadiness:
         """Return the inverse variances of poses and relations over frames ``(T, ...)``."""

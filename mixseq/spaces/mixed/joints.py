@@ -1,15 +1,4 @@
-r"""Derivatives of analytic functions by a complex step, exact to rounding (Squire and Trapp 1998).
-
-.. math:: f'(x)\, \dot x = \mathrm{Im}\, f(x + i h \dot x) / h + O(h^2)
-
-Without a difference, h can be so small that the error is far below rounding.
-
-Compiled inner loops of `joint_projection`: frames of joint faces from lengths and angles.
-
-Rotations are unit quaternions (w, x, y, z), lengths in diagonals. Arrays are real or complex, for derivatives by a
-complex step (`complex_step`).
-
-The projection P_m at the joints: move posed vertices so that joints have the target lengths and angles.
+r"""The projection P_m at the joints: move posed vertices so that joints have the target lengths and angles.
 
 Joint faces, and one ring of faces around them, move; all else stays posed. Lengths and angles go a *share* of the way
 from those of the posed mesh to the targets; a share of 0 leaves the posed mesh.
@@ -22,6 +11,13 @@ from those of the posed mesh to the targets; a share of 0 leaves the posed mesh.
 
 Everything is a difference against the posed mesh, so frames of the sequence, with the lengths and angles of the posed
 mesh, are exact. Posed triangles with hardly any area keep their shapes and angles, which are noise.
+
+All of it is analytic. Velocities are derivatives by a complex step, exact to rounding (Squire and Trapp 1998),
+
+.. math:: f'(x)\, \dot x = \mathrm{Im}\, f(x + i h \dot x) / h + O(h^2) .
+
+Without a difference, h can be so small that the error is far below rounding. Compiled loops take real or complex
+arrays; rotations are unit quaternions (w, x, y, z), lengths are in diagonals.
 """
 
 from __future__ import annotations
