@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from mixseq.runtime.lazy import forwarded
 
 if TYPE_CHECKING:
-    from mixseq.segmentation.joints import decompose
+    from mixseq.segmentation.joints import Watched, decompose, frames_to_look_at, gather, observe
     from mixseq.segmentation.methods import METHODS, segment, segment_by_labels
     from mixseq.segmentation.motion import MotionSettings, segment_by_motion
     from mixseq.segmentation.silhouettes import SilhouetteSettings, SpanningTreeSettings
@@ -21,7 +21,11 @@ __all__ = [
     "MotionSettings",
     "SilhouetteSettings",
     "SpanningTreeSettings",
+    "Watched",
     "decompose",
+    "frames_to_look_at",
+    "gather",
+    "observe",
     "segment",
     "segment_by_labels",
     "segment_by_motion",
@@ -34,7 +38,11 @@ __getattr__ = forwarded(
         "MotionSettings": "mixseq.segmentation.motion",
         "SilhouetteSettings": "mixseq.segmentation.silhouettes",
         "SpanningTreeSettings": "mixseq.segmentation.silhouettes",
+        "Watched": "mixseq.segmentation.joints",
         "decompose": "mixseq.segmentation.joints",
+        "frames_to_look_at": "mixseq.segmentation.joints",
+        "gather": "mixseq.segmentation.joints",
+        "observe": "mixseq.segmentation.joints",
         "segment": "mixseq.segmentation.methods",
         "segment_by_labels": "mixseq.segmentation.methods",
         "segment_by_motion": "mixseq.segmentation.motion",
