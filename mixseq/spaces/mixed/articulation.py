@@ -220,8 +220,9 @@ class Articulation:
 
     def _agreed(self, poses: PartPoses) -> tuple[Numbers, Numbers]:
         """Return the poses ``(p, 4)``, ``(p, 3)`` of one frame that agree best."""
-        arrays = map(np.ascontiguousarray, poses)
-        return kernels.agree(*arrays, self.pairs, self.pivots, *self._tree, self._links, *self._systems)
+        tree = *self._tree, self._links
+        arrays = *map(np.ascontiguousarray, poses), self.pairs, self.pivots, *tree, *self._systems
+        return kernels.agree(*arrays)
 
     def measured(self, poses: PartPoses) -> Steadiness:
         """Return the inverse variances of poses and relations over frames ``(T, ...)``."""

@@ -66,8 +66,8 @@ def inflated(weight: float) -> tuple[ShellProblem, Float]:
     assert piece is not None
     lengths, angles = edge_lengths(points, topology.edges), dihedral_angles(points, topology.hinges)
     before = volume(points, faces)
-    wanted = {"volume": 1.1 * before, "volume_weight": weight / before}
-    return ShellProblem(piece.patch, lengths, angles, 1.0 / lengths, 0.3, **wanted), points
+    problem = ShellProblem(piece.patch, lengths, angles, 1.0 / lengths, 0.3)
+    return replace(problem, volume=1.1 * before, volume_weight=weight / before), points
 
 
 def test_steps_are_those_of_all_equations() -> None:
