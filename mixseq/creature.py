@@ -1,25 +1,17 @@
 """A walking fox: the sample animation of mixseq, made from a table of bones.
 
-The bones' flesh is blended into one closed surface (`skeleton`), polygonised (`surface_nets`), posed (`gait`) and
-skinned. The middle of a bone moves nearly rigidly and only the joints bend, so the fox is also a test case with known
-parts (`part_of_vertex`).
+The middle of a bone moves nearly rigidly and only the joints bend, so the fox is also a test case with known parts
+(`part_of_vertex`).
 
-A triangle mesh of an implicit surface: naive surface nets, then relaxation on the surface.
+*Body.* The tapered flesh around the bones is blended into one closed surface. Surface nets (Gibson 1998) put one vertex
+into every grid cell that the surface crosses, and one quad around every grid edge that it crosses: the mesh is closed
+and oriented, and manifold if the shape is smooth at the scale of a cell. Relaxation evens the triangles out on the
+surface. At rest the fox stands on the plane ``y = 0``, faces ``+x``, and has its right side at ``+z``, in metres. A row
+of the table with a ``z`` of its own is the right one of a pair; the left one is its mirror.
 
-Surface nets (Gibson 1998) put one vertex into every grid cell that the surface crosses, and one quad around every grid
-edge that it crosses. The result is closed and oriented; it is manifold if the shape is smooth at the scale of a cell.
-Relaxation evens the triangles out on the surface.
-
-The fox as a table: bones, and the tapered flesh around them.
-
-In its rest pose the fox stands on the plane ``y = 0``, faces ``+x``, and has its right side at ``+z``, in metres. A
-row with a ``z`` of its own is the right one of a pair; the left one is its mirror.
-
-The walk: a pose of the skeleton for every phase of the cycle.
-
-Spine, head and tail swing by a table of harmonics (forward kinematics). Paws follow a path that is planted during
-stance, and the legs reach for them (inverse kinematics of two bones). The fox walks on the spot, as on a treadmill: a
-planted paw moves backwards at constant speed. Everything has period 1 in the phase.
+*Walk.* Spine, head and tail swing by a table of harmonics (forward kinematics). Paws follow a path that is planted
+during stance, and the legs reach for them (inverse kinematics of two bones). The fox walks on the spot, as on a
+treadmill: a planted paw moves backwards at constant speed. Everything has period 1 in the phase.
 """
 
 from __future__ import annotations

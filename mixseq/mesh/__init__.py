@@ -1,1 +1,5 @@
-"""Geometry and topology of one triangle mesh."""
+"""One mesh in one pose: connectivity, measures, rotations, closest points, decimation, and what files know of it.
+
+`topology` is connectivity; `measures` are lengths, angles, areas and normals; `rigid` and `rotations` are rigid
+motions; `nearest` searches a `box_tree`; `polygons` and `surface` are the mesh as authored.
+"""

@@ -6,8 +6,6 @@ size: its j-th node has the places from floor(F j / 2^l) to floor(F (j + 1) / 2^
 the median of their boxes' centres along the axis in which the centres spread most (Bentley 1975, "Multidimensional
 binary search trees used for associative searching").
 
-Compiled inner loops of `mixseq.mesh.nearest` and `mixseq.mesh.nearest`.
-
 *Closest points.* With corners a, b, c relative to the query, the closest point of a triangle is the closest of four:
 
 - on each side :math:`pq` the point :math:`p + t (q - p)`, with :math:`t = -p \cdot (q - p) / |q - p|^2` within [0, 1];

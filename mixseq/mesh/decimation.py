@@ -8,8 +8,6 @@ edges with three or more faces stay; the border shrinks along itself only.
 
 Libraries (fast-simplification, Open3D) make new vertices of least error, which are known in one frame only.
 
-Compiled inner loop of `mixseq.mesh.decimation`: half-edge collapses in the order of their costs.
-
 The faces of a vertex are a chain of corners ``3 f + k``; collapsing joins two chains. A heap holds half-edges
 ``v -> u`` with the times of the last changes around both ends: older entries are skipped. Refused collapses may be
 allowed later, so passes over all half-edges are repeated until one changes nothing.

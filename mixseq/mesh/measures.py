@@ -1,27 +1,20 @@
-r"""The diagonal of a bounding box, the unit of lengths and errors, at any scale.
+r"""Measures of a mesh: its diagonal, lengths, dihedral angles, areas, volume, and normals of corners.
 
-Squares of lengths below 1e-154 or above 1e154 overflow double precision, so exponents are shifted before squaring.
-Results are bitwise equal wherever squares fit anyway.
-
-Normals of corners, with authored hard edges.
-
-Normals are computed for every frame: the normal ``n_g`` of a group ``g`` of corners sums over its corners ``c`` the
-normals of their polygons, weighted by the polygons' areas,
-
-    n_g = normalised sum over c in g of m_p(c),    m_p = 1/2 sum over the polygon's corners of x_i × x_(i+1),
-
-where ``m_p`` is the vector area of polygon ``p``, of an n-gon too, planar or not. Groups of corners with a common
-normal belong to the surface (`mixseq.mesh.surface.Surface.hard_edges`).
-
-Edge lengths and signed dihedral angles, their gradients, and angles unwrapped along time.
+The diagonal of a bounding box is the unit of lengths and errors, at any scale. Squares of lengths below 1e-154 or above
+1e154 overflow double precision, so exponents are shifted before squaring; results are bitwise equal wherever squares
+fit anyway.
 
 For a hinge with edge ``ab`` and opposite vertices ``c`` (first face) and ``d`` (second face), with
-``e = b - a``, ``n1 = e x (c - a)`` and ``n2 = (d - a) x e``,
+``e = b - a``, ``n1 = e x (c - a)`` and ``n2 = (d - a) x e``, the dihedral angle is
 
 .. math:: \theta = \mathrm{atan2}\bigl((n_1 \times n_2) \cdot e / |e|,\; n_1 \cdot n_2\bigr)
 
 in radians in (-pi, pi]: 0 where flat, positive where the surface is convex under the orientation of the first
 face (a -> b -> c counter-clockwise seen from outside).
+
+The normal of a group of corners, which belongs to the surface (`mixseq.mesh.surface.Surface.hard_edges`), is the
+normalised sum over its corners of the vector areas of their polygons, :math:`\frac12 \sum x_i \times x_{i+1}` over the
+corners of each, of an n-gon too, planar or not.
 """
 
 from __future__ import annotations
@@ -171,33 +164,32 @@ def flat_faces(points: FloatArray, faces: IntArray, height: float) -> NDArray[np
     return np.asarray(double_area <= height * longest)
 
 
-def length_gradients(points: FloatArray, edges: IntArray) -> Float:
-    """Return the derivative ``(E, 3)`` of each length by its second vertex (by its first: the negative)."""
-    difference = points[edges[:, 1]] - points[edges[:, 0]]
-    length = np.sqrt(np.einsum("ei,ei->e", difference, difference))
-    return np.asarray(difference / np.maximum(length, np.finfo(np.float64).tiny)[:, None], dtype=np.float64)
+def summed(values: FloatArray, places: IntArray, count: int) -> Float:
+    """Sum values ``(m, k)`` at their places ``(m,)`` to ``(count, k)``, in order."""
+    sums = [np.bincount(places, column, minlength=count) for column in values.T]
+    return np.stack(sums, axis=1).astype(np.float64)  # without any places they are integers
 
 
-def dihedral_gradients(points: FloatArray, hinges: IntArray) -> Float:
-    """Return the derivatives ``(H, 4, 3)`` of each dihedral angle by its vertices a, b, c, d.
+def triangle_areas(points: FloatArray, faces: IntArray) -> Float:
+    """Return the areas ``(F,)`` of triangles ``(F, 3)`` of points ``(V, 3)``."""
+    a, b, c = (points[corner] for corner in faces.T)
+    return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
 
-    With ``e = b - a`` and ``tc = (c - a).e / |e|^2`` (``td`` likewise) the gradient of the angle is
-    ``gc = -|e| n1 / |n1|^2``, ``gd = -|e| n2 / |n2|^2``, ``ga = -(1 - tc) gc - (1 - td) gd``,
-    ``gb = -tc gc - td gd``.
-    """
-    a, b, c, d = (points[hinges[:, i]] for i in range(4))
-    e = b - a
-    n1, n2 = np.cross(e, c - a), np.cross(d - a, e)
-    tiny = np.finfo(np.float64).tiny
-    ee = np.maximum(np.einsum("hi,hi->h", e, e), tiny)
-    length = np.sqrt(ee)
-    gc = -(length / np.maximum(np.einsum("hi,hi->h", n1, n1), tiny))[:, None] * n1
-    gd = -(length / np.maximum(np.einsum("hi,hi->h", n2, n2), tiny))[:, None] * n2
-    tc = (np.einsum("hi,hi->h", c - a, e) / ee)[:, None]
-    td = (np.einsum("hi,hi->h", d - a, e) / ee)[:, None]
-    ga = -(1.0 - tc) * gc - (1.0 - td) * gd
-    gb = -tc * gc - td * gd
-    return np.asarray(np.stack([ga, gb, gc, gd], axis=1), dtype=np.float64)
+
+def volume(points: FloatArray, faces: IntArray) -> float:
+    """Return the signed volume of points ``(n, 3)`` about their mean, over faces ``(m, 3)``."""
+    x = points - points.mean(axis=0)
+    a, b, c = (x[corner] for corner in faces.T)
+    return float(np.einsum("fi,fi->", a, np.cross(b, c))) / 6.0
+
+
+def volume_gradient(points: FloatArray, faces: IntArray) -> Float:
+    """Return the derivatives ``(n, 3)`` of `volume`; they add up to zero."""
+    x = points - points.mean(axis=0)
+    a, b, c = (x[corner] for corner in faces.T)
+    pulls = np.concatenate([np.cross(b, c), np.cross(c, a), np.cross(a, b)]) / 6.0
+    gradient = summed(pulls, faces.T.reshape(-1), len(x))
+    return np.asarray(gradient - gradient.mean(axis=0))
 
 
 def wrap(angles: FloatArray) -> Float:

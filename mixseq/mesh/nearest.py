@@ -1,14 +1,12 @@
-"""Exact closest points of a triangle mesh, optionally only where the mesh faces the same way.
+"""Exact closest points of a triangle mesh, its self-intersections, and attachments of its disconnected pieces.
 
-`trimesh.proximity.closest_point` supports no directions, needs rtree, and takes 17 times as long (from one frame of
-horse_gallop to another, 8431 points, with building the tree; distances differ by 3e-6 diagonals at most).
+Closest points may be limited to where the mesh faces the same way. `trimesh.proximity.closest_point` supports no
+directions, needs rtree, and takes 17 times as long (from one frame of horse_gallop to another, 8431 points, with
+building the tree; distances differ by 3e-6 diagonals at most).
 
-Self-intersections of a mesh.
-
-Attach disconnected pieces of a mesh, such as eyes, teeth and shoes, to each other.
-
-Every piece but the first is attached at one vertex to one vertex of another piece: the nearest of those attached
-already, as in the shortest spanning tree (Prim 1957). Pieces that follow a leader are attached to it.
+Every piece but the first, such as eyes, teeth and shoes, is attached at one vertex to one vertex of another piece: the
+nearest of those attached already, as in the shortest spanning tree (Prim 1957). Pieces that follow a leader are
+attached to it.
 """
 
 from __future__ import annotations

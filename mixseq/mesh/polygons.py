@@ -1,6 +1,4 @@
-"""The polygons of a mesh, and their triangulation.
-
-Correspondence of the polygons of two meshes with the same vertices.
+"""The polygons of a mesh, their triangulation, and the correspondence of those of two meshes with the same vertices.
 
 Programs keep the order of vertices but may reorder polygons (Blender groups faces of OBJ files by material) and rotate
 their corners. A polygon is therefore identified by the directed cycle of its vertices.

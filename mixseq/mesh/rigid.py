@@ -1,6 +1,4 @@
-"""Rigid motions: the best one between two point sets, and the registration of many sets to their mean.
-
-Compiled inner loop of `mixseq.mesh.rigid`: the rotations nearest to matrices.
+"""Rigid motions: nearest rotations, the best motion between two point sets, and the mean shape of many.
 
 A nearest rotation needs two singular triplets only: with u_1, u_2 and v_1, v_2 those of the two largest singular
 values, it is ``u_1 v_1^T + u_2 v_2^T + (u_1 x u_2) (v_1 x v_2)^T``, for any size and sign of the third one. They

@@ -186,6 +186,14 @@ def _symmetric(pairs: Index, count: int) -> sparse.csr_array:
     return sparse.coo_array((np.ones(2 * len(pairs)), tuple(places)), shape=(count, count)).tocsr()
 
 
+def connected(count: int, pairs: IntArray) -> Index:
+    """Return the connected component ``(count,)`` of each of ``count`` nodes, by pairs ``(n, 2)``."""
+    graph = sparse.coo_array(
+        (np.ones(len(pairs), dtype=bool), (pairs[:, 0], pairs[:, 1])), shape=(count, count)
+    )
+    return csgraph.connected_components(graph, directed=False)[1].astype(np.int64)
+
+
 def vertices_of(topology: Topology, faces: Mask) -> Mask:
     """Mark the vertices ``(V,)`` of the marked faces ``(F,)``."""
     marked = np.zeros(topology.vertex_count, dtype=bool)
@@ -215,17 +223,14 @@ def face_patches(topology: Topology, faces: Mask) -> NDArray[np.int64]:
     patch = np.full(len(topology.faces), -1, dtype=np.int64)
     chosen = np.flatnonzero(faces)
     pairs = topology.hinge_faces[hinges_inside(topology, faces)]
-    graph = _symmetric(np.searchsorted(chosen, pairs), len(chosen))
-    patch[chosen] = csgraph.connected_components(graph, directed=False)[1]
+    patch[chosen] = connected(len(chosen), np.searchsorted(chosen, pairs))
     return patch
 
 
 def split_labels(topology: Topology, labels: IntArray) -> NDArray[np.int64]:
     """Number the hinge-connected patches ``(F,)`` of equal labels 0, 1, ..., label by label."""
     together = labels[topology.hinge_faces[:, 0]] == labels[topology.hinge_faces[:, 1]]
-    i, j = topology.hinge_faces[together].T
-    graph = sparse.coo_array((np.ones(len(i), dtype=bool), (i, j)), shape=(len(labels), len(labels)))
-    patch = csgraph.connected_components(graph, directed=False)[1]
+    patch = connected(len(labels), topology.hinge_faces[together])
     first = np.unique(patch, return_index=True)[1]
     number = np.empty(len(first), dtype=np.int64)
     number[np.lexsort((first, labels[first]))] = np.arange(len(first))

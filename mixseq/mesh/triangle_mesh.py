@@ -1,6 +1,4 @@
-r"""A triangle mesh in one pose: areas, normals, and closest points on some of its triangles.
-
-Normals of faces and vertices, and triangles as invertible matrices, also for triangles without area.
+r"""A triangle mesh in one pose: areas, normals, closest points, and triangles as matrices, also without area.
 
 All follow a rigid motion of the vertices, except normals of vertices on one line, whose rotation about it is undefined.
 As matrices triangles are two sides, and a fourth vertex along the normal (Sumner and Popović 2004),
@@ -18,6 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
+from mixseq.mesh.measures import summed
 from mixseq.mesh.nearest import Found, Nearest
 from mixseq.mesh.topology import Topology
 from mixseq.types import Float, Index, Mask
@@ -57,7 +56,7 @@ def vertex_normals(x: Float, faces: Index, edges: Index) -> Float:
     Without one, the mean of neighbours along edges ``(E, 2)``; zero if no connected vertex has a normal.
     """
     of_faces = face_normals(x, faces)
-    sums = _gathered(len(x), faces.reshape(-1), np.repeat(of_faces, 3, axis=0))
+    sums = summed(np.repeat(of_faces, 3, axis=0), faces.reshape(-1), len(x))
     sizes = np.repeat(np.linalg.norm(of_faces, axis=1), 3)
     whole = np.bincount(faces.reshape(-1), sizes, minlength=len(x))
     normals = np.where((np.linalg.norm(sums, axis=1) > CANCELLED * whole)[:, None], unit(sums), 0.0)
@@ -65,19 +64,13 @@ def vertex_normals(x: Float, faces: Index, edges: Index) -> Float:
     missing = np.flatnonzero(~normals.any(axis=1))
     while missing.size:
         into = np.isin(starts, missing)
-        found = unit(_gathered(len(x), starts[into], normals[ends[into]]))
+        found = unit(summed(normals[ends[into]], starts[into], len(x)))
         normals[missing] = found[missing]
         still = missing[~found[missing].any(axis=1)]
         if still.size == missing.size:
             break
         missing = still
     return normals
-
-
-def _gathered(count: int, places: Index, vectors: Float) -> Float:
-    """Sum vectors ``(m, 3)`` at their places ``(m,)``."""
-    sums = [np.bincount(places, column, minlength=count) for column in vectors.T]
-    return np.stack(sums, axis=1).astype(np.float64)  # without any places they are integers
 
 
 def completed(rows: Float, faces: Index, edges: Index) -> Float:
@@ -182,12 +175,7 @@ class TriangleMesh:
     @cached_property
     def vertex_normals(self) -> Float:
         """Unit normals ``(V, 3)``, area-weighted means of the triangles'; zero where there is none."""
-        corners = self.faces.reshape(-1)
-        sums = [
-            np.bincount(corners, weights=np.repeat(self.vectors[:, d], 3), minlength=len(self.points))
-            for d in range(3)
-        ]
-        return unit(np.stack(sums, axis=1))
+        return unit(summed(np.repeat(self.vectors, 3, axis=0), self.faces.reshape(-1), len(self.points)))
 
     @cached_property
     def squared_lengths(self) -> Float:

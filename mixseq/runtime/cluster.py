@@ -1,6 +1,4 @@
-"""Clusters of processes or machines: connect to one, or start one locally (extra ``dask``).
-
-An executor on the workers of a cluster, with dask.distributed (extra ``dask``).
+"""An executor on the workers of a cluster, with dask.distributed (extra ``dask``): a given one, or one started here.
 
 Results and their order are those of `mixseq.runtime.parallel.serially`, also if a worker dies. Every task carries its
 input, including the shared object, so that the scheduler can resend it; *scattered* data would be lost with its worker

@@ -1,6 +1,6 @@
-"""Dataclasses with cached results: computed ahead of threads that share them, and left out of pickles.
+"""Work at first use: cached results of dataclasses, and packages whose names are imported when they are needed.
 
-Lazy packages: names are imported on first use, to keep import times short.
+Caches are computed ahead of threads that share an object, and left out of pickles.
 """
 
 from __future__ import annotations

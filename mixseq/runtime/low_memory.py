@@ -8,7 +8,7 @@ memory, large ones on disk in tiles, so that both are read in long runs:
 >>> [block.sum(axis=0).tolist() for _, block in column_blocks(array)]
 [[6.0, 9.0]]
 
-Running statistics of streamed values in little memory: root mean square, 99.9th percentile, maximum.
+`RunningStatistics` of streamed values keep the largest ones only.
 """
 
 from __future__ import annotations
@@ -45,7 +45,6 @@ class DiskArray:
         self.shape = shape
         self.dtype = np.dtype(dtype)
         self._width = int(np.prod(shape[1:], dtype=np.int64))
-        self._step = _columns_at_once(len(self))
         try:
             self._file = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the array
         except OSError as error:
@@ -62,7 +61,7 @@ class DiskArray:
         first, last, _ = rows.indices(len(self))
         flat = values.reshape(last - first, self._width)
         try:
-            for columns in self._tiles():
+            for columns in _tiles(len(self), self._width):
                 self._seek(first, columns)
                 self._file.write(np.ascontiguousarray(flat[:, columns], dtype=self.dtype).data)
             self._file.flush()
@@ -79,18 +78,14 @@ class DiskArray:
         # Runs of rows that follow each other are read at once.
         ends = np.flatnonzero(np.diff(wanted, prepend=-9, append=-9) != 1)
         for start, stop in pairwise(ends):
-            for columns in self._tiles():
+            for columns in _tiles(len(self), self._width):
                 flat[start:stop, columns] = self._read(int(wanted[start]), int(stop - start), columns)
         return flat.reshape(len(wanted), *self.shape[1:])
 
     def columns(self) -> Iterator[tuple[slice, NDArray[Any]]]:
         """Yield column slices of the flattened rows, and blocks ``(T, C)``."""
-        for columns in self._tiles():
+        for columns in _tiles(len(self), self._width):
             yield columns, self._read(0, len(self), columns)
-
-    def _tiles(self) -> Iterator[slice]:
-        for start in range(0, self._width, self._step):
-            yield slice(start, min(start + self._step, self._width))
 
     def _seek(self, row: int, columns: slice) -> None:
         self._file.seek(
@@ -127,14 +122,15 @@ def column_blocks(array: LargeArray) -> Iterator[tuple[slice, NDArray[Any]]]:
     if isinstance(array, DiskArray):
         yield from array.columns()
         return
-    step = _columns_at_once(len(array))
-    for start in range(0, array.shape[1], step):
-        columns = slice(start, min(start + step, array.shape[1]))
+    for columns in _tiles(*array.shape):
         yield columns, np.ascontiguousarray(array[:, columns])
 
 
-def _columns_at_once(rows: int) -> int:
-    return min(_COLUMNS, max(_BLOCK // max(rows, 1), 64))
+def _tiles(rows: int, width: int) -> Iterator[slice]:
+    """Yield the column slices in which an array of `rows` rows is stored and read."""
+    step = min(_COLUMNS, max(_BLOCK // max(rows, 1), 64))
+    for start in range(0, width, step):
+        yield slice(start, min(start + step, width))
 
 
 PERCENTILE = 0.999

@@ -1,13 +1,9 @@
-"""Limit of linear algebra to one thread, so that results do not depend on the number of threads.
-
-Splitting a matrix product over threads changes the order of sums, and with it the last bits. Small products, which
-dominate here, get slower.
-
-Executors: parallel map over many items, with ordered and reproducible results.
+"""Executors: parallel map over many items, with ordered results that do not depend on the number of threads.
 
 All frame-wise work goes through an *executor*: a function of a shared object (a model, a space) and an item (a block of
 frames). The caller chooses the caller's thread, several threads or the workers of a cluster; the same item has the same
-result on each.
+result on each. So linear algebra is limited to one thread (`one_blas_thread`): splitting a matrix product over threads
+changes the order of sums, and with it the last bits. Small products, which dominate here, would get slower, too.
 
 Sequential work, such as a stream of bits, can run beside other work: `InTurn`.
 """

@@ -1,7 +1,4 @@
-"""Progress callbacks of long work.
-
-Forwarding of mixseq's warnings to a display.
-"""
+"""Progress callbacks of long work, and mixseq's warnings forwarded to a display."""
 
 from __future__ import annotations
 

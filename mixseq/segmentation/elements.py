@@ -1,14 +1,10 @@
-"""Elements of clustering: faces of a mesh, or cells of faces, and their trajectories.
+"""Elements of segmentations: faces or cells of faces with their trajectories, boundaries of parts, and landscapes.
 
-Every element has a few vertices, which define its motion, and neighbours, over which costs are averaged.
+An element of clustering has a few vertices, which define its motion, and neighbours, over which costs are averaged.
 
-Boundaries between neighbouring parts.
-
-Growing regions over a landscape, and the passes between them.
-
-Every hinge has a height. Rising water connects faces across hinges in the order of height, which is Kruskal's
-algorithm for the minimum spanning tree of the dual graph: its nodes are faces, its edges hinges. A hinge that joins two
-lakes is the *pass* between them, with
+Regions grow over a *landscape*, in which every hinge has a height. Rising water connects faces across hinges in the
+order of height, which is Kruskal's algorithm for the minimum spanning tree of the dual graph: its nodes are faces, its
+edges hinges. A hinge that joins two lakes is the *pass* between them, with
 
 - an *area*: that of the smaller lake when they meet,
 - a *depth*: its height above the bottom of the shallower lake (the persistence of that lake).
@@ -25,11 +21,10 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse import csgraph
 
 from mixseq.errors import SettingsError
-from mixseq.mesh.topology import Topology
+from mixseq.mesh.measures import summed, triangle_areas
+from mixseq.mesh.topology import Topology, connected
 from mixseq.types import Float, FloatArray, Index, IntArray, Mask, Single
 
 
@@ -52,9 +47,8 @@ class Boundaries:
 
     def middles(self, frame: FloatArray) -> Float:
         """Return the middles ``(n, 3)`` of the boundaries in a frame ``(V, 3)``: means of edge midpoints."""
-        middles = frame[self.edges].mean(axis=1)
-        sums = [np.bincount(self.pair, column, minlength=len(self.parts)) for column in middles.T]
-        return np.stack(sums, axis=1) / np.bincount(self.pair, minlength=len(self.parts))[:, None]
+        sums = summed(frame[self.edges].mean(axis=1), self.pair, len(self.parts))
+        return sums / np.bincount(self.pair, minlength=len(self.parts))[:, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,11 +102,8 @@ class Passes:
 
     def cut(self, where: Index) -> Index:
         """Cut the tree at n hinges; number the regions ``(F,)`` by decreasing area."""
-        count = len(self.face_areas)
-        i, j = self.topology.hinge_faces[np.delete(self.hinges, where)].T
-        graph = sparse.coo_array((np.ones(len(i), dtype=bool), (i, j)), shape=(count, count))
-        region = csgraph.connected_components(graph, directed=False)[1]
-        return by_area(region, self.face_areas)
+        kept = self.topology.hinge_faces[np.delete(self.hinges, where)]
+        return by_area(connected(len(self.face_areas), kept), self.face_areas)
 
     def deepest(self, parts: int, least_area: float) -> Index:
         """Choose the deepest passes that leave `parts` regions; the least area is halved until there are enough."""
@@ -269,11 +260,7 @@ class Elements:
 
 def face_areas(x: Float, topology: Topology) -> Float:
     """Return the areas ``(F,)`` of faces in a frame ``(V, 3)`` of unit size, tiny ones without area."""
-    from mixseq.segmentation.segmentation_kernels import measure_areas
-
-    areas = np.empty(len(topology.faces))
-    measure_areas(x, topology.faces, areas)
-    return np.maximum(areas, 1e-12, out=areas)
+    return np.maximum(triangle_areas(x, topology.faces), 1e-12)
 
 
 def _filled(members: NDArray[np.integer], none: int, width: int = 0) -> Table:

@@ -15,10 +15,8 @@ further, to keep a core of a third of its vertices. Width 1 takes nothing from a
 Three things cannot be solved for from lengths and angles and are given back to the parts: faces without area,
 vertices where a joint is connected by a point only, and patches of a joint without a face that one part holds.
 
-Observations of frames for the width of joints, gathered block by block.
-
-A decomposition needs the relative rotations of neighbouring parts, and the faces without area in some frame. Both are
-small and additive over blocks of frames, so that a sequence need not be in memory as a whole.
+The rotations of parts, and the faces without area in some frame, are observed block by block: both are small and
+additive over blocks of frames, so that a sequence need not be in memory as a whole.
 """
 
 from __future__ import annotations
@@ -28,13 +26,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse import csgraph
 
 from mixseq.errors import SegmentationError, SettingsError
 from mixseq.mesh.polygons import frozen
 from mixseq.mesh.rigid import aligning_rotations, bend, mean_shape
-from mixseq.mesh.topology import Topology, face_patches, hinges_inside, spread, vertices_of
+from mixseq.mesh.topology import Topology, connected, face_patches, hinges_inside, spread, vertices_of
 from mixseq.segmentation.elements import Boundaries
 from mixseq.types import Float, FloatArray, Index, Mask, evenly
 
@@ -255,9 +251,7 @@ def _points_of_contact(topology: Topology, patches: Index) -> Mask:
         at_end = topology.faces[sides] == end[:, None, None]
         links.append(3 * sides + at_end.argmax(axis=2))  # the corners of both faces at this end of the hinge
     inside = np.flatnonzero(np.repeat(marked, 3))
-    i, j = np.searchsorted(inside, np.concatenate(links)).T
-    graph = sparse.coo_array((np.ones(len(i)), (i, j)), shape=(len(inside), len(inside)))
-    fan = csgraph.connected_components(graph, directed=False)[1]
+    fan = connected(len(inside), np.searchsorted(inside, np.concatenate(links)))
     corners = np.stack([topology.faces.reshape(-1)[inside], fan], axis=1)
     vertex_of_fan = np.unique(corners, axis=0)[:, 0]
     return np.asarray(np.bincount(vertex_of_fan, minlength=topology.vertex_count) > 1)

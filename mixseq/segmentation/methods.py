@@ -1,6 +1,4 @@
-r"""Cut a mesh into parts by a named method, or by given labels.
-
-Scores of segmentations: agreement of two of them, and near-rigidity of parts.
+r"""Cut a mesh into parts by a named method, or by given labels; score segmentations by agreement and near-rigidity.
 
 *Adjusted Rand index* (Hubert and Arabie 1985) of two segmentations of one mesh. With :math:`n_{ij}` the weight that is
 in part i of one and part j of the other, :math:`a_i = \sum_j n_{ij}`, :math:`b_j = \sum_i n_{ij}`, N their sum, and the

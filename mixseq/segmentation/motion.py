@@ -10,20 +10,15 @@ r"""Segmentation by rigid motion: faces that rotate together form a part.
 
 The result is deterministic: there are no random numbers.
 
-Deviation of vertex sets from rigid motion, from additive sums.
-
-For vertices with weights w, rest positions h and positions x_t in frame t, the error of the best rigid motion is
+Deviations from rigid motion follow from additive sums (`Moments`). For vertices with weights w, rest positions h and
+positions x_t in frame t, the error of the best rigid motion is
 
 .. math:: E = \sum_t \Bigl( S^{xx}_t + S^{hh} - 2 \max_R \mathrm{tr}(R^T C_t) \Bigr), \qquad
           C_t = \sum w\, x_t h^T - \frac{1}{W} \bigl(\sum w\, x_t\bigr)\bigl(\sum w\, h\bigr)^T
 
 with centred second moments S. The maximum is the sum of the singular values of C_t, the last one with the sign
-of det C_t (Kabsch 1976). All sums are additive over disjoint sets: the error of a union needs no vertices.
-
-Clustering by rigid motion: Lloyd's iteration with incremental updates.
-
-A cluster's motion follows from sums over its vertices ("tallies"), which moving elements take along. Costs of unchanged
-clusters are reused.
+of det C_t (Kabsch 1976). All sums are additive over disjoint sets: the error of a union needs no vertices. In Lloyd's
+iteration moving elements take their sums along (`tally`), and costs of unchanged clusters are reused.
 """
 
 from __future__ import annotations

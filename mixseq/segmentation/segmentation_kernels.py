@@ -108,17 +108,6 @@ def list_neighbours(pairs: Index, table: Table) -> None:
 
 
 @compiled
-def measure_areas(points: Float, faces: NDArray[np.integer], areas: Float) -> None:
-    """Write the areas ``(F,)`` of faces ``(F, 3)`` of points ``(V, 3)``."""
-    for f in range(len(faces)):
-        a, b, c = points[faces[f, 0]], points[faces[f, 1]], points[faces[f, 2]]
-        u0, u1, u2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-        v0, v1, v2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-        n0, n1, n2 = u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
-        areas[f] = 0.5 * math.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
-
-
-@compiled
 def cells(starts: Table, neighbours: Table, owner: Table) -> Index:
     """Partition vertices into cells, a centre and its unassigned neighbours; write owners ``(V,)``, return centres."""
     centres = np.empty(len(owner), dtype=np.int64)

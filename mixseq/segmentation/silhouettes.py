@@ -1,6 +1,6 @@
-r"""Segmentation by augmented silhouettes, after Marras, Bronstein, Hormann, Scateni and Scopigno (2012).
+r"""Segmentation where a mesh deforms: by augmented silhouettes, and by a spanning tree.
 
-The method (paper, Section 2.1, Figure 3):
+*Augmented silhouettes* (Marras, Bronstein, Hormann, Scateni and Scopigno 2012; paper, Section 2.1, Figure 3):
 
 1. *Look.* The N poses are seen from K viewpoints. The augmented silhouette of a view are the edges between a visible
    and a hidden face, without occlusion. Only K' of all K N silhouettes, chosen at random, are used.
@@ -12,55 +12,35 @@ The method (paper, Section 2.1, Figure 3):
 Choices that the paper leaves open, like all numbers:
 
 - Views are orthographic, with directions spread over a half sphere: silhouettes are the same from behind.
-- A vertex deforms by :math:`\Delta\theta_v + \epsilon_v` (`mixseq.segmentation.silhouettes`), smoothed over a small
-  radius; on every silhouette a fixed share of vertices is marked; those marked on at least half of their silhouettes
-  are significant.
+- A vertex deforms by :math:`\Delta\theta_v + \epsilon_v`, smoothed over a small radius; on every silhouette a fixed
+  share of vertices is marked; those marked on at least half of their silhouettes are significant.
 - The height of a significant vertex is minus its distance from the nearest other one, so that regions meet in the
   middle of what deforms.
 - A seed makes a part if it is high enough above the pass to a higher one (its persistence, see
   `mixseq.segmentation.elements`), and its region is large enough. Every connected component is at least one part.
 
-Deformation of edges and hinges: their largest variation between any two frames.
+*Spanning tree* (Wuhrer and Brunton 2010; paper, Section 1.3): a minimum spanning tree of the dual graph connects the
+faces across the hinges whose dihedral angle varies least, and is cut at hinges of large variation. On noisy meshes that
+leaves one large part and crumbs: the largest variations are those of single bad triangles, and the tree passes joints
+along sides of limbs that are only sheared. So variations are averaged at vertices and smoothed, which closes the rings
+about joints, and a hinge is cut if it bends by enough more than the insides of both its sides (its depth as a pass,
+instead of its height), and if both sides are large enough.
 
-.. math:: \Delta\theta_h = \max_{s,t} \lvert \mathrm{wrap}(\theta_{h,s} - \theta_{h,t}) \rvert, \qquad
-          \Delta l_e = \max_{s,t} \lvert l_{e,s} - l_{e,t} \rvert
+*Variations* are the largest ones between any two frames; at vertices means over incident hinges or edges, weighted by
+length in the first frame:
 
-Segmentations by boundaries, rather than by motions, start from these (paper, Sections 1.3 and 2.1). Values at vertices
-are means over the incident hinges or edges, weighted by length in the first frame:
-
-.. math:: \Delta\theta_v = \frac{\sum_h l_h \Delta\theta_h}{\sum_h l_h}, \qquad
+.. math:: \Delta\theta_h = \max_{s,t} \lvert \mathrm{wrap}(\theta_{h,s} - \theta_{h,t}) \rvert, \quad
+          \Delta l_e = \max_{s,t} \lvert l_{e,s} - l_{e,t} \rvert, \quad
+          \Delta\theta_v = \frac{\sum_h l_h \Delta\theta_h}{\sum_h l_h}, \quad
           \epsilon_v = \frac{\sum_e \Delta l_e}{\sum_e l_e} .
 
-Diffusion on a surface: smoothing, and diffusion distance.
-
-With the cotangent Laplacian L and the vertex areas M of a mesh, heat spreads as :math:`M \dot u = -L u`. One implicit
-step of time :math:`r^2`,
-
-.. math:: (M + r^2 L)\, u = M u_0,
-
-smooths values over about the distance r. The eigenvectors :math:`L \phi_i = \lambda_i M \phi_i`,
-:math:`\phi_i^T M \phi_j = \delta_{ij}`, embed the surface so that Euclidean distances are *diffusion distances*
-(Coifman et al. 2005; Bronstein and Bronstein 2011), which measure how well two vertices are connected:
+*Diffusion.* With the cotangent Laplacian L and the vertex areas M of a mesh, heat spreads as :math:`M \dot u = -L u`.
+One implicit step of time :math:`r^2`, :math:`(M + r^2 L)\, u = M u_0`, smooths values over about the distance r. The
+eigenvectors :math:`L \phi_i = \lambda_i M \phi_i`, :math:`\phi_i^T M \phi_j = \delta_{ij}`, embed the surface so that
+Euclidean distances are *diffusion distances* (Coifman et al. 2005; Bronstein and Bronstein 2011), which measure how
+well two vertices are connected, independent of the signs of eigenvectors and of their basis where eigenvalues coincide:
 
 .. math:: d_t(v, w)^2 = \sum_{i \ge 1} e^{-2 t \lambda_i} \bigl(\phi_i(v) - \phi_i(w)\bigr)^2 .
-
-Distances are independent of the signs of eigenvectors and of their basis where eigenvalues coincide.
-
-Segmentation by a spanning tree, after Wuhrer and Brunton (2010): cut where hinges bend most.
-
-1. Every hinge has the largest variation of its dihedral angle between any two frames.
-2. A minimum spanning tree of the dual graph (nodes are faces, edges are hinges) connects the faces across the hinges
-   that bend least.
-3. The tree is cut at hinges of large variation, which leaves near-rigid parts.
-
-That is the method of the paper (Section 1.3). On noisy meshes it leaves one large part and crumbs: the largest
-variations are those of single bad triangles, and the tree passes joints along sides of limbs that are only sheared.
-Two additions:
-
-- *Smoothing.* Variations are averaged at vertices and smoothed over a small radius on the surface; a hinge has the
-  mean of its two ends. That closes the rings about joints.
-- *Where to cut.* A hinge is cut if it bends by enough more than the insides of both its sides (its depth as a
-  `mixseq.segmentation.elements` pass, instead of its height), and if both sides are large enough.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Mesh sequences: one mesh, new vertex positions every frame."""
+"""Mesh sequences: a `header` with the mesh and its times, new points every frame (`sequence`), and `frame_rates`."""

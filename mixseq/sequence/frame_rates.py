@@ -1,17 +1,12 @@
-"""Frame rates of television: exact values of typed rates such as 23.976, and their display.
+"""Frame rates and frame numbers: exact values, and their display.
 
 NTSC rates are 1000/1001 of whole numbers, 24000/1001 = 23.976023... With the rounded value, a shot that begins at frame
 1001 would be off by a thousandth of a frame, and frames would miss the grid.
 
-Frame numbers: the labels of the frames of a shot, such as 1001 to 1096, besides their times in seconds.
-
-The number n of a frame at the time t of a time line with f frames per second is
-
-.. math:: n = t f
-
-in every file and on every screen, so that a shot need not begin at 0. Files with numbers but no times,
-``walk_1001.obj`` or PC2, get their times from it; `SequenceHeader.numbered_from` changes the first number. In Python
-frames are indexed from 0; messages show the number.
+Frames have numbers besides their times, such as 1001 to 1096. The number n of a frame at the time t of a time line with
+f frames per second is :math:`n = t f` in every file and on every screen, so that a shot need not begin at 0. Files with
+numbers but no times, ``walk_1001.obj`` or PC2, get their times from it; `SequenceHeader.numbered_from` changes the
+first number. In Python frames are indexed from 0; messages show the number.
 """
 
 from __future__ import annotations

@@ -1,22 +1,18 @@
 """Mesh sequences: one fixed mesh, with new vertex positions in every frame.
 
-`SequenceHeader` is a sequence without its points; `MeshSequence` adds them. Readers stream
-``(header, blocks of points)``; `Frames` is their common interface with `MeshSequence`. Sequences are validated here and
-in their headers only: every `MeshSequence` is valid.
+`MeshSequence` adds points to a `SequenceHeader`. Readers stream ``(header, blocks of points)``; `Frames` is their
+common interface with `MeshSequence`. Sequences are validated here and in their headers only: every `MeshSequence` is
+valid.
 
-Sequences with random access: in memory, or copied to a temporary array while they are read once.
-
-Files are read sequentially and often slowly, while fitting needs several passes and single frames. Streams are copied
-once; all later work is the same for both.
+Files are read sequentially and often slowly, while fitting needs several passes and single frames. So streams are
+copied once to a `FrameStore` with random access, in memory or in a temporary file.
 
 Limits of double precision: as squared lengths are multiplied, meshes must be between `SMALLEST` and `LARGEST`. Small
 errors vanish beside large coordinates: `digits_end`.
 
-Conversion of sequences to another up axis and another unit of length.
-
-The up axis is turned by a quarter turn about the axis that is neither the old nor the new one: from Y to Z the point
-(x, y, z) becomes (x, -z, y), the usual convention. Coordinates are permuted and change signs without rounding; only a
-change of unit rounds.
+`convert_units` turns the up axis by a quarter turn about the axis that is neither the old nor the new one: from Y to Z
+the point (x, y, z) becomes (x, -z, y), the usual convention. Coordinates are permuted and change signs without
+rounding; only a change of unit rounds.
 """
 
 from __future__ import annotations

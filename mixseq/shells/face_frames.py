@@ -18,7 +18,7 @@ it smooth at half a turn, where a rotation vector would jump.
 Averaging starts from expected frames, or from chained ones: from one face on, layer by layer, each frame is the mean of
 the predictions of its neighbours in the layer before. That is exact where a mesh has these lengths and angles.
 
-Compiled inner loops of `mixseq.shells.face_frames`: chain and average frames, quaternions (w, x, y, z).
+Frames are unit quaternions (w, x, y, z).
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from mixseq.mesh.topology import connected
 from mixseq.runtime.jit import compiled, inlined
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.shells.solvers import Factor, factored_laplacian
@@ -54,6 +54,15 @@ def product_with_inverse(p: Float, q: Float, r: Float) -> None:
     r[1] = -p[0] * q[1] + p[1] * q[0] - p[2] * q[3] + p[3] * q[2]
     r[2] = -p[0] * q[2] + p[1] * q[3] + p[2] * q[0] - p[3] * q[1]
     r[3] = -p[0] * q[3] - p[1] * q[2] + p[2] * q[1] + p[3] * q[0]
+
+
+@inlined
+def inverse_product(p: Float, q: Float, r: Float) -> None:
+    """Write the product ``conj(p) q`` to r, which must not alias them."""
+    r[0] = p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3]
+    r[1] = p[0] * q[1] - p[1] * q[0] - p[2] * q[3] + p[3] * q[2]
+    r[2] = p[0] * q[2] + p[1] * q[3] - p[2] * q[0] - p[3] * q[1]
+    r[3] = p[0] * q[3] - p[1] * q[2] + p[2] * q[1] - p[3] * q[0]
 
 
 @compiled
@@ -159,18 +168,24 @@ def chained(
 
 
 @compiled
-def misfits(frames: Float, pairs: Index, turns: Float, weights: Float, right: Float) -> None:
-    """Write the right-hand side ``(n, 3)`` of a step of averaging: weighted axes of misfits, as long as their sines."""
-    right[:] = 0.0
-    expected, off = np.empty(4), np.empty(4)
+def misfits(frames: Float, pairs: Index, turns: Float, weights: Float, count: int) -> Float:
+    """Return the right-hand side ``(count, 3)`` of a step of averaging: weighted axes of misfits, long as their sines.
+
+    The first `count` frames move, the others are fixed. Arrays are real or complex.
+    """
+    right = np.zeros((count, 3), frames.dtype)
+    expected, off = np.empty(4, frames.dtype), np.empty(4, frames.dtype)
     for k in range(len(pairs)):
-        i, j = pairs[k]
+        i, j = pairs[k, 0], pairs[k, 1]
         product(frames[i], turns[k], expected)
         product_with_inverse(expected, frames[j], off)
         scale = 2.0 * weights[k] * off[0]
         for c in range(3):
-            right[j, c] += scale * off[1 + c]
-            right[i, c] -= scale * off[1 + c]
+            if j < count:
+                right[j, c] += scale * off[1 + c]
+            if i < count:
+                right[i, c] -= scale * off[1 + c]
+    return right
 
 
 @compiled
@@ -266,28 +281,18 @@ class Hinges:
         return np.asarray(transitions(seen[:, 0], seen[:, 1], angles + self.reversed_normals))
 
 
-class _Layers(NamedTuple):
-    """Order in which frames are chained, see `face_frame_kernels.chained`."""
-
-    order: Index
-    starts: Index
-    links: Index
-
-
 @dataclass(frozen=True, eq=False)
 class FrameGraph(PickledWithoutCaches):
     """Frames, and pairs of them with known relative rotations."""
 
-    count: int  # number n of frames
     pairs: Index  # (h, 2) pairs of different frames
     weights: Float  # (h,) positive weights of the pairs
     known: Mask  # (n,) frames from which chains start: at least one per component
-    known_weight: float  # weight of known frames in rotation averaging
 
     @cached_property
     def factor(self) -> Factor:
-        """Factor of the matrix of averaging."""
-        return factored_laplacian(self.pairs, self.weights, np.where(self.known, self.known_weight, 0.0))
+        """Factor of the matrix of averaging, in which known frames are held."""
+        return factored_laplacian(self.pairs, self.weights, np.where(self.known, 1.0, 0.0))
 
     def constants(self) -> tuple[object, ...]:
         """Implement `PickledWithoutCaches.constants`."""
@@ -295,28 +300,28 @@ class FrameGraph(PickledWithoutCaches):
 
     def averaged(self, frames: Float, turns: Float, rounds: int) -> Float:
         """Return averaged frames ``(n, 4)`` with smaller misfits to rotations ``(h, 4)``."""
-        frames, right = frames.copy(), np.empty((self.count, 3))
+        frames = frames.copy()
         for _ in range(rounds):
-            misfits(frames, self.pairs, turns, self.weights, right)
+            right = misfits(frames, self.pairs, turns, self.weights, len(frames))
             turned_on(frames, self.factor.solve(right))
         return frames
 
     def chained(self, turns: Float, known: Float) -> Float:
         """Return frames ``(n, 4)`` chained from known quaternions ``(r, 4)``."""
-        frames = np.zeros((self.count, 4))
+        frames = np.zeros((len(self.known), 4))
         frames[:, 0] = 1.0
         frames[self.known] = known
         chained(self.pairs, turns, self.weights, *self._layers, frames)
         return frames
 
     @cached_property
-    def _layers(self) -> _Layers:
-        """Breadth-first layers from the known frames; links lead to the layer before."""
-        depth = np.where(self.known, 0, -1)
+    def _layers(self) -> tuple[Index, Index, Index]:
+        """Order, starts and links of `chained`, by breadth-first layers from the known frames."""
+        count, depth = len(self.known), np.where(self.known, 0, -1)
         source, target = np.concatenate([self.pairs, self.pairs[:, ::-1]]).T
         number = np.arange(len(self.pairs))
         link = np.concatenate([number, -1 - number])
-        for layer in range(self.count):
+        for layer in range(count):
             reached = target[(depth[source] == layer) & (depth[target] < 0)]
             if not reached.size:
                 break
@@ -325,15 +330,8 @@ class FrameGraph(PickledWithoutCaches):
         used = used[np.lexsort((number[used % len(number)], target[used], depth[target[used]]))]
         order = np.flatnonzero(depth > 0)
         order = order[np.argsort(depth[order], kind="stable")]
-        counts = np.bincount(target[used], minlength=self.count)[order]
-        return _Layers(order, np.concatenate([[0], np.cumsum(counts)]).astype(np.int64), link[used])
-
-
-def connected(count: int, pairs: Index) -> Index:
-    """Return the connected component ``(count,)`` of each of ``count`` nodes, by pairs ``(h, 2)``."""
-    places = pairs[:, 0], pairs[:, 1]
-    graph = sparse.coo_array((np.ones(len(pairs)), places), shape=(count, count))
-    return csgraph.connected_components(graph, directed=False)[1].astype(np.int64)
+        counts = np.bincount(target[used], minlength=count)[order]
+        return order, np.concatenate([[0], np.cumsum(counts)]).astype(np.int64), link[used]
 
 
 def bridging(count: int, pairs: Index, sound: Mask) -> Mask:

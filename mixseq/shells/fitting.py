@@ -1,19 +1,19 @@
-r"""Gauss-Newton on edge lengths and dihedral angles: the discrete shell that fits them best.
+r"""Fit a patch of triangles to edge lengths and dihedral angles: linear initialisation, then Gauss-Newton.
 
 Minimises, over the free vertices of a patch,
 
 .. math::
 
     E(x) = \sum_e w_e^2 (l_e - l_e^*)^2 + \sum_h w_h^2\, \mathrm{wrap}(\theta_h - \theta_h^*)^2
-         + \sum_v w_v^2 |x_v - x_v^*|^2
+         + \sum_v w_v^2 |x_v - x_v^*|^2 + w^2 (V - V^*)^2
 
 with ``w_e = 1 / mean length of e`` and one weight for all angles, so that both terms count relative changes
-(Froehlich and Botsch 2011). The last term is optional: soft constraints of positions. Angle residuals are wrapped to
-(-pi, pi], so that folds beyond half a turn are pulled the right way.
+(Froehlich and Botsch 2011). Soft constraints of positions and the volume V of the patch are optional. Angle residuals
+are wrapped to (-pi, pi], so that folds beyond half a turn are pulled the right way.
 
-A patch of triangles to be rebuilt from lengths and angles, and the pattern of its normal equations.
-
-Rebuild a patch from edge lengths and dihedral angles: linear initialisation, then Gauss-Newton.
+A step s solves :math:`(J^T J + \lambda \, \mathrm{diag}\, J^T J)\, s = -J^T r` (Levenberg-Marquardt). If it does not
+lower the energy, it is tried again with ten times the damping :math:`\lambda`; if it lowers it as the linear model
+predicts, damping falls.
 
 The linear initialisation (after Wang, Liu and Tong 2012) uses no pose:
 
@@ -29,33 +29,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
-from mixseq.mesh.measures import (
-    dihedral_angles,
-    dihedral_gradients,
-    edge_lengths,
-    length_gradients,
-    sound_lengths,
-)
+from mixseq.errors import ReconstructionError
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, sound_lengths, volume, volume_gradient
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.rotations import rotations_of
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.segmentation.joints import Joint
 from mixseq.shells.face_frames import Hinges, flat_triangles, frames_of
-from mixseq.shells.gauss_newton import (
-    BlockSparsePattern,
-    DampedStep,
-    ShellReport,
-    ShellSettings,
-    damped,
-    minimise,
-)
+from mixseq.shells.gauss_newton import BlockSparsePattern, ShellReport, ShellSettings
 from mixseq.shells.kernels import conjugate_gradients, shell_equations, shell_residuals
 from mixseq.shells.solvers import Factor, factorise
 from mixseq.types import Float, Index, Mask
@@ -207,7 +194,16 @@ MOST = 100
 """Largest number of conjugate gradient steps; beyond it the matrix is factored."""
 
 HOPELESS = 1e150
-"""Largest dense residual whose square fits into double precision."""
+"""Largest residual of the volume whose square fits into double precision."""
+
+STUCK = 1e12
+"""Damping at which the fit stops: the energy is not smooth here, or not finite."""
+
+HELD = 1e-2
+"""Damping above which short steps do not indicate convergence."""
+
+LEVEL = 0.1
+"""Ratio of energies below which a step is not the last: a mesh fits exactly."""
 
 
 class SoftConstraint(NamedTuple):
@@ -217,53 +213,32 @@ class SoftConstraint(NamedTuple):
     weights: Float  # (f,) weights of the distances from there, per unit; empty for no constraints at all
 
 
-class DenseTerm(Protocol):
-    """One more residual that depends on all vertices, such as a volume."""
-
-    def residual(self, points: Float) -> float:
-        """Return the weighted residual at points ``(n, 3)``."""
-
-    def gradient(self, points: Float) -> Float:
-        """Return its derivatives ``(n, 3)``."""
-
-
 UNCONSTRAINED = SoftConstraint(np.zeros((0, 3)), np.zeros(0))
 
 
 @dataclass(frozen=True, eq=False)
 class ShellProblem:
-    """Targets and weights of the patch's free edges and hinges.
-
-    Optional are soft constraints, residuals ``weight * (x - position)`` of free vertices, and a last *dense* residual.
-    """
+    """Targets and weights of the patch's free edges and hinges, and optionally of positions and the volume."""
 
     patch: Patch
-    lengths: Float
-    angles: Float
-    length_weights: Float
-    bending: float
+    lengths: Float  # (e',) target lengths of edges with a free vertex
+    angles: Float  # (h',) target angles of hinges with a free vertex, in radians
+    length_weights: Float  # (e',) one over typical lengths
+    bending: float  # weight of an angle in radians
     soft: SoftConstraint = UNCONSTRAINED
-    dense: DenseTerm | None = None
-
-    @property
-    def edges(self) -> NDArray[np.int64]:
-        """Edges ``(e', 2)`` with a residual."""
-        return self.patch.equations.edges
-
-    @property
-    def hinges(self) -> NDArray[np.int64]:
-        """Hinges ``(h', 4)`` with a residual."""
-        return self.patch.equations.hinges
+    volume: float | None = None  # target volume, whose residual is the last one
+    volume_weight: float = 1.0  # weight of the volume, over that of the reference
 
     def residuals(self, points: Float) -> Float:
-        """Weighted residuals of points ``(n, 3)``: ``e' + h'``, ``3 free`` of soft constraints, and the dense one."""
-        return self._residuals(points)[0]
+        """Weighted residuals of points ``(n, 3)``: ``e' + h'``, ``3 free`` of soft constraints, and of the volume."""
+        return self.residuals_and_energy(points)[0]
 
     def energy(self, points: Float) -> float:
         """Sum of the squared residuals."""
-        return self._residuals(points)[1]
+        return self.residuals_and_energy(points)[1]
 
-    def _residuals(self, points: Float) -> tuple[Float, float]:
+    def residuals_and_energy(self, points: Float) -> tuple[Float, float]:
+        """Return the residuals of points ``(n, 3)`` and the sum of their squares; infinite for a hopeless mesh."""
         rows = self.patch.equations
         residuals = np.empty(len(rows.edges) + len(rows.hinges) + 3 * len(self.soft.weights))
         energy = shell_residuals(
@@ -279,15 +254,14 @@ class ShellProblem:
             self.soft.weights,
             residuals,
         )
-        if self.dense is not None:
-            last = self.dense.residual(points)
-            # Python raises where squares overflow; infinite energies are what minimise expects of a hopeless mesh.
-            square = last**2 if abs(last) < HOPELESS else np.inf
-            return np.append(residuals, last), float(energy) + square
-        return residuals, float(energy)
+        if self.volume is None:
+            return residuals, float(energy)
+        last = self.volume_weight * (volume(points, self.patch.faces) - self.volume)
+        square = last**2 if abs(last) < HOPELESS else np.inf  # Python raises where squares overflow
+        return np.append(residuals, last), float(energy) + square
 
     def normal_equations(self, points: Float, residuals: Float) -> tuple[Float, Float]:
-        """Values ``(N,)`` of ``J^T J`` in the patch's pattern, and ``J^T r`` ``(3 free,)``, without the dense term."""
+        """Values ``(N,)`` of ``J^T J`` in the patch's pattern, and ``J^T r`` ``(3 free,)``, without the volume."""
         rows = self.patch.equations
         values, gradient = np.empty(len(rows.pattern.rows)), np.empty(3 * len(rows.free))
         shell_equations(
@@ -307,73 +281,58 @@ class ShellProblem:
         )
         return values, gradient
 
-    def dense_row(self, points: Float) -> Float | None:
-        """Derivatives ``(3 free,)`` of the dense residual, if there is one."""
-        if self.dense is None:
+    def volume_row(self, points: Float) -> Float | None:
+        """Derivatives ``(3 free,)`` of the residual of the volume, if there is one."""
+        if self.volume is None:
             return None
-        return self.dense.gradient(points)[self.patch.free].reshape(-1)
-
-    def jacobian(self, points: Float) -> sparse.csr_array:
-        """Derivatives of all residuals but the dense one by the free vertices, ``(residuals, 3 free)``."""
-        length = length_gradients(points, self.edges) * self.length_weights[:, None]
-        stretch = np.stack([-length, length], axis=1)
-        bend = self.bending * dihedral_gradients(points, self.hinges)
-        row = np.concatenate(
-            [
-                np.repeat(np.arange(len(self.edges)), 6),
-                len(self.edges) + np.repeat(np.arange(len(self.hinges)), 12),
-            ]
-        )
-        place = self.patch.free_number[np.concatenate([self.edges.reshape(-1), self.hinges.reshape(-1)])]
-        column = (3 * place[:, None] + np.arange(3)).reshape(-1)
-        value = np.concatenate([stretch.reshape(-1), bend.reshape(-1)])
-        inside = np.repeat(place >= 0, 3)
-        weights = np.repeat(self.soft.weights, 3)
-        value = np.concatenate([value[inside], weights])
-        first = len(self.edges) + len(self.hinges)
-        row = np.concatenate([row[inside], first + np.arange(len(weights))])
-        column = np.concatenate([column[inside], np.arange(len(weights))])
-        size = (first + len(weights), 3 * len(self.patch.free))
-        return sparse.coo_array((value, (row, column)), shape=size).tocsr()
+        slopes = self.volume_weight * volume_gradient(points, self.patch.faces)
+        return slopes[self.patch.free].reshape(-1)
 
 
 def fit_shell(
     problem: ShellProblem, start: Float, settings: ShellSettings | None = None
 ) -> tuple[Float, ShellReport]:
     """Fit a patch to edge lengths and dihedral angles: start ``(n, 3)``; result ``(n, 3)``."""
-    return minimise(_Fit(problem), np.array(start, dtype=np.float64), settings or ShellSettings())
-
-
-class _Fit:
-    """The `LeastSquares` of a problem; stores whether conjugate gradients are worth trying again."""
-
-    def __init__(self, problem: ShellProblem) -> None:
-        self._problem = problem
-        self._constrained = bool(problem.soft.weights.size)
-
-    def residual(self, points: Float) -> tuple[Float, float]:
-        return self._problem._residuals(points)
-
-    def linearize(self, points: Float, residuals: Float) -> tuple[Float, DampedStep]:
-        pattern = self._problem.patch.equations.pattern
-        values, gradient = self._problem.normal_equations(points, residuals)
-        with_damping, row = damped(pattern, values), self._problem.dense_row(points)
+    settings = settings or ShellSettings()
+    pattern, free = problem.patch.equations.pattern, problem.patch.free
+    points = np.array(start, dtype=np.float64)
+    residuals, energy = problem.residuals_and_energy(points)
+    if not np.isfinite(energy):
+        raise ReconstructionError(
+            "lengths, angles, volumes or fixed vertices of a joint are not finite, or too large to be squared"
+        )
+    damping, constrained = 1e-6, bool(problem.soft.weights.size)
+    for iteration in range(settings.iterations):
+        if np.abs(residuals).max(initial=0.0) <= settings.exact:
+            return points, ShellReport(energy, iteration, True)
+        values, gradient = problem.normal_equations(points, residuals)
+        row, diagonal = problem.volume_row(points), values[pattern.diagonal]
         if row is not None:
             gradient += residuals[-1] * row
-
-        def step(damping: float) -> Float:
-            matrix = with_damping(damping)
-            if row is not None:
-                return _dense_step(pattern, matrix, gradient, row)
-            result, self._constrained = _step(pattern, matrix, gradient, self._constrained)
-            return result
-
-        return gradient, step
-
-    def retract(self, points: Float, step: Float) -> Float:
-        result = points.copy()
-        result[self._problem.patch.free] += step.reshape(-1, 3)
-        return result
+        while True:
+            values[pattern.diagonal] = diagonal + damping * diagonal + 1e-12 * diagonal.max(initial=0.0)
+            if row is None:
+                step, constrained = _step(pattern, values, gradient, constrained)
+            else:
+                step = _step_with_row(pattern, values, gradient, row)
+            promised = -float(gradient @ step)  # what the linear model gains, for small damping
+            if promised <= settings.tolerance * energy:
+                return points, ShellReport(energy, iteration, damping <= HELD)
+            candidate = points.copy()
+            candidate[free] += step.reshape(-1, 3)
+            new_residuals, new_energy = problem.residuals_and_energy(candidate)
+            if new_energy < energy:
+                break
+            if not damping < STUCK:
+                return points, ShellReport(energy, iteration, False)
+            damping *= 10.0
+        gain = (energy - new_energy) / promised
+        level = new_energy > LEVEL * energy
+        points, residuals, energy = candidate, new_residuals, new_energy
+        if level and damping <= HELD and np.abs(step).max() <= settings.accuracy:
+            return points, ShellReport(energy, iteration + 1, True)
+        damping = max(damping * (0.2 if gain > 0.75 else 1.0 if gain > 0.25 else 4.0), 1e-10)
+    return points, ShellReport(energy, settings.iterations, False)
 
 
 def _step(
@@ -394,7 +353,7 @@ def _step(
     return -pattern.analysis.factor(values).solve(gradient), False
 
 
-def _dense_step(pattern: BlockSparsePattern, values: Float, gradient: Float, row: Float) -> Float:
+def _step_with_row(pattern: BlockSparsePattern, values: Float, gradient: Float, row: Float) -> Float:
     """Solve ``(A + row row^T) step = -gradient`` with the factor of A alone (Sherman and Morrison 1950)."""
     both = pattern.analysis.factor(values).solve(np.stack([-gradient, row], axis=1))
     step, along = both.T
@@ -407,14 +366,10 @@ NEAR = 0.5
 
 def linear_initialisation(patch: Patch, lengths: Float, angles: Float, positions: Float) -> Float:
     """Rebuild a patch ``(n, 3)`` linearly from lengths ``(e,)``, angles ``(h,)`` and fixed positions ``(n, 3)``."""
-    return integrate(patch, _sides(patch, lengths, angles, positions), positions)
-
-
-def _sides(patch: Patch, lengths: Float, angles: Float, positions: Float) -> Float:
-    """Return the sides 01, 12, 20 of all faces ``(m, 3, 3)``, in their frames, before solving for vertices."""
     local = flat_triangles(lengths[patch.face_edges])
     frames = _frames(patch, local, angles, positions)
-    return np.asarray(np.einsum("fij,fkj->fki", frames[:, :, :2], np.roll(local, -1, axis=1) - local))
+    sides = np.einsum("fij,fkj->fki", frames[:, :, :2], np.roll(local, -1, axis=1) - local)
+    return integrate(patch, sides, positions)
 
 
 def _frames(patch: Patch, local: Float, angles: Float, positions: Float) -> Float:

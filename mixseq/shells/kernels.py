@@ -1,10 +1,8 @@
-"""Compiled inner loops of `mixseq.shells.shell`: lengths, angles, their energy, and gradients.
+"""Compiled inner loops of `mixseq.shells.shell` and `mixseq.shells.fitting`.
 
-Formulas are those of `mixseq.mesh.measures`; tests compare both.
-
-Compiled inner loops of `mixseq.shells.fitting`: residuals, normal equations, conjugate gradients.
-
-They release the interpreter's lock and add in a fixed order: results are the same bits on any number of threads.
+Lengths, angles, their energy, gradients and normal equations, and conjugate gradients. Formulas are those of
+`mixseq.mesh.measures`; tests compare both. Loops release the interpreter's lock and add in a fixed order: results are
+the same bits on any number of threads.
 """
 
 from __future__ import annotations

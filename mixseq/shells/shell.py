@@ -17,7 +17,7 @@ search, and the result is as smooth as the start. The same matrix integrates sid
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -91,11 +91,12 @@ class Shell(PickledWithoutCaches):
     topology: Topology  # connectivity
     reference: Float  # (V, 3) a reference shape, in diagonals
     typical: Float  # (E,) typical lengths of all edges, in diagonals
-    ties: Index  # (t, 2) further pairs of vertices with known sides, which connect parts without edges
     # (V,) weights of expected positions relative to those of the sides of faces: positive for at least one vertex of
     # every component.
     position_weights: Float
     bending: float  # weight of an angle in radians against a relative length
+    # (t, 2) further pairs of vertices with known sides, which connect parts without edges
+    ties: Index = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
 
     def constants(self) -> tuple[object, ...]:
         """Implement `PickledWithoutCaches.constants`."""
@@ -170,12 +171,13 @@ class Shell(PickledWithoutCaches):
         weights = np.concatenate([self.side_weights.reshape(-1), np.full(len(self.ties), self.tie_weight)])
         return factored_laplacian(np.stack([i, j], axis=1), weights, self.tie_weight * self.position_weights)
 
-    def integrated(self, sides: Float, tied: Float, expected: Float) -> Float:
-        """Solve for vertices ``(V, 3)`` from sides ``(F, 3, 3)`` of faces and ties ``(t, 3)``."""
+    def integrated(self, sides: Float, expected: Float, tied: Float | None = None) -> Float:
+        """Solve for vertices ``(V, 3)`` from sides ``(F, 3, 3)`` of faces, and of ties ``(t, 3)`` if there are any."""
         right = (self.tie_weight * self.position_weights)[:, None] * expected
         kernels.gathered(self._faces, self.side_weights, sides, right)
-        np.add.at(right, self.ties[:, 1], self.tie_weight * tied)
-        np.add.at(right, self.ties[:, 0], -self.tie_weight * tied)
+        if tied is not None:
+            np.add.at(right, self.ties[:, 1], self.tie_weight * tied)
+            np.add.at(right, self.ties[:, 0], -self.tie_weight * tied)
         return self.factor.solve(right)
 
     def relaxed(self, start: Float, lengths: Float, angles: Float, steps: int) -> Relaxed:

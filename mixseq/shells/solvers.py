@@ -33,11 +33,15 @@ _NEVER = 1 << 62
 """Amount of work from which rslab solves on its global pool, which a forked process cannot replace."""
 
 
-class Factor(Protocol):
-    """Interface of factored matrices."""
+class Factor:
+    """A factored matrix."""
+
+    def __init__(self, solve: Callable[[Float], Float]) -> None:
+        self._solve = solve
 
     def solve(self, right: Float) -> Float:
         """Solve for right-hand sides ``(n,)`` or ``(n, k)``."""
+        return np.asarray(self._solve(np.ascontiguousarray(right)), dtype=np.float64)
 
 
 class Analysis(Protocol):
@@ -137,24 +141,14 @@ class _RslabAnalysis:
 
     def factor(self, values: Float) -> Factor:
         if self._symbolic is None:
-            return _Solve(lambda right: right)
+            return Factor(lambda right: right)
         if not np.isfinite(values).all():
             raise _singular(ValueError("values are not finite"))
         try:
             factor = self._symbolic.factor(values, threads=_pools.size(self._threads))
         except RuntimeError as error:
             raise _singular(error) from None
-        return _RslabFactor(factor)
-
-
-class _RslabFactor:
-    def __init__(self, factor: Any) -> None:
-        self._factor = factor
-
-    def solve(self, right: Float) -> Float:
-        right = np.ascontiguousarray(right)
-        solve = self._factor.solve if right.ndim == 1 else self._factor.solve_many
-        return np.asarray(solve(right), dtype=np.float64)
+        return Factor(lambda right: (factor.solve if right.ndim == 1 else factor.solve_many)(right))
 
 
 class _SuperLUAnalysis:
@@ -183,25 +177,10 @@ class _SuperLUAnalysis:
     def factor(self, values: Float) -> Factor:
         source, full = self._both
         if not full.shape[0]:
-            return _Solve(lambda right: right)
+            return Factor(lambda right: right)
         matrix = sparse.csc_array((values[source], full.indices, full.indptr), shape=full.shape)
+        options = {"SymmetricMode": True}
         try:
-            return _Solve(
-                splu(
-                    matrix,
-                    permc_spec="MMD_AT_PLUS_A",
-                    relax=1,
-                    diag_pivot_thresh=0.0,
-                    options={"SymmetricMode": True},
-                ).solve
-            )
+            return Factor(splu(matrix, "MMD_AT_PLUS_A", 0.0, relax=1, options=options).solve)
         except RuntimeError as error:
             raise _singular(error) from None
-
-
-class _Solve:
-    def __init__(self, solve: Callable[[Float], Float]) -> None:
-        self._solve = solve
-
-    def solve(self, right: Float) -> Float:
-        return np.asarray(self._solve(np.ascontiguousarray(right)), dtype=np.float64)

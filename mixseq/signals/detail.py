@@ -1,19 +1,15 @@
-"""Signals of an encoded sequence, with a given detail.
+"""Signals of an encoded sequence: within a tolerance, exact, or with given numbers of modes and knots.
 
-Fit curves with few knots to values.
-
-Frames of a sequence as key shapes: their choice, and their weights in pose space.
-
-Signals within a tolerance, and exact models: the error of all decoded frames is measured.
-
-For a tolerance the coarsest signals that keep it are searched for. If not even the finest do, an error is raised.
+Key shapes are the mean and modes, or frames of the sequence. Curves have few knots, or one at (almost) every frame. For
+a tolerance the coarsest signals that keep it at all frames are searched for; if not even the finest do, an error is
+raised.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from hashlib import blake2b
 from typing import NamedTuple
 
@@ -55,6 +51,11 @@ Measure = Callable[[Float], Float]
 def largest(weights: Float) -> Measure:
     """Return the measure of the largest coordinate, with weights ``(k,)``."""
     return lambda deviations: np.asarray(np.abs(deviations * weights).max(axis=1, initial=0.0))
+
+
+def rms_of_vertices(count: int) -> Measure:
+    """Return the measure of scores: root mean square over a number of vertices."""
+    return lambda scores: np.asarray(np.linalg.norm(scores, axis=1) / np.sqrt(count))
 
 
 def fit_curve(times: Float, values: Float, tolerance: float, measure: Measure) -> Curve:
@@ -174,22 +175,6 @@ class Encoded:
         found = self.space.predicted_poses(self.operator, self.poses, self.placement, quarters, self.in_body)
         return Between(times, self.operator.at(times), quarters, *found)
 
-    @cached_property
-    def shape_measure(self) -> Measure:
-        """Deviation of scores: root mean square over the vertices, in diagonals."""
-        root = np.sqrt(self.header.vertex_count)
-        return lambda scores: np.asarray(np.linalg.norm(scores, axis=1) / root)
-
-    @cached_property
-    def placement_measure(self) -> Measure:
-        """Deviation of the placement: the largest coordinate, in diagonals."""
-        return largest(self.space.weights[self.space.shape_dim :][: self.space.placement_dim])
-
-    @cached_property
-    def correction_measure(self) -> Measure:
-        """Deviation of corrections: the largest coordinate, in diagonals."""
-        return largest(self.space.weights[self.space.shape_dim + self.space.placement_dim :])
-
 
 def encode(
     sequence: FrameStore | MeshSequence,
@@ -253,49 +238,53 @@ def build(encoded: Encoded, detail: Detail) -> Model:
     if detail.step:  # weights add up to one: so errors of the first key shape are not magnified
         steps = detail.step * encoded.space.coarseness
         shapes = _rounded(shapes[:1], steps) + _rounded(shapes - shapes[:1], steps)
-    signals = Signals(encoded, pose, shapes[:, encoded.pose_columns])
+    corrections = partial(_corrections, encoded.space, pose, shapes[:, encoded.pose_columns])
     if detail.knots is not None:
-        curves = signals.with_knots(modes.scores, _inner_knots(detail.knots, times))
+        curves = _with_knots(encoded, modes.scores, corrections, _inner_knots(detail.knots, times))
     else:
-        curves = signals.within(modes.scores, detail.slack, detail.step)
+        curves = _within_slack(encoded, modes.scores, corrections, detail)
     return Model(encoded.header, encoded.space, curves[0], pose, shapes, *curves[1:])
 
 
-@dataclass(frozen=True, eq=False)
-class Signals:
-    """Curves of a model at a level of detail."""
+Corrections = Callable[[Curve, Float, Float], Float]
+"""Map of a time signal, times ``(N,)`` and part poses there ``(N, ...)`` to corrections ``(N, C)``."""
 
-    encoded: Encoded  # the sequence
-    pose: PoseMap  # from pose space to weights of the key shapes
-    key_poses: Float  # (K, pose_dim) relative part poses of the key shapes
 
-    def with_knots(self, scores: Float, inner: Float) -> tuple[Curve, Curve, Curve]:
-        """Return curves of time, placement and correction with inner knots ``(n,)``."""
-        encoded, times = self.encoded, self.encoded.header.times
-        time = least_squares_curve(times, scores, inner)
-        placement = least_squares_curve(times, encoded.placement, inner)
-        parts, _ = encoded.space.predicted_poses(
-            encoded.operator, encoded.poses, encoded.placement, times, in_body=False
-        )
-        return time, placement, least_squares_curve(times, self._corrections(time, times, parts), inner)
+def _corrections(
+    space: ShapeSpace, pose: PoseMap, key_poses: Float, time: Curve, times: Float, targets: Float
+) -> Float:
+    """Return the `Corrections` of shapes blended of key shapes with part poses ``(K, pose_dim)``."""
+    return space.corrections(pose.weights(time(times)) @ key_poses, targets)
 
-    def within(self, scores: Float, slack: float, step: float) -> tuple[Curve, Curve, Curve]:
-        """Return curves of time, placement and correction within slack of frames and predictions, rounded."""
-        encoded = self.encoded
-        sites, rows, quarters, targets, placed = encoded.between
-        # Scores of modes that hardly count are small, but lengths and angles, which weigh little, change with them.
-        sizes = 2.0 ** np.floor(np.log2(np.maximum(np.abs(scores).max(axis=0), SMALLEST_SCORE)))
-        time = _curve(sites, rows.of(scores), slack, encoded.shape_measure, step * sizes)
-        placement = _curve(quarters, placed, slack, encoded.placement_measure, step)
-        corrections = self._corrections(time, quarters, targets)
-        if step and not slack:
-            step = max(step, CORRECTION_STEP)
-        return time, placement, _curve(quarters, corrections, slack, encoded.correction_measure, step)
 
-    def _corrections(self, time: Curve, times: Float, targets: Float) -> Float:
-        """Return the corrections ``(N, C)`` of blended shapes at times ``(N,)`` to part poses ``(N, ...)``."""
-        blended = self.pose.weights(time(times)) @ self.key_poses
-        return self.encoded.space.corrections(blended, targets)
+def _with_knots(
+    encoded: Encoded, scores: Float, corrections: Corrections, inner: Float
+) -> tuple[Curve, Curve, Curve]:
+    """Return curves of time, placement and correction with inner knots ``(n,)``."""
+    times = encoded.header.times
+    time = least_squares_curve(times, scores, inner)
+    placement = least_squares_curve(times, encoded.placement, inner)
+    parts, _ = encoded.space.predicted_poses(
+        encoded.operator, encoded.poses, encoded.placement, times, in_body=False
+    )
+    return time, placement, least_squares_curve(times, corrections(time, times, parts), inner)
+
+
+def _within_slack(
+    encoded: Encoded, scores: Float, corrections: Corrections, detail: Detail
+) -> tuple[Curve, Curve, Curve]:
+    """Return curves of time, placement and correction within slack of frames and predictions, rounded."""
+    slack, step, space = detail.slack, detail.step, encoded.space
+    sites, rows, quarters, targets, placed = encoded.between
+    # Scores of modes that hardly count are small, but lengths and angles, which weigh little, change with them.
+    sizes = 2.0 ** np.floor(np.log2(np.maximum(np.abs(scores).max(axis=0), SMALLEST_SCORE)))
+    time = _curve(sites, rows.of(scores), slack, rms_of_vertices(encoded.header.vertex_count), step * sizes)
+    of_placement, of_correction = np.split(space.weights[space.shape_dim :], [space.placement_dim])
+    placement = _curve(quarters, placed, slack, largest(of_placement), step)
+    values = corrections(time, quarters, targets)
+    if step and not slack:
+        step = max(step, CORRECTION_STEP)
+    return time, placement, _curve(quarters, values, slack, largest(of_correction), step)
 
 
 def _curve(times: Float, values: Float, slack: float, measure: Measure, step: float | Float) -> Curve:

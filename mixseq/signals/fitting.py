@@ -1,8 +1,7 @@
 """Fit models to mesh sequences: shape space, encoding, and signals of a given detail.
 
-Choose the prediction of poses, and the share of lengths and angles, by leaving frames out.
-
-Inner frames are predicted from the others, in each way, and compared: positions, edge lengths and hinge angles.
+How poses are predicted, and the share of lengths and angles, are chosen by leaving frames out: inner frames are
+predicted from the others, in each way, and compared by positions, edge lengths and hinge angles.
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ from numpy.typing import ArrayLike
 from mixseq.choices import POSE_FORMS, PlacementName, PoseForm, SpaceName
 from mixseq.errors import SettingsError
 from mixseq.mesh.measures import wrap
-from mixseq.mesh.rotations import continued
 from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.parallel import Executor, on_threads, one_blas_thread
 from mixseq.runtime.progress import Progress, Stages, silent
@@ -41,8 +39,7 @@ from mixseq.signals.model import Model
 from mixseq.spaces.edge import EdgeSettings
 from mixseq.spaces.making import MAKING, MixedSettings, SpaceOptions, make_space, space_settings
 from mixseq.spaces.mixed.mixed_space import MixedBlocks, MixedSpace
-from mixseq.spaces.mixed.pose_prediction import PosePrediction
-from mixseq.spaces.temporal import Poses, Rows
+from mixseq.spaces.temporal import Rows
 from mixseq.types import Float, Index, evenly
 
 MAX_TRIAL_FRAMES = 16
@@ -95,12 +92,8 @@ class Trial:
         left, rows = encoded.operator.left_out()
         most = int(np.clip(MAX_TRIAL_VERTICES // space.vertex_count, MIN_TRIAL_FRAMES, MAX_TRIAL_FRAMES))
         some = evenly(len(left), most)
-        points = (
-            np.stack([frames[frame : frame + 1][0].astype(np.float64) for frame in left[some]]) / space.scale
-        )
-        return cls(
-            encoded, space, left[some], Rows(rows.frames[some], rows.weights[some], rows.count), points
-        )
+        points = frames[left[some]].astype(np.float64) / space.scale
+        return cls(encoded, space, left[some], rows.at(some), points)
 
     def better_in_body(self) -> bool:
         """Whether predictions in bodies improve positions, lengths and angles on the whole."""
@@ -135,12 +128,10 @@ class Trial:
 
     def _vectors(self, in_body: bool) -> Float:
         """Vectors ``(n, D)`` of the frames, from the others."""
-        space, articulation = self.space, self.space.articulation
-        parts, bodies = space.part_poses(self.encoded.poses), space.poses(self.encoded.placement)
-        world = articulation.placed(Poses(parts.turns, parts.centres), bodies)
-        world = world._replace(rotations=continued(world.rotations))
-        placed, found = PosePrediction(articulation, self.encoded.operator, world, in_body).of(self.rows)
-        seen = articulation.with_relations(found)
+        space, encoded = self.space, self.encoded
+        prediction = space.pose_prediction(encoded.operator, encoded.poses, encoded.placement, in_body)
+        placed, found = prediction.of(self.rows)
+        seen = space.articulation.with_relations(found)
         shapes = space.split(np.pad(self._shapes, ((0, 0), (0, space.placement_dim + space.correction_dim))))
         none = np.zeros((len(self.frames), space.correction_dim))
         return space.join(MixedBlocks(*shapes[:3], *seen, *placed, none))

@@ -49,9 +49,7 @@ class Modes:
 
     def pose_map(self) -> PoseMap:
         """Return the map from scores to the weights of the mean and of the mean plus one deviation each."""
-        rank, root = len(self.sizes), np.sqrt(len(self.scores))
-        steps = np.diag(root / self.sizes) if rank else np.zeros((0, 0))
-        return PoseMap(np.eye(rank + 1)[0], np.hstack([-steps.sum(axis=1, keepdims=True), steps]))
+        return PoseMap.of_modes(np.sqrt(len(self.scores)) / self.sizes)
 
     def key_shapes(self) -> Float:
         """Return the key shapes ``(1 + r, D)`` of `pose_map`: the mean, and the mean plus one deviation per mode."""

@@ -1,21 +1,19 @@
-r"""The pose signal: from a point of pose space to the affine weights of key shapes.
+r"""The pose signal: from a point of pose space to the affine weights of key shapes; and the main plane of pose space.
 
 .. math:: \varphi(c) = \varphi_0 + c\,\Phi, \qquad \sum_j \varphi_j(c) = 1 \text{ for every } c
 
 Every point of pose space is a shape, :math:`\sum_j \varphi_j(c)\,P_j`. Pose space has the coordinates of a principal
-component analysis of the sequence: distances in it are distances between shapes, its first two coordinates draw the
-sequence in the plane. There are two equivalent forms:
+component analysis of the sequence: distances in it are distances between shapes. There are two equivalent forms:
 
 modes
     the first key shape is the mean, every other one is the mean plus one standard deviation along a mode;
 keys
     key shapes are frames of the sequence, so an artist can look at them and exchange them.
 
-The main plane of a sequence: classical multidimensional scaling of its frames.
-
-Let :math:`c_t` be the frames in pose space, :math:`C` their deviations from the mean ``(T, k)``, and :math:`u_1, u_2`
-the first two principal components of their shapes, unit vectors of the shape space. With the singular values
-:math:`\sigma_i` and the left singular vectors :math:`d_i` of the frames' deviations in the shape space,
+The *main plane* draws the sequence (classical multidimensional scaling of its frames). Let :math:`c_t` be the frames in
+pose space, :math:`C` their deviations from the mean ``(T, k)``, and :math:`u_1, u_2` the first two principal components
+of their shapes, unit vectors of the shape space. With the singular values :math:`\sigma_i` and the left singular
+vectors :math:`d_i` of the frames' deviations in the shape space,
 
 .. math:: u_i = \sum_t d_{ti}\, (s_t - \bar s) / \sigma_i, \qquad p_i = C^T d_i / \sigma_i,
 
@@ -94,6 +92,12 @@ class PoseMap:
         return rates
 
     @classmethod
+    def of_modes(cls, steps: Float) -> PoseMap:
+        """Make the map of key shapes that are the origin, and one point ``1 / steps`` along each of k coordinates."""
+        matrix = np.diag(steps)
+        return cls(np.eye(len(steps) + 1)[0], np.hstack([-matrix.sum(axis=1, keepdims=True), matrix]))
+
+    @classmethod
     def of_weights(cls, count: int) -> PoseMap:
         """Make the map whose coordinates are the weights of all key shapes but the first."""
         return cls(np.eye(count)[0], np.eye(count)[1:] - np.eye(count)[0])
@@ -103,9 +107,7 @@ def straight_modes(scores: Float, mean: Float, directions: Float) -> tuple[PoseM
     """Make the pose signal and key shapes ``(1 + r, D)`` of ``mean + scores @ directions``: scores ``(T, r)``."""
     sizes = np.sqrt(np.square(scores).mean(axis=0))
     sizes = np.where(sizes > 0, sizes, 1.0)
-    steps = np.diag(1 / sizes)
-    pose = PoseMap(np.eye(len(sizes) + 1)[0], np.hstack([-steps.sum(axis=1, keepdims=True), steps]))
-    return pose, np.concatenate([mean[None], mean + sizes[:, None] * directions])
+    return PoseMap.of_modes(1 / sizes), np.concatenate([mean[None], mean + sizes[:, None] * directions])
 
 
 NEGLIGIBLE_SPREAD = 1e-12

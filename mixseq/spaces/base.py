@@ -1,7 +1,4 @@
-"""The contract of all shape spaces.
-
-Weights of lengths, angles and rotations in the metric: how far they move vertices.
-"""
+"""The contract of all shape spaces, and what their metrics share: how far angles and rotations move vertices."""
 
 from __future__ import annotations
 

@@ -1,35 +1,30 @@
-r"""Projections of the space S_e: from lengths and angles that no mesh may have to the nearest mesh.
+r"""The space S_e of edge lengths and dihedral angles, and its projections to meshes (Froehlich and Botsch 2011).
 
-There are two, `mixseq.spaces.edge` and `mixseq.spaces.edge`.
+A vector is ``[edge lengths | dihedral angles | volumes | pose]``, in diagonals, radians and cubic diagonals; volumes
+are optional. The paper counts ``2 E + 6`` numbers: a closed surface has as many hinges as edges. Lengths and angles
+determine a mesh up to its pose, except at triangles without area: their normals are undefined, and the surface around
+them may come back bent.
 
-Discrete shells (DSO, Froehlich and Botsch 2011): every piece of a mesh as a whole, without fixed vertices.
+Two projections find the mesh nearest to lengths and angles that no mesh may have, piece by piece, without fixed
+vertices:
 
-Linear initialisation (`mixseq.shells.fitting`) is followed by Gauss-Newton on all lengths and angles, and on the
-volume if that is a target. Gauss-Newton gets trapped from distant poses (the paper's Figure 17); the linear start uses
-no pose, and is exact where a mesh has these lengths and angles.
+`RelaxedShell` (ours)
+    Faces are rebuilt from their lengths and rotated by the angles: frames are chained from the middle of every piece,
+    and averaged (`mixseq.shells.face_frames`). Vertices follow from the sides of faces, and relaxation steps reduce
+    the errors of lengths and angles (`mixseq.shells.shell`). Then frames and steps alternate a few times: frames
+    distribute errors globally, steps locally. All matrices are constant.
+`DiscreteShell` (DSO, Froehlich and Botsch 2011)
+    Linear initialisation is followed by Gauss-Newton (`mixseq.shells.fitting`). Gauss-Newton gets trapped from distant
+    poses (the paper's Figure 17); the linear start uses no pose.
 
-With :math:`c` the mean of a piece's vertices its signed volume is
+Both are exact where a mesh has these lengths and angles. DSO may have the volume of a piece as a target. With :math:`c`
+the mean of its vertices that is
 
 .. math:: V(x) = \tfrac16 \sum_{ijk} \det(x_i - c,\; x_j - c,\; x_k - c) .
 
 For a closed surface this is independent of c; for an open one it is the volume of the cone from its centre, invariant
 under rigid motions. The volume term is one residual :math:`w\,(V - V^*) / \bar V`, with :math:`\bar V` the volume of
 the reference. Sheets, with :math:`|\bar V|` below `FLAT` times area to the 3/2, have no volume term.
-
-The projection of the space S_e by steps with constant matrices.
-
-Faces are rebuilt from their lengths and rotated by the angles: frames are chained from the middle of every piece, and
-averaged (`mixseq.shells.face_frames`). Vertices follow from the sides of faces, and relaxation steps reduce the errors
-of lengths and angles (`mixseq.shells.shell`). Then frames and steps alternate a few times: frames distribute errors
-globally, steps locally. The first mesh is exact where a mesh has these lengths and angles. All matrices are constant.
-
-The space S_e of edge lengths and dihedral angles (Winkler et al. 2010; Froehlich and Botsch 2011).
-
-A vector is ``[edge lengths | dihedral angles | volumes | pose]``, in diagonals, radians and cubic diagonals; volumes
-are optional. The paper counts ``2 E + 6`` numbers: a closed surface has as many hinges as edges.
-
-Lengths and angles determine a mesh up to its pose, except at triangles without area: their normals are undefined, and
-the surface around them may come back bent.
 """
 
 from __future__ import annotations
@@ -39,23 +34,28 @@ from functools import cached_property
 from typing import NamedTuple, Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
 from mixseq.choices import PROJECTIONS, ProjectionName
 from mixseq.errors import SettingsError
-from mixseq.mesh.measures import dihedral_angles, edge_lengths, length_weights, sound_lengths, unwrap_angles
-from mixseq.mesh.topology import Topology
+from mixseq.mesh.measures import (
+    dihedral_angles,
+    edge_lengths,
+    length_weights,
+    sound_lengths,
+    triangle_areas,
+    unwrap_angles,
+    volume,
+)
+from mixseq.mesh.topology import Topology, connected
 from mixseq.runtime.lazy import PickledWithoutCaches
-from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, silent
 from mixseq.segmentation.joints import make_joint
 from mixseq.shells.face_frames import (
     FrameGraph,
     Hinges,
     bridging,
-    connected,
     flat_triangles,
     frames_of,
     turned_sides,
@@ -95,50 +95,9 @@ FLAT = 1e-3
 """Least ratio of volume to area to the 3/2 of a surface with a volume term; that of a sphere is 0.094."""
 
 
-def volume(points: FloatArray, faces: IntArray) -> float:
-    """Return the signed volume of points ``(n, 3)`` about their mean, over faces ``(m, 3)``."""
-    x = points - points.mean(axis=0)
-    a, b, c = (x[corner] for corner in faces.T)
-    return float(np.einsum("fi,fi->", a, np.cross(b, c))) / 6.0
-
-
-def volume_gradient(points: FloatArray, faces: IntArray) -> Float:
-    """Return the derivatives ``(n, 3)`` of `volume`; they add up to zero."""
-    x = points - points.mean(axis=0)
-    a, b, c = (x[corner] for corner in faces.T)
-    pulls = np.concatenate([np.cross(b, c), np.cross(c, a), np.cross(a, b)]) / 6.0
-    corners = faces.T.reshape(-1)
-    gradient = np.stack([np.bincount(corners, pull, minlength=len(x)) for pull in pulls.T], axis=1)
-    return np.asarray(gradient - gradient.mean(axis=0))
-
-
-def surface_area(points: FloatArray, faces: IntArray) -> float:
-    """Return the area of points ``(n, 3)`` over faces ``(m, 3)``."""
-    a, b, c = (points[corner] for corner in faces.T)
-    return float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
-
-
 def is_sheet(points: FloatArray, faces: IntArray) -> bool:
     """Return whether a surface has too little volume for a volume term; see the module."""
-    return bool(abs(volume(points, faces)) <= FLAT * surface_area(points, faces) ** 1.5)
-
-
-@dataclass(frozen=True, eq=False)
-class VolumeTerm:
-    """The residual of the volume, a `DenseTerm` of `mixseq.shells.fitting`."""
-
-    faces: NDArray[np.int64]  # (m, 3) triangles of the surface
-    target: float  # target volume
-    # Weight of the term over the volume of the reference, so that the residual counts relative changes.
-    weight: float
-
-    def residual(self, points: Float) -> float:
-        """Implement `DenseTerm.residual`."""
-        return self.weight * (volume(points, self.faces) - self.target)
-
-    def gradient(self, points: Float) -> Float:
-        """Implement `DenseTerm.gradient`."""
-        return self.weight * volume_gradient(points, self.faces)
+    return bool(abs(volume(points, faces)) <= FLAT * float(triangle_areas(points, faces).sum()) ** 1.5)
 
 
 class ShellPiece(NamedTuple):
@@ -179,23 +138,22 @@ class DiscreteShell(PickledWithoutCaches):
 
     def volumes(self, x: FloatArray) -> Float:
         """Return the volumes ``(p,)`` of the pieces of a frame ``(V, 3)``, 0 of single vertices; see `volume`."""
-        pairs = zip(self.pieces.vertices, self.shells, strict=True)
-        return np.array([0.0 if piece is None else volume(x[own], piece.patch.faces) for own, piece in pairs])
+        return np.array([volume(*surface) for surface in self._surfaces(x)])
 
     def volume_weights(self, x: FloatArray) -> Float:
         """Return inverse volumes ``(p,)`` of the pieces of a typical frame ``(V, 3)``, 0 where `is_sheet`."""
-        weights = np.zeros(len(self.shells))
-        for number, (own, piece) in enumerate(zip(self.pieces.vertices, self.shells, strict=True)):
-            if piece is not None and not is_sheet(x[own], piece.patch.faces):
-                weights[number] = 1.0 / abs(volume(x[own], piece.patch.faces))
-        return weights
+        surfaces = self._surfaces(x)
+        return np.array([0.0 if is_sheet(*surface) else 1.0 / abs(volume(*surface)) for surface in surfaces])
 
     def areas(self, x: FloatArray) -> Float:
         """Return the areas ``(p,)`` of the pieces of a frame ``(V, 3)``."""
+        return np.array([float(triangle_areas(*surface).sum()) for surface in self._surfaces(x)])
+
+    def _surfaces(self, x: FloatArray) -> list[tuple[FloatArray, Index]]:
+        """Return the vertices of every piece in a frame ``(V, 3)``, and its triangles."""
+        none = np.zeros((0, 3), dtype=np.int64)
         pairs = zip(self.pieces.vertices, self.shells, strict=True)
-        return np.array(
-            [0.0 if piece is None else surface_area(x[own], piece.patch.faces) for own, piece in pairs]
-        )
+        return [(x[own], none if piece is None else piece.patch.faces) for own, piece in pairs]
 
     def fit(self, wanted: Wanted, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Implement `EdgeProjection.fit`."""
@@ -214,17 +172,15 @@ class DiscreteShell(PickledWithoutCaches):
     ) -> ShellProblem:
         """Return the fitting problem of one piece."""
         weights = wanted.weights[piece.edge_ids]
-        term = None
-        if wanted.volumes.size and wanted.volume_weights[number]:
-            target, weight = wanted.volumes[number], wanted.volume_weights[number]
-            term = VolumeTerm(piece.patch.faces, float(target), float(weight))
+        has_volume = wanted.volumes.size > 0 and bool(wanted.volume_weights[number])
         return ShellProblem(
             patch=piece.patch,
             lengths=sound_lengths(wanted.lengths[piece.edge_ids], weights),
             angles=wanted.angles[piece.hinge_ids],
             length_weights=weights,
             bending=settings.bending,
-            dense=term,
+            volume=float(wanted.volumes[number]) if has_volume else None,
+            volume_weight=float(wanted.volume_weights[number]) if has_volume else 1.0,
         )
 
 
@@ -236,8 +192,6 @@ CYCLES = 4
 
 STEPS = 20
 """Relaxation steps per cycle."""
-
-NOTHING = np.zeros((0, 3))
 
 
 class _Rows(NamedTuple):
@@ -259,16 +213,11 @@ class RelaxedShell(PickledWithoutCaches):
 
     @cached_property
     def _rows(self) -> _Rows:
-        mesh, faces = self.topology, np.zeros((len(self.topology.faces), 3), dtype=np.int64)
-        pieces = zip(self.pieces.slices, self.pieces.vertices, self.pieces.faces, strict=True)
-        for rows, vertices, own in pieces:
-            faces[own] = rows.start + np.searchsorted(vertices, mesh.faces[own])
-        topology = Topology(faces, len(self.pieces.shapes))
-        vertex = np.concatenate(self.pieces.vertices)
-        # Both tables of edges have the same ones, as pieces share none; so have those of hinges.
-        edge_ids = _places(vertex[topology.edges], mesh.edges)
-        hinges = np.column_stack([edge_ids[topology.hinge_edges], topology.hinge_faces])
-        hinge_ids = _places(hinges, np.column_stack([mesh.hinge_edges, mesh.hinge_faces]))
+        topology = Topology(self.pieces.face_rows(self.topology), len(self.pieces.shapes))
+        # Pieces share no edges: both tables have the same ones. Hinges are in the order of edges, then of faces.
+        edge_ids = np.empty(len(topology.edges), dtype=np.int64)
+        edge_ids[topology.face_edges] = self.topology.face_edges
+        hinge_ids = np.argsort(np.argsort(edge_ids[topology.hinge_edges], kind="stable"))
         return _Rows(topology, edge_ids, hinge_ids)
 
     @cached_property
@@ -277,10 +226,7 @@ class RelaxedShell(PickledWithoutCaches):
         topology, edge_ids, _ = self._rows
         position_weights = np.zeros(topology.vertex_count)
         position_weights[[rows.start for rows in self.pieces.slices]] = 1.0
-        ties = np.zeros((0, 2), dtype=np.int64)
-        return Shell(
-            topology, self.pieces.shapes, self.typical[edge_ids], ties, position_weights, self.bending
-        )
+        return Shell(topology, self.pieces.shapes, self.typical[edge_ids], position_weights, self.bending)
 
     @cached_property
     def _crossing(self) -> Index:
@@ -291,13 +237,10 @@ class RelaxedShell(PickledWithoutCaches):
     @cached_property
     def graph(self) -> FrameGraph:
         """Frames of all faces; chains start in the middle of every piece."""
-        count, pairs = (
-            len(self.topology.faces),
-            self._rows.topology.hinge_faces[self._crossing].astype(np.int64),
-        )
-        known = np.zeros(count, dtype=bool)
-        known[_middles(count, pairs)] = True
-        return FrameGraph(count, pairs, np.maximum(self.shell.bend[self._crossing], THIN), known, 1.0)
+        pairs = self._rows.topology.hinge_faces[self._crossing].astype(np.int64)
+        known = np.zeros(len(self.topology.faces), dtype=bool)
+        known[_middles(len(known), pairs)] = True
+        return FrameGraph(pairs, np.maximum(self.shell.bend[self._crossing], THIN), known)
 
     @cached_property
     def hinges(self) -> Hinges:
@@ -317,11 +260,10 @@ class RelaxedShell(PickledWithoutCaches):
         flat = flat_triangles(lengths[topology.face_edges])
         turns = self.hinges.turns(flat, angles)[self._crossing]
         known = np.tile([1.0, 0.0, 0.0, 0.0], (int(np.count_nonzero(self.graph.known)), 1))
-        frames, x = self.graph.averaged(self.graph.chained(turns, known), turns, ROUNDS), self.pieces.shapes
-        best = Relaxed(x, np.inf)
-        steps = 0
+        frames = self.graph.averaged(self.graph.chained(turns, known), turns, ROUNDS)
+        best, steps = Relaxed(self.pieces.shapes, np.inf), 0
         for _ in range(CYCLES):
-            start = self.shell.integrated(turned_sides(frames, flat), NOTHING, best.points)
+            start = self.shell.integrated(turned_sides(frames, flat), best.points)
             points, steps = self.shell.relaxed(start, lengths, angles, STEPS).points, steps + STEPS
             found = Relaxed(points, self.shell.energy(points, lengths, angles))
             done = self.shell.agree(found.energy) or found.energy > (1.0 - settings.tolerance) * best.energy
@@ -330,13 +272,6 @@ class RelaxedShell(PickledWithoutCaches):
                 break
             frames = self.graph.averaged(frames_of(best.points, topology.faces), turns, 1)
         return best.points, [ShellReport(2.0 * best.energy, steps, True)]
-
-
-def _places(rows: Index, table: Index) -> Index:
-    """Return the places of rows ``(n, k)`` in a table ``(n, k)`` with the same rows in another order."""
-    places = np.empty(len(rows), dtype=np.int64)
-    places[np.lexsort(rows.T)] = np.lexsort(table.T)
-    return places
 
 
 def _middles(count: int, pairs: Index) -> Index:
@@ -472,13 +407,7 @@ class EdgeSpace(PosedSpace):
 
     def rebuilt(self, shape: Float) -> Float:
         """Implement `PosedSpace.rebuilt`."""
-        return self.rebuilt_with_reports(shape)[0]
-
-    def rebuilt_with_reports(
-        self, shape: Float, shell: ShellSettings | None = None
-    ) -> tuple[Float, list[ShellReport]]:
-        """Return the result of `rebuilt`, with optional other settings, and reports of the fits."""
-        return self.projection.fit(self.wanted(shape), shell or self.shell)
+        return self.projection.fit(self.wanted(shape), self.shell)[0]
 
     def wanted(self, shape: Float) -> Wanted:
         """Return the target lengths, angles and volumes of a shape ``(S,)``."""
@@ -494,12 +423,11 @@ class EdgeSpace(PosedSpace):
         self, vectors: Float, progress: Progress = silent, shell: ShellSettings | None = None
     ) -> tuple[Float, list[list[ShellReport]]]:
         """Decode vectors ``(T, D)`` to points ``(T, V, 3)``, and return the reports of the fits of every frame."""
-        shapes, turns, centres = self.split(np.asarray(vectors, dtype=np.float64))
-        points, reports = np.empty((len(shapes), self.topology.vertex_count, 3)), []
-        with one_blas_thread():
-            for number, shape in enumerate(shapes):
-                rows, report = self.rebuilt_with_reports(shape, shell)
-                points[number] = self.placed(rows, turns[number], centres[number])
-                reports.append(report)
-                progress(number + 1, len(shapes), "decoding frames")
-        return points, reports
+        reports: list[list[ShellReport]] = []
+
+        def rebuilt(shape: Float) -> Float:
+            rows, report = self.projection.fit(self.wanted(shape), shell or self.shell)
+            reports.append(report)
+            return rows
+
+        return self.decoded(vectors, rebuilt, progress), reports

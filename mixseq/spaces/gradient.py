@@ -17,17 +17,13 @@ A vector is ``[rotation vectors (F, 3) | stretches (F, 6) | centres]``. The norm
 are rotations of the surface. Affine maps of the reference are reproduced; their blends are blends of matrices for
 uniform scales on any mesh, and for stretches along the axes of a box's faces.
 
-Vertices from their differences: the sparse Poisson systems at the end of linear reconstructions.
-
-Given the sides ``ij`` of a mesh, the vertices are
+*Vertices from their differences* (`Integration`). Given the sides ``ij`` of a mesh, the vertices are
 
 .. math:: \min_x \sum_{ij} w_{ij} \, | x_j - x_i - s_{ij} |^2 ,
 
 which is ``L x = B^T W s`` with the incidence matrix B of the sides and the Laplacian ``L = B^T W B``. The first vertex
-of every connected component is the origin. L depends on connectivity and weights only: it is factored once.
-
-Sides of triangles weighted by half the cotangent of the angle opposite to each make this the Poisson equation
-:math:`\min_x \sum_f A_f | \nabla x - J_f |^2` of face gradients J with areas A (Botsch et al. 2006).
+of every connected component is the origin. Sides of triangles weighted by half the cotangent of the angle opposite to
+each make this the Poisson equation of P_f.
 """
 
 from __future__ import annotations
@@ -38,12 +34,11 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse import csgraph
 
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.rotations import matrices, unwrap, vectors
-from mixseq.mesh.topology import Topology
+from mixseq.mesh.topology import Topology, connected
 from mixseq.mesh.triangle_mesh import completed, with_area
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.parallel import one_blas_thread
@@ -84,9 +79,7 @@ class Integration(PickledWithoutCaches):
     @cached_property
     def solved(self) -> Index:
         """Unknown vertices: all but the first of every component."""
-        i, j = self.sides.T
-        graph = sparse.coo_array((np.ones(len(i)), (i, j)), shape=(self.count, self.count))
-        component = csgraph.connected_components(graph, directed=False)[1]
+        component = connected(self.count, self.sides)
         return np.setdiff1d(np.arange(self.count), np.unique(component, return_index=True)[1])
 
     @cached_property

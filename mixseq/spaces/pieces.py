@@ -1,23 +1,20 @@
-r"""The pieces of a mesh, connected by triangles across edges, and their poses in a frame.
-
-Registration of parts of frames to their mean shapes.
-
-Shape spaces of rigid-motion invariants: vectors end with the poses of pieces.
+r"""The pieces of a mesh, connected by triangles across edges, and spaces whose vectors end with their poses.
 
 A vector is ``[shape | quaternions | centres]``: invariants of rigid motions, and a pose of every hinge-connected piece,
 its rotation from the reference and its centre (the paper's :math:`\mathbb{R}^6`, Section 2.2). The paper orients a mesh
-by its first face; all vertices of a piece together are more robust.
+by its first face; here all vertices of a piece are registered to their mean shape, which is more robust.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from mixseq.mesh.measures import summed
 from mixseq.mesh.rigid import aligning_rotations
 from mixseq.mesh.rotations import continued, quaternions, rotations_of
 from mixseq.mesh.topology import Topology
@@ -169,8 +166,7 @@ class Pieces:
     def merged(self, rows: Float) -> Float:
         """Return vertices ``(V, 3)`` of posed rows ``(N, 3)``; the mean where several share one."""
         counts = np.bincount(self.row_vertices)
-        sums = [np.bincount(self.row_vertices, column) for column in rows.T]
-        return np.stack(sums, axis=1) / counts[:, None]
+        return summed(rows, self.row_vertices, len(counts)) / counts[:, None]
 
     @cached_property
     def _own_rows(self) -> list[Index]:
@@ -293,11 +289,15 @@ class PosedSpace(ShapeSpace):
 
     def decode(self, vectors: Float, progress: Progress = silent) -> Float:
         """Implement `ShapeSpace.decode`."""
+        return self.decoded(vectors, self.rebuilt, progress)
+
+    def decoded(self, vectors: Float, rebuild: Callable[[Float], Float], progress: Progress) -> Float:
+        """Decode vectors ``(T, D)`` by a function from a shape ``(S,)`` to rows ``(N, 3)`` in any pose."""
         shapes, turns, centres = self.split(np.asarray(vectors, dtype=np.float64))
         points = np.empty((len(shapes), self.topology.vertex_count, 3))
         with one_blas_thread():
             for number, shape in enumerate(shapes):
-                points[number] = self.placed(self.rebuilt(shape), turns[number], centres[number])
+                points[number] = self.placed(rebuild(shape), turns[number], centres[number])
                 progress(number + 1, len(shapes), "decoding frames")
         return points
 

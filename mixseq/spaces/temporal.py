@@ -1,15 +1,4 @@
-r"""Weights of the values at knots in the cubic spline through them.
-
-With second derivatives :math:`m_i` at knots that are :math:`h_i` apart, the spline through values :math:`y_i` has
-
-.. math:: h_{i-1} m_{i-1} + 2 (h_{i-1} + h_i) m_i + h_i m_{i+1} = 6\, (s_i - s_{i-1}), \qquad
-   s_i = (y_{i+1} - y_i) / h_i
-
-at inner knots, and between two of them, with :math:`b = (t - t_i) / h_i` and :math:`a = 1 - b`, the value
-:math:`a y_i + b y_{i+1} + h_i^2 / 6\, ((a^3 - a) m_i + (b^3 - b) m_{i+1})`, linear in the values. Numpy suffices for
-few knots: importing scipy's splines takes longer than decoding a frame.
-
-Weights of frames at any time: one temporal operator, chosen by leaving frames out.
+r"""Interpolation in time: weights of the frames at any time, chosen by leaving frames out, and poses by them.
 
 A quantity y at a time t is predicted from the frames, :math:`y(t) = \sum_k w_k(t)\, y_k` with
 :math:`\sum_k w_k = 1`: kriging with a linear trend and the covariance (Matern, smoothness 3/2)
@@ -18,24 +7,27 @@ A quantity y at a time t is predicted from the frames, :math:`y(t) = \sum_k w_k(
 
 of frames at a distance d, in mean steps between frames. It interpolates the frames, and is the cubic spline with
 natural ends in the limit of large lengths :math:`\ell`. Shorter ones keep it from overshooting where frames are sparse.
-Every inner frame is predicted from the others; the length with the smallest sum of squared errors is taken.
+Every inner frame is predicted from the others; the length with the smallest sum of squared errors is taken. Distant
+frames have negligible weights: only the nearest `WINDOW` frames are used.
 
 Natural ends are straight, which suits a motion that goes on, but not one that starts from rest. So in the first and the
-last interval the usual cubic spline, which is one cubic there, has a share,
+last interval the usual cubic spline, which is one cubic there, has the share :math:`e^4 / (e^4 + e_\text{cubic}^4)`, by
+the errors e with which kriging, and it, predict the frame next to that end when that is left out.
 
-.. math:: \frac{e^4}{e^4 + e_\text{cubic}^4},
+*Splines.* With second derivatives :math:`m_i` at knots that are :math:`h_i` apart, the spline through :math:`y_i` has
 
-by the errors e with which kriging, and it, predict the frame next to that end when that is left out.
+.. math:: h_{i-1} m_{i-1} + 2 (h_{i-1} + h_i) m_i + h_i m_{i+1} = 6\, (s_i - s_{i-1}), \qquad
+   s_i = (y_{i+1} - y_i) / h_i
 
-Distant frames have negligible weights: only the nearest `WINDOW` frames are used.
+at inner knots, and between two of them, with :math:`b = (t - t_i) / h_i` and :math:`a = 1 - b`, the value
+:math:`a y_i + b y_{i+1} + h_i^2 / 6\, ((a^3 - a) m_i + (b^3 - b) m_{i+1})`, linear in the values. Numpy suffices for
+few knots: importing scipy's splines takes longer than decoding a frame.
 
-Poses between frames, each predicted independently.
-
-Rotations are chained: with the weights :math:`w_k(t)` of the temporal operator and :math:`c_k = \sum_{j \ge k} w_j`,
+*Poses.* Centres are weighted sums. Rotations are chained: with :math:`c_k = \sum_{j \ge k} w_j`,
 
 .. math:: R(t) = R_0 \prod_{k \ge 1} \bigl(R_{k-1}^T R_k\bigr)^{c_k(t)},
 
-which interpolates the frames without a chart: a body may spin. Centres are weighted sums.
+which interpolates the frames without a chart: a body may spin.
 """
 
 from __future__ import annotations
@@ -98,6 +90,10 @@ class Rows:
     frames: Index  # (N, m) frames with a weight, in the order of time
     weights: Float  # (N, m) their weights; rows add up to one
     count: int  # number T of all frames
+
+    def at(self, some: Index | slice) -> Rows:
+        """Return the weights at some of the times."""
+        return Rows(self.frames[some], self.weights[some], self.count)
 
     def of(self, values: Float) -> Float:
         """Return values ``(N, ...)`` of a quantity with values ``(T, ...)`` at the frames."""

@@ -1,7 +1,4 @@
-"""The vertex space S_v: a shape is its vertex positions.
-
-The basis space: a shape is three coefficients of every vector of a spatial basis.
-"""
+"""Linear spaces: a shape is its vertex positions (S_v), or three coefficients of every vector of a spatial basis."""
 
 from __future__ import annotations
 

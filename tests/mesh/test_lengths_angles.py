@@ -10,14 +10,13 @@ from hypothesis.extra import numpy as arrays
 
 from mixseq.mesh.measures import (
     dihedral_angles,
-    dihedral_gradients,
     edge_lengths,
-    length_gradients,
     unwrap_angles,
     wrap,
 )
 from mixseq.types import Float
 from tests.meshes import rigid_motions, tetrahedron, topology_of, tube
+from tests.shells.formulas import dihedral_gradients, length_gradients
 
 HINGE = np.array([[0, 1, 2, 3]])
 

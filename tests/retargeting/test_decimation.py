@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mixseq.mesh.decimation import decimate
+from mixseq.mesh.measures import volume
 from mixseq.mesh.topology import Topology
-from mixseq.spaces.edge import volume
 from tests.meshes import Mesh, grid, pages, tetrahedron, topology_of, torus, tube
 
 MESHES = {

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from mixseq.mesh.rotations import inverse, normalised, product
-from mixseq.shells.face_frames import FrameGraph, bridging, connected
+from mixseq.mesh.topology import connected
+from mixseq.shells.face_frames import FrameGraph, bridging
 from mixseq.types import Float
 from tests.meshes import topology_of, torus
 
@@ -13,10 +14,10 @@ TOPOLOGY = topology_of(torus(10, 6))
 COUNT, PAIRS = len(TOPOLOGY.faces), TOPOLOGY.hinge_faces
 
 
-def graph(*known: int, hold: float = 1.0) -> FrameGraph:
+def graph(*known: int) -> FrameGraph:
     marks = np.zeros(COUNT, dtype=bool)
     marks[list(known)] = True
-    return FrameGraph(COUNT, PAIRS, np.ones(len(PAIRS)), marks, hold)
+    return FrameGraph(PAIRS, np.ones(len(PAIRS)), marks)
 
 
 def some_frames(seed: int = 0) -> Float:

@@ -25,6 +25,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from mixseq.mesh.measures import triangle_areas
 from mixseq.mesh.nearest import attach
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.rotations import (
@@ -36,7 +37,7 @@ from mixseq.mesh.rotations import (
     rotations_of,
     turned,
 )
-from mixseq.mesh.topology import Topology
+from mixseq.mesh.topology import Topology, connected
 from mixseq.segmentation.elements import Boundaries
 from mixseq.segmentation.joints import Decomposition
 from mixseq.spaces.mixed import posing_kernels as kernels
@@ -150,26 +151,20 @@ class Articulation:
     @cached_property
     def _systems(self) -> tuple[Float, ...]:
         """Weights ``(p,)``, ``(n,)`` and inverse ``(p, p)`` of rotations; weights ``(n,)`` and inverse of centres."""
+        steady, inertia = self.steadiness, self.masses * np.square(self.radii)
+        _, *places = self._system(self.masses, steady.centres, steady.relation_points)
+        return *self._system(inertia, steady.turns, steady.relation_turns), *places
+
+    def _system(self, sizes: Float, parts: Float, relations: Float) -> tuple[Float, Float, Float]:
+        """Weights of parts ``(p,)`` and relations ``(n,)``, and the inverse ``(p, p)`` of their matrix."""
         i, j = self.pairs.T
-        found: list[Float] = []
-        sizes = self.masses * np.square(self.radii), self.masses
-        steady = self.steadiness
-        pairs = zip(
-            sizes,
-            (steady.turns, steady.centres),
-            (steady.relation_turns, steady.relation_points),
-            strict=True,
-        )
-        for size, part, relation in pairs:
-            own, weights = size * part, self.relation_weight * np.minimum(size[i], size[j]) * relation
-            matrix = np.diag(own)
-            np.add.at(matrix, (i, i), weights)
-            np.add.at(matrix, (j, j), weights)
-            np.add.at(matrix, (i, j), -weights)
-            np.add.at(matrix, (j, i), -weights)
-            found += [own, weights, np.asarray(np.linalg.inv(matrix))]
-        own_turns, turn_weights, turn_inverse, _, place_weights, place_inverse = found
-        return own_turns, turn_weights, turn_inverse, place_weights, place_inverse
+        own, weights = sizes * parts, self.relation_weight * np.minimum(sizes[i], sizes[j]) * relations
+        matrix = np.diag(own)
+        np.add.at(matrix, (i, i), weights)
+        np.add.at(matrix, (j, j), weights)
+        np.add.at(matrix, (i, j), -weights)
+        np.add.at(matrix, (j, i), -weights)
+        return own, weights, np.asarray(np.linalg.inv(matrix))
 
     # From frames -------------------------------------------------------------------------------------------
 
@@ -225,25 +220,9 @@ class Articulation:
 
     def _agreed(self, poses: PartPoses) -> tuple[Numbers, Numbers]:
         """Return the poses ``(p, 4)``, ``(p, 3)`` of one frame that agree best."""
-        turns, centres, relation_turns, relation_points = map(np.ascontiguousarray, poses)
-        own, turn_weights, turn_inverse, place_weights, place_inverse = self._systems
-        order, before = self._tree
-        return kernels.agree(
-            turns,
-            centres,
-            relation_turns,
-            relation_points,
-            self.pairs,
-            self.pivots,
-            order,
-            before,
-            self._links,
-            own,
-            turn_weights,
-            turn_inverse,
-            place_weights,
-            place_inverse,
-        )
+        tree = *self._tree, self._links
+        arrays = *map(np.ascontiguousarray, poses), self.pairs, self.pivots, *tree, *self._systems
+        return kernels.agree(*arrays)
 
     def measured(self, poses: PartPoses) -> Steadiness:
         """Return the inverse variances of poses and relations over frames ``(T, ...)``."""
@@ -292,10 +271,8 @@ def articulation_of(
     labels, count = decomposition.part_of_face, len(decomposition.parts)
     boundaries = Boundaries.of(topology, labels)
     pairs, places = boundaries.parts, boundaries.middles(reference)
-    a, b, c = np.moveaxis(reference[topology.faces], 1, 0)
-    sizes = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
-    areas = np.bincount(labels, sizes, minlength=count).astype(np.float64)
-    component = _connected(count, pairs)
+    areas = np.bincount(labels, triangle_areas(reference, topology.faces), minlength=count).astype(np.float64)
+    component = connected(count, pairs)
     part_of_vertex = np.full(topology.vertex_count, -1, dtype=np.int64)
     for number, part in enumerate(decomposition.parts):
         part_of_vertex[part] = number
@@ -315,15 +292,9 @@ def articulation_of(
         radii=radii,
         masses=np.array([len(part) for part in decomposition.parts], dtype=np.float64),
         areas=areas,
-        bodies=_connected(count, pairs),
+        bodies=connected(count, pairs),
         pairs=pairs,
         pivots=places - rest_centres[pairs[:, 1]],
         steadiness=Steadiness.equal(count, len(pairs)) if steadiness is None else steadiness,
         relation_weight=relation_weight,
     )
-
-
-def _connected(count: int, pairs: Index) -> Index:
-    """Return the connected component ``(count,)`` of each node of a graph with edges ``(n, 2)``."""
-    graph = sparse.coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(count, count))
-    return csgraph.connected_components(graph, directed=False)[1].astype(np.int64)

@@ -21,13 +21,12 @@ import numpy as np
 from mixseq.mesh.measures import edge_lengths, sound_lengths
 from mixseq.mesh.rigid import kabsch
 from mixseq.mesh.rotations import inverse, product, quaternions, rotations_of
-from mixseq.mesh.topology import Topology
+from mixseq.mesh.topology import Topology, connected
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.shells.face_frames import (
     FrameGraph,
     Hinges,
     bridging,
-    connected,
     flat_triangles,
     frames_of,
     turned_sides,
@@ -115,7 +114,7 @@ class Assembly(PickledWithoutCaches):
         pairs = self._node[self.topology.hinge_faces[self._crossing]]
         known = np.zeros(self._count, dtype=bool)
         known[self._seeds] = True
-        return FrameGraph(self._count, pairs, weights, known, 1.0)
+        return FrameGraph(pairs, weights, known)
 
     @cached_property
     def hinges(self) -> Hinges:
@@ -125,36 +124,31 @@ class Assembly(PickledWithoutCaches):
     @cached_property
     def shell(self) -> Shell:
         """The mesh as a shell, for relaxation."""
-        t, ties = self.topology, self._ties
-        component = connected(t.vertex_count, np.concatenate([t.edges, ties]))
+        t, ties = self.topology, self._tied[:, 1:]
         position_weights = np.zeros(t.vertex_count)
-        position_weights[np.unique(component, return_index=True)[1]] = 1.0
+        position_weights[np.unique(self._component, return_index=True)[1]] = 1.0
         typical = edge_lengths(self.reference, t.edges)
-        return Shell(t, self.reference, typical, ties, position_weights, self.relaxation.bending)
+        return Shell(t, self.reference, typical, position_weights, self.relaxation.bending, ties)
 
     @cached_property
-    def _ties(self) -> Index:
-        """Pairs of vertices ``(t, 2)`` that connect those of a part where no edges do."""
+    def _tied(self) -> Index:
+        """Ties ``(t, 3)``: a part, and two vertices of it that no edges connect."""
         component = self.topology.component_of_vertex
         ties = []
-        for part in self._parts:
+        for number, part in enumerate(self._parts):
             first = part[np.unique(component[part], return_index=True)[1]]
-            ties += [(first[0], other) for other in first[1:]]
-        return np.array(ties, dtype=np.int64).reshape(-1, 2)
+            ties += [(number, first[0], other) for other in first[1:]]
+        return np.array(ties, dtype=np.int64).reshape(-1, 3)
 
     @cached_property
-    def _tied_parts(self) -> Index:
-        """Part ``(t,)`` of each tie."""
-        first = self._ties[:, 0]
-        return np.array(
-            [next(k for k, part in enumerate(self._parts) if v in part) for v in first], dtype=np.int64
-        )
+    def _component(self) -> Index:
+        """Component ``(V,)`` of every vertex, connected by edges and ties."""
+        return connected(self.topology.vertex_count, np.concatenate([self.topology.edges, self._tied[:, 1:]]))
 
     @cached_property
     def _bodies(self) -> list[tuple[Index, list[int]]]:
         """Independently moving components: their vertices, and the numbers of their seeds."""
-        t = self.topology
-        component = connected(t.vertex_count, np.concatenate([t.edges, self._ties]))
+        component = self._component
         of_seed = [component[vertices[0]] for vertices in self._seed_vertices]
         return [
             (np.flatnonzero(component == body), [k for k, own in enumerate(of_seed) if own == body])
@@ -163,7 +157,7 @@ class Assembly(PickledWithoutCaches):
 
     def constants(self) -> tuple[object, ...]:
         """Implement `PickledWithoutCaches.constants`."""
-        return self.graph, self.shell, self._bodies, self._tied_parts
+        return self.graph, self.shell, self._bodies
 
     def targets(self, frame: FreeFrame) -> tuple[Float, Float]:
         """Return the target lengths ``(E,)`` and angles ``(H,)`` of all edges and hinges."""
@@ -200,9 +194,9 @@ class Assembly(PickledWithoutCaches):
         corners = frame.unposed[t.faces[~loose]]
         inside = np.roll(corners, -1, axis=1) - corners
         sides[~loose] = inside @ np.swapaxes(matrices, 1, 2)[self._node[~loose]]
-        apart = frame.unposed[self._ties[:, 1]] - frame.unposed[self._ties[:, 0]]
-        tied = np.einsum("tij,tj->ti", matrices[self._tied_parts], apart)
-        return self.shell.integrated(sides, tied, np.zeros((t.vertex_count, 3)))
+        part, one, other = self._tied.T
+        tied = np.einsum("tij,tj->ti", matrices[part], frame.unposed[other] - frame.unposed[one])
+        return self.shell.integrated(sides, np.zeros((t.vertex_count, 3)), tied)
 
     def _seed_frames(self, frame: FreeFrame) -> Float:
         """Rotations ``(r, 4)`` of the seeds in the posed mesh."""

@@ -174,10 +174,8 @@ def _within_budget(posed: MixedSpace, wrong: Float) -> Mask:
 
 def flat_in_some_frame(topology: Topology, frames: FloatArray) -> Mask:
     """Mark the faces ``(F,)`` that have no area in some of the frames ``(S, V, 3)``."""
-    flat = np.zeros(len(topology.faces), dtype=bool)
-    for frame in frames:
-        flat |= flat_faces(frame.astype(np.float64), topology.faces, MIN_HEIGHT_RATIO)
-    return flat
+    flat = [flat_faces(frame.astype(np.float64), topology.faces, MIN_HEIGHT_RATIO) for frame in frames]
+    return np.asarray(np.any(flat, axis=0))
 
 
 def at_winding_hinges(topology: Topology, frames: FloatArray) -> Mask:

@@ -1,15 +1,4 @@
-r"""Derivatives of analytic functions by a complex step, exact to rounding (Squire and Trapp 1998).
-
-.. math:: f'(x)\, \dot x = \mathrm{Im}\, f(x + i h \dot x) / h + O(h^2)
-
-Without a difference, h can be so small that the error is far below rounding.
-
-Compiled inner loops of `joint_projection`: frames of joint faces from lengths and angles.
-
-Rotations are unit quaternions (w, x, y, z), lengths in diagonals. Arrays are real or complex, for derivatives by a
-complex step (`complex_step`).
-
-The projection P_m at the joints: move posed vertices so that joints have the target lengths and angles.
+r"""The projection P_m at the joints: move posed vertices so that joints have the target lengths and angles.
 
 Joint faces, and one ring of faces around them, move; all else stays posed. Lengths and angles go a *share* of the way
 from those of the posed mesh to the targets; a share of 0 leaves the posed mesh.
@@ -22,6 +11,13 @@ from those of the posed mesh to the targets; a share of 0 leaves the posed mesh.
 
 Everything is a difference against the posed mesh, so frames of the sequence, with the lengths and angles of the posed
 mesh, are exact. Posed triangles with hardly any area keep their shapes and angles, which are noise.
+
+All of it is analytic. Velocities are derivatives by a complex step, exact to rounding (Squire and Trapp 1998),
+
+.. math:: f'(x)\, \dot x = \mathrm{Im}\, f(x + i h \dot x) / h + O(h^2) .
+
+Without a difference, h can be so small that the error is far below rounding. Compiled loops take real or complex
+arrays; rotations are unit quaternions (w, x, y, z), lengths are in diagonals.
 """
 
 from __future__ import annotations
@@ -37,7 +33,7 @@ from mixseq.mesh.measures import edge_lengths, wrap
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.jit import compiled, inlined
 from mixseq.runtime.lazy import PickledWithoutCaches
-from mixseq.shells.face_frames import Hinges
+from mixseq.shells.face_frames import Hinges, inverse_product, misfits, product
 from mixseq.shells.kernels import lengths_and_angles
 from mixseq.shells.shell import Shell
 from mixseq.shells.solvers import Factor, factored_laplacian
@@ -203,13 +199,12 @@ def target_turns(
     in both faces. Known ``(h,)``: index of the target angle ``(k,)`` in radians, -1 for none.
     """
     turns = np.empty((len(pairs), 4), frames.dtype)
+    posed, seen = np.empty(4, frames.dtype), np.empty(4, frames.dtype)
+    wanted, change = np.empty(4, frames.dtype), np.empty(4, frames.dtype)
     for k in range(len(pairs)):
         i, j = pairs[k, 0], pairs[k, 1]
-        f, g = frames[i], frames[j]
-        w = f[0] * g[0] + f[1] * g[1] + f[2] * g[2] + f[3] * g[3]
-        x = f[0] * g[1] - f[1] * g[0] - f[2] * g[3] + f[3] * g[2]
-        y = f[0] * g[2] + f[1] * g[3] - f[2] * g[0] - f[3] * g[1]
-        z = f[0] * g[3] - f[1] * g[2] + f[2] * g[1] - f[3] * g[0]
+        inverse_product(frames[i], frames[j], posed)
+        w, x, y, z = posed[0], posed[1], posed[2], posed[3]
         # Half the posed angle: the turn as seen along the edge, which leaves a rotation about it.
         ci, si = _half_direction(flat, i, sides[k, 0], backward[k, 0] != 0)
         cj, sj = _half_direction(flat, j, sides[k, 1], backward[k, 1] != 0)
@@ -221,7 +216,7 @@ def target_turns(
             continue
         scale = 1.0 / np.sqrt(square)
         c, s = c * scale, s * scale
-        p0, p1, p2, p3 = c * ca, s * cb, s * sb, c * sa
+        seen[0], seen[1], seen[2], seen[3] = c * ca, s * cb, s * sb, c * sa
         if known[k] >= 0:
             half = 0.5 * (angles[known[k]] + reversed_normals[k])
             ct, st = np.cos(half), np.sin(half)
@@ -233,52 +228,18 @@ def target_turns(
             c, s = (c * cd - s * sd) * scale, (s * cd + c * sd) * scale
         ci, si = _half_direction(target_flat, i, sides[k, 0], backward[k, 0] != 0)
         cj, sj = _half_direction(target_flat, j, sides[k, 1], backward[k, 1] != 0)
-        q0, q1, q2, q3 = (
-            c * (ci * cj + si * sj),
-            s * (ci * cj - si * sj),
-            s * (si * cj + ci * sj),
-            c * (si * cj - ci * sj),
-        )
+        wanted[0], wanted[1] = c * (ci * cj + si * sj), s * (ci * cj - si * sj)
+        wanted[2], wanted[3] = s * (si * cj + ci * sj), c * (si * cj - ci * sj)
         # The posed turn, times what the target differs by: at frames of the sequence that is exactly nothing.
-        a, b = p0 * q0 + p1 * q1 + p2 * q2 + p3 * q3, p0 * q1 - p1 * q0 - p2 * q3 + p3 * q2
-        d, e = p0 * q2 + p1 * q3 - p2 * q0 - p3 * q1, p0 * q3 - p1 * q2 + p2 * q1 - p3 * q0
+        inverse_product(seen, wanted, change)
         part = sound[i] * sound[j]
-        if a.real < 0.0:
-            a, b, d, e = -a, -b, -d, -e
+        sign = -1.0 if change[0].real < 0.0 else 1.0
+        a, b, d, e = sign * change[0], sign * change[1], sign * change[2], sign * change[3]
         a, b, d, e = 1.0 - part + part * a, part * b, part * d, part * e
         scale = 1.0 / np.sqrt(a * a + b * b + d * d + e * e)
-        a, b, d, e = a * scale, b * scale, d * scale, e * scale
-        turns[k, 0] = w * a - x * b - y * d - z * e
-        turns[k, 1] = w * b + x * a + y * e - z * d
-        turns[k, 2] = w * d - x * e + y * a + z * b
-        turns[k, 3] = w * e + x * d - y * b + z * a
+        change[0], change[1], change[2], change[3] = a * scale, b * scale, d * scale, e * scale
+        product(posed, change, turns[k])
     return turns
-
-
-@compiled
-def misfits(frames: Float, pairs: Index, turns: Float, weights: Float, count: int) -> Float:
-    """Return the right-hand side ``(count, 3)`` of rotation averaging: weighted axes of misfits by their sines."""
-    right = np.zeros((count, 3), frames.dtype)
-    for k in range(len(pairs)):
-        i, j = pairs[k, 0], pairs[k, 1]
-        f, g, t = frames[i], frames[j], turns[k]
-        w = f[0] * t[0] - f[1] * t[1] - f[2] * t[2] - f[3] * t[3]
-        x = f[0] * t[1] + f[1] * t[0] + f[2] * t[3] - f[3] * t[2]
-        y = f[0] * t[2] - f[1] * t[3] + f[2] * t[0] + f[3] * t[1]
-        z = f[0] * t[3] + f[1] * t[2] - f[2] * t[1] + f[3] * t[0]
-        scale = 2.0 * weights[k] * (w * g[0] + x * g[1] + y * g[2] + z * g[3])
-        a = scale * (-w * g[1] + x * g[0] - y * g[3] + z * g[2])
-        b = scale * (-w * g[2] + x * g[3] + y * g[0] - z * g[1])
-        c = scale * (-w * g[3] - x * g[2] + y * g[1] + z * g[0])
-        if j < count:
-            right[j, 0] += a
-            right[j, 1] += b
-            right[j, 2] += c
-        if i < count:
-            right[i, 0] -= a
-            right[i, 1] -= b
-            right[i, 2] -= c
-    return right
 
 
 @compiled
@@ -392,9 +353,7 @@ class JointProjection(PickledWithoutCaches):
         """The mesh as a shell, for the weights of sides and hinges."""
         lengths = edge_lengths(self.reference, self.topology.edges)
         held = np.full(self.topology.vertex_count, self.hold)
-        return Shell(
-            self.topology, self.reference, lengths, np.zeros((0, 2), dtype=np.int64), held, BENDING_WEIGHT
-        )
+        return Shell(self.topology, self.reference, lengths, held, BENDING_WEIGHT)
 
     @cached_property
     def _moving_faces(self) -> Index:

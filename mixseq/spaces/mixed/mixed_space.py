@@ -5,7 +5,7 @@ A vector, in diagonals and radians, is
 ``[joint lengths | joint angles | unposed vertices | part poses | relations | body poses | corrections]``
 
 - Parts are registered to their mean shapes (paper, Section 3.4). Their relative poses, and the poses of the *bodies*
-  they form, are those of `articulation`: a rigid motion of a body changes only its six numbers.
+  they form, are those of `mixseq.spaces.mixed.articulation`: a rigid motion of a body changes only its six numbers.
 - Vertices are skinned to the parts around them: the frame of a vertex is the blend of their motions from the reference
   frame, as dual quaternions (Kavan and others 2008). *Unposed* (rest-space) vertices are in these frames, where they
   would be in the reference frame. Inside a part that is the paper's aligned part vertex.
@@ -14,13 +14,14 @@ A vector, in diagonals and radians, is
   (`mixseq.signals`).
 
 P_m poses the vertices by the part poses that agree best with poses and relations, then moves those of joints
-(`joint_projection`). Between far poses relaxation steps over the whole mesh follow (`mixseq.shells.shell`). With the
-free placement P_m finds the poses of parts from lengths and angles (`assembly`). All is exact at the frames, and,
-except for these steps, analytic, with a derivative by a complex step.
+(`mixseq.spaces.mixed.joints`). Between far poses relaxation steps over the whole mesh follow (`mixseq.shells.shell`).
+With the free placement P_m finds the poses of parts from lengths and angles (`mixseq.spaces.mixed.assembly`). All is
+exact at the frames, and, except for these steps, analytic, with a derivative by a complex step.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -324,9 +325,7 @@ class MixedSpace(ShapeSpace):
 
     def split(self, vectors: Numbers) -> MixedBlocks:
         """Return the blocks of vectors ``(T, D)``, as views where possible; raises what `checked` does."""
-        columns = np.split(self.checked(vectors), np.cumsum(self.sizes)[:-1], axis=1)
-        shaped = zip(columns, self._block_shapes, strict=True)
-        return MixedBlocks(*(block.reshape(len(vectors), *shape) for block, shape in shaped))
+        return MixedBlocks(*self._shaped(self.checked(vectors), slice(None)))
 
     def join(self, blocks: MixedBlocks) -> Float:
         """Return the vectors ``(T, D)`` of blocks; the inverse of `split`."""
@@ -334,9 +333,13 @@ class MixedSpace(ShapeSpace):
 
     def part_poses(self, poses: Float) -> PartPoses:
         """Return the poses and relations of parts from the pose columns ``(T, pose_dim)`` of shapes."""
-        columns = np.split(poses, np.cumsum(self.sizes[3:7])[:-1], axis=1)
-        shaped = zip(columns, self._block_shapes[3:7], strict=True)
-        return PartPoses(*(block.reshape(len(poses), *shape) for block, shape in shaped))
+        return PartPoses(*self._shaped(poses, slice(3, 7)))
+
+    def _shaped(self, columns: Numbers, which: slice) -> Iterator[Numbers]:
+        """Cut columns ``(T, n)`` into some blocks of vectors."""
+        blocks = np.split(columns, np.cumsum(self.sizes[which])[:-1], axis=1)
+        shaped = zip(blocks, self._block_shapes[which], strict=True)
+        return (block.reshape(len(columns), *shape) for block, shape in shaped)
 
     # Encoding ----------------------------------------------------------------------------------------------
 
@@ -365,16 +368,11 @@ class MixedSpace(ShapeSpace):
         edges, hinges = self.topology.edges[self.edge_ids], self.topology.hinges_at(self.hinge_ids)
         return edge_lengths(x, edges), dihedral_angles(x, hinges)
 
-    @cached_property
-    def reference_angles(self) -> Float:
-        """Hinge angles ``(H',)`` of the reference frame."""
-        return dihedral_angles(self.reference, self.topology.hinges_at(self.hinge_ids))
-
     def unwrap(self, vectors: Float, previous: Float | None = None) -> Float:
         """Implement `ShapeSpace.unwrap`."""
         blocks = self.split(vectors)
         before = None if previous is None else self.split(previous[None])
-        start = self.reference_angles if before is None else before.angles[0]
+        start = self.lengths_and_angles(self.reference)[1] if before is None else before.angles[0]
         signed = {
             name: continued(getattr(blocks, name), None if before is None else getattr(before, name)[0])
             for name in QUATERNION_BLOCKS
@@ -402,8 +400,8 @@ class MixedSpace(ShapeSpace):
         points *= self.scale
         return points
 
-    def _projected(self, row: MixedBlocks) -> Float:
-        """Return the mesh ``(V, 3)`` of one vector, in diagonals."""
+    def _projected(self, row: MixedBlocks) -> Numbers:
+        """Return the mesh ``(V, 3)`` of one vector, in diagonals; complex for a complex vector of an analytic P_m."""
         x = self._posed(row)
         lengths, angles = (np.ascontiguousarray(block) for block in (row.lengths, row.angles))
         if self.placement == "free":
@@ -430,10 +428,7 @@ class MixedSpace(ShapeSpace):
         points, velocities = np.empty((2, len(vectors), self.vertex_count, 3))
         with one_blas_thread():
             for number, frame in enumerate(zip(*blocks, strict=True)):
-                row = MixedBlocks(*frame)
-                joints = np.ascontiguousarray(row.lengths), np.ascontiguousarray(row.angles)
-                x = self.joints.project(self._posed(row), *joints, self.projection.share)
-                points[number], velocities[number] = values_and_rates(x)
+                points[number], velocities[number] = values_and_rates(self._projected(MixedBlocks(*frame)))
         return points * self.scale, velocities * self.scale
 
     def shape_difference(self, vector: Float, before: Float, after: Float) -> Float:
@@ -468,12 +463,19 @@ class MixedSpace(ShapeSpace):
         self, operator: Operator, poses: Float, placements: Float, times: Float, in_body: bool
     ) -> tuple[Float, Float]:
         """Implement `ShapeSpace.predicted_poses`: in the world, optionally in the body, and by neighbours."""
-        parts, bodies = self.part_poses(poses), self.poses(placements)
-        world = self.articulation.placed(Poses(parts.turns, parts.centres), bodies)
-        world = world._replace(rotations=continued(world.rotations))
-        found, seen = PosePrediction(self.articulation, operator, world, in_body).at(times)
-        placed = self.placements(found._replace(rotations=continued(found.rotations, bodies.rotations[0])))
+        found, seen = self.pose_prediction(operator, poses, placements, in_body).at(times)
+        before = self.poses(placements[:1]).rotations[0]
+        placed = self.placements(found._replace(rotations=continued(found.rotations, before)))
         return np.concatenate([each.reshape(len(times), -1) for each in seen], axis=1), placed
+
+    def pose_prediction(
+        self, operator: Operator, poses: Float, placements: Float, in_body: bool
+    ) -> PosePrediction:
+        """Return the prediction of poses from those at the frames ``(T, pose_dim)``, ``(T, P)``."""
+        parts = self.part_poses(poses)
+        world = self.articulation.placed(Poses(parts.turns, parts.centres), self.poses(placements))
+        world = world._replace(rotations=continued(world.rotations))
+        return PosePrediction(self.articulation, operator, world, in_body)
 
     def held(self, points: Float, vertices: Index, placements: Float) -> Float:
         """Implement `ShapeSpace.held`: in the axes of the body of each vertex's main part."""

@@ -19,7 +19,6 @@ over F frames, with an isotropic S of the same size, as few frames leave parts o
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -67,7 +66,8 @@ class PosePrediction:
 
     def of(self, rows: Rows) -> tuple[Poses, Poses]:
         """Predict body poses, and part poses relative to them, by weights of frames: quaternions of any sign."""
-        found = [self._predicted(part) for part in _parts_of(rows)]
+        starts = range(0, len(rows.frames), TIMES_PER_BLOCK)
+        found = [self._predicted(rows.at(slice(start, start + TIMES_PER_BLOCK))) for start in starts]
         bodies, seen = (
             Poses(*(np.concatenate(blocks) for blocks in zip(*each, strict=True)))
             for each in zip(*found, strict=True)
@@ -143,13 +143,6 @@ def _kept(frames: Poses, predicted: Poses, known: Mask) -> Poses:
     """Return predicted poses, replaced by those of the frames at known times ``(N, 1, 1)``."""
     turns = continued(predicted.rotations, frames.rotations[0])
     return Poses(np.where(known, frames.rotations, turns), np.where(known, frames.centres, predicted.centres))
-
-
-def _parts_of(rows: Rows) -> Iterator[Rows]:
-    """Yield rows in blocks of `TIMES_PER_BLOCK`."""
-    for start in range(0, len(rows.frames), TIMES_PER_BLOCK):
-        block = slice(start, start + TIMES_PER_BLOCK)
-        yield Rows(rows.frames[block], rows.weights[block], rows.count)
 
 
 def _relations(rows: Rows, related: Poses, pivots: Float) -> Float:

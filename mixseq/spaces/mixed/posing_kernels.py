@@ -1,7 +1,7 @@
 """Compiled inner loops that pose a mesh: agreement of poses and relations, motions of parts, and skinning.
 
 Skinning blends dual quaternions. Quaternions are (w, x, y, z), inputs of any length, results of unit length; positions
-are in diagonals. Arrays are real or complex, for derivatives by a complex step (`complex_step`).
+are in diagonals. Arrays are real or complex, for derivatives by a complex step (`mixseq.spaces.mixed.joints`).
 """
 
 from __future__ import annotations
@@ -20,14 +20,20 @@ SERIES_SQUARED_ANGLE = 1e-6
 
 
 @inlined
+def _turned(
+    w: float, p: float, q: float, r: float, x: float, y: float, z: float
+) -> tuple[float, float, float]:
+    """Rotate a vector by a unit quaternion: ``v + 2 w (u x v) + 2 u x (u x v)``."""
+    a = 2.0 * (q * z - r * y)
+    b = 2.0 * (r * x - p * z)
+    c = 2.0 * (p * y - q * x)
+    return x + w * a + q * c - r * b, y + w * b + r * a - p * c, z + w * c + p * b - q * a
+
+
+@inlined
 def _turn(q: Float, v: Float, r: Float) -> None:
     """Write a vector rotated by a unit quaternion to r, which must not alias it."""
-    a = 2.0 * (q[2] * v[2] - q[3] * v[1])
-    b = 2.0 * (q[3] * v[0] - q[1] * v[2])
-    c = 2.0 * (q[1] * v[1] - q[2] * v[0])
-    r[0] = v[0] + q[0] * a + q[2] * c - q[3] * b
-    r[1] = v[1] + q[0] * b + q[3] * a - q[1] * c
-    r[2] = v[2] + q[0] * c + q[1] * b - q[2] * a
+    r[0], r[1], r[2] = _turned(q[0], q[1], q[2], q[3], v[0], v[1], v[2])
 
 
 @inlined
@@ -68,12 +74,8 @@ def agree(
     t, c = turns.copy(), centres.copy()
     for part in range(count):
         _normalise(t[part])
-    step, seen, expected, off = (
-        np.empty(4, t.dtype),
-        np.empty(4, t.dtype),
-        np.empty(4, t.dtype),
-        np.empty(4, t.dtype),
-    )
+    step, seen = np.empty(4, t.dtype), np.empty(4, t.dtype)
+    expected, off = np.empty(4, t.dtype), np.empty(4, t.dtype)
     # Start from relations, along the tree: they change less than poses, and blends of them are never far off.
     for k in range(len(order)):
         for a in range(4):
@@ -190,17 +192,6 @@ def motions(
             for a in range(8):
                 duals[part, a] = -duals[part, a]
     return duals
-
-
-@inlined
-def _turned(
-    w: float, p: float, q: float, r: float, x: float, y: float, z: float
-) -> tuple[float, float, float]:
-    """Rotate a vector by a unit quaternion: ``v + 2 w (u x v) + 2 u x (u x v)``."""
-    a = 2.0 * (q * z - r * y)
-    b = 2.0 * (r * x - p * z)
-    c = 2.0 * (p * y - q * x)
-    return x + w * a + q * c - r * b, y + w * b + r * a - p * c, z + w * c + p * b - q * a
 
 
 @inlined

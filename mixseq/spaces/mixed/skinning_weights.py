@@ -25,6 +25,7 @@ from mixseq.spaces.pieces import registered
 from mixseq.types import Float, FloatArray, Index
 
 EXCHANGES = 4
+"""Number of rounds of exchanges between the parts of a vertex, per sweep."""
 
 
 @compiled

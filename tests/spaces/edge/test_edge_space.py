@@ -12,14 +12,14 @@ import pytest
 
 import mixseq
 from mixseq.errors import ReconstructionError, SettingsError
-from mixseq.mesh.measures import edge_lengths
+from mixseq.mesh.measures import edge_lengths, volume
 from mixseq.mesh.rigid import kabsch
 from mixseq.mesh.topology import Topology
 from mixseq.segmentation.joints import decompose
 from mixseq.sequence.sequence import MeshSequence, bounding_diagonal
 from mixseq.shells import shell
 from mixseq.shells.gauss_newton import ShellSettings
-from mixseq.spaces.edge import EdgeSettings, EdgeSpace, volume
+from mixseq.spaces.edge import EdgeSettings, EdgeSpace
 from mixseq.spaces.mixed.construction import mixed_space
 from mixseq.spaces.mixed.joints import BENDING_WEIGHT
 from mixseq.spaces.mixed.mixed_space import Projection

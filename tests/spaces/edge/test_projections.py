@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from mixseq.errors import ReconstructionError
-from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, volume, wrap
 from mixseq.mesh.rigid import kabsch
 from mixseq.shells.gauss_newton import ShellSettings
-from mixseq.spaces.edge import DiscreteShell, EdgeProjection, RelaxedShell, Wanted, volume
+from mixseq.spaces.edge import DiscreteShell, EdgeProjection, RelaxedShell, Wanted
 from mixseq.spaces.pieces import Pieces
 from mixseq.types import Float
 from tests.meshes import Mesh, bent, grid, joined, pages, tetrahedron, topology_of, torus, tube

@@ -8,20 +8,21 @@ import numpy as np
 import pytest
 
 from mixseq.errors import ReconstructionError
-from mixseq.mesh.measures import dihedral_angles, edge_lengths
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, triangle_areas, volume, volume_gradient
 from mixseq.shells.fitting import ShellProblem, fit_shell
 from mixseq.shells.gauss_newton import ShellSettings
-from mixseq.spaces.edge import DiscreteShell, VolumeTerm, is_sheet, surface_area, volume, volume_gradient
+from mixseq.spaces.edge import DiscreteShell, is_sheet
 from mixseq.spaces.pieces import Pieces
 from mixseq.types import Float
 from tests.meshes import Mesh, flipped, grid, rotation, tetrahedron, topology_of, torus, tube
+from tests.shells.formulas import jacobian
 
 
 def test_tetrahedron() -> None:
     points, faces = tetrahedron()
     assert volume(points, faces) == pytest.approx(8.0 / 3.0)
     assert volume(points, faces[:, ::-1]) == pytest.approx(-8.0 / 3.0)
-    assert surface_area(points, faces) == pytest.approx(8.0 * np.sqrt(3.0))
+    assert triangle_areas(points, faces).sum() == pytest.approx(8.0 * np.sqrt(3.0))
 
 
 def test_prism() -> None:
@@ -65,24 +66,24 @@ def inflated(weight: float) -> tuple[ShellProblem, Float]:
     assert piece is not None
     lengths, angles = edge_lengths(points, topology.edges), dihedral_angles(points, topology.hinges)
     before = volume(points, faces)
-    term = VolumeTerm(piece.patch.faces, 1.1 * before, weight / before)
-    return ShellProblem(piece.patch, lengths, angles, 1.0 / lengths, 0.3, dense=term), points
+    problem = ShellProblem(piece.patch, lengths, angles, 1.0 / lengths, 0.3)
+    return replace(problem, volume=1.1 * before, volume_weight=weight / before), points
 
 
 def test_steps_are_those_of_all_equations() -> None:
     """Sherman-Morrison finds what the dense normal equations give."""
     problem, points = inflated(3.0)
     residuals = problem.residuals(points)
-    row = problem.dense_row(points)
+    row = problem.volume_row(points)
     assert row is not None
-    jacobian = np.vstack([problem.jacobian(points).toarray(), row])
+    slopes = np.vstack([jacobian(problem, points).toarray(), row])
     values, gradient = problem.normal_equations(points, residuals)
-    np.testing.assert_allclose(gradient + residuals[-1] * row, jacobian.T @ residuals, atol=1e-12)
+    np.testing.assert_allclose(gradient + residuals[-1] * row, slopes.T @ residuals, atol=1e-12)
     once, _ = fit_shell(problem, points, ShellSettings(iterations=1))
-    normal = jacobian.T @ jacobian
+    normal = slopes.T @ slopes
     diagonal = values[problem.patch.equations.pattern.diagonal]
     damped = normal + np.diag(1e-6 * diagonal + 1e-12 * diagonal.max())
-    expected = points - np.linalg.solve(damped, jacobian.T @ residuals).reshape(-1, 3)
+    expected = points - np.linalg.solve(damped, slopes.T @ residuals).reshape(-1, 3)
     np.testing.assert_allclose(once, expected, atol=1e-8)
 
 
@@ -105,7 +106,7 @@ def test_the_term_pulls_and_the_fit_is_a_minimum() -> None:
 @pytest.mark.parametrize("target", [1e154, -1e200, np.inf, np.nan])
 def test_volumes_whose_squares_are_no_numbers_are_an_error(target: float) -> None:
     problem, points = inflated(1.0)
-    problem = replace(problem, dense=VolumeTerm(problem.patch.faces, target, 1e3))
+    problem = replace(problem, volume=target, volume_weight=1e3)
     assert problem.energy(points) == np.inf
     with pytest.raises(ReconstructionError, match="not finite"):
         fit_shell(problem, points)
@@ -115,10 +116,10 @@ def test_without_a_term_nothing_changes() -> None:
     problem, points = inflated(1.0)
     rng = np.random.default_rng(2)
     start = points + 0.01 * rng.normal(size=points.shape)
-    plain = replace(problem, dense=None)
-    light = replace(problem, dense=VolumeTerm(problem.patch.faces, 0.0, 0.0))
+    plain = replace(problem, volume=None)
+    light = replace(problem, volume=0.0, volume_weight=0.0)
     one, first = fit_shell(plain, start)
     other, second = fit_shell(light, start)
     np.testing.assert_allclose(one, other, atol=1e-7)
-    assert plain.dense_row(start) is None
+    assert plain.volume_row(start) is None
     assert first.iterations == second.iterations
