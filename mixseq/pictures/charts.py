@@ -1,8 +1,4 @@
-"""Common parts of charts: style, line colours, logarithmic axes, and files as PNG or SVG.
-
-Placement of labels clear of curves and of each other.
-
-Charts of a model's signals: the embedding, coordinates over time, sizes of modes.
+"""Charts of a model's signals: the embedding, coordinates over time, sizes of modes; and what all charts share.
 
 All are in diagonals, as distances in the shape space, without the placement of parts. With :math:`C` the frames
 ``(T, k)`` in pose space, centred, and :math:`G = L L^T` the Gram matrix of unit steps along the coordinates of pose
@@ -17,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
@@ -78,7 +74,7 @@ def _gaps(middles: Float, size: Float, points: Float) -> Float:
 
 
 Format = Literal["png", "svg"]
-FORMATS: tuple[Format, ...] = ("png", "svg")
+FORMATS: tuple[Format, ...] = get_args(Format)
 
 LINES = ("#31688e", "#d08c2c", "#4a9d6e", "#8d5fa8", "#8a8a8a")
 """Colours of lines, different from the red of the joints."""

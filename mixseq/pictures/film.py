@@ -1,10 +1,6 @@
-"""Films of one or more meshes side by side, from a camera that may turn, drawn in software.
+"""Films of one or more meshes side by side, from a camera that may turn or follow a body, drawn in software.
 
-Cameras of films: in front of a body or at a given angle, optionally turning or following a body.
-
-The static backdrop of a film: places of panels, their names, and the colour bar.
-
-The frames of a film: panels side by side, each with a mesh and its name.
+A frame has a panel for each mesh, on a static backdrop of names and the colour bar.
 """
 
 from __future__ import annotations
@@ -49,21 +45,189 @@ if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont
 
 
+_MEANING = {"error": ("diagonals", 1.0), "strain": ("strain", 100.0), "curvature": ("degrees", 1.0)}
+"""Units of colour scales in films, and how many units of `Colouring` each is."""
+
+SMALLEST_COLOUR_SCALE = 1e-12
+"""Smallest end of the colour scale, above rounding."""
+
+
+@dataclass(frozen=True)
+class FilmSettings:
+    """The settings of a film."""
+
+    size: tuple[int, int] = (1280, 720)  # width and height in pixels
+    fps: float | None = None  # frames per second, by default of the first mesh
+    seconds: float | None = None  # duration, by default of the longest sequence; 4 s for still poses
+    turn: float = 0.0  # rotation of the camera about the meshes during the film, in degrees
+    # Degrees from the front, to the body's left, and above the horizon; by default `three_quarter_view`.
+    camera: tuple[float, float] | None = None
+    follow: bool = False  # whether the camera follows bodies that travel
+    colour: Colour = "clay"  # the colouring
+    # Error (diagonals), strain or change of angles (degrees) of the last colour, by default the largest of the film.
+    scale: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.colour not in COLOURS:
+            raise SettingsError(f"the colour is {self.colour!r}; one of {', '.join(COLOURS)} is expected")
+        for name, value in (("fps", self.fps), ("the duration", self.seconds), ("the scale", self.scale)):
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise SettingsError(f"{name} is {value}; a positive number is expected")
+        if not np.isfinite(self.turn):
+            raise SettingsError(f"the turn is {self.turn}; a number of degrees is expected")
+        if self.camera is not None and not np.all(np.isfinite(self.camera)):
+            raise SettingsError(f"the camera is at {self.camera}; two numbers of degrees are expected")
+        if self.scale is not None and self.colour not in _MEANING:
+            raise SettingsError(
+                "the scale is for the colours error, strain and curvature; leave it out, or choose one of them"
+            )
+
+
+def film(
+    target: str | PathLike[str],
+    shown: Sequence[SceneItem],
+    settings: FilmSettings | None = None,
+    against: Frames | FrameStore | None = None,
+    progress: Progress = silent,
+    workers: Executor | None = None,
+) -> None:
+    """Make a film of meshes side by side, as .mp4 (by ffmpeg), .gif or .webp; the file is replaced when complete.
+
+    Frames are drawn on several threads; the file is the same for any number. `against` is the original for the colour
+    "error"; only its frames are shown then.
+    """
+    chosen = settings or FilmSettings()
+    form = film_format(target)
+    check_film(form, chosen.size, chosen.fps)
+    check_shown(shown, chosen, against)
+    work = workers or on_threads()
+    items = tuple(item.stored(progress) for item in shown)
+    scene = Scene(items, chosen.fps, chosen.seconds)
+    times, fps = scene.times, scene.fps
+    check_film(form, chosen.size, fps)
+    original = None
+    if against is not None:
+        original = SceneItem("the original", against).stored(progress)
+        check_starts(items, original.header)
+        times = original.elapsed[nearest_frames(original.header, times)]
+    decoded = [item.decode(times, progress, work) for item in items]
+    colourings = _scaled(_colourings(items, decoded, chosen.colour, original), decoded, times, chosen)
+    layout = _layout([item.name for item in items], decoded, colourings, chosen, fps)
+
+    def draw(frames: Iterable[int]) -> Iterator[Picture]:
+        shown_then = moments(decoded, colourings, times, frames)
+        for done, picture in enumerate(work(draw_moment, layout, shown_then), 1):
+            yield picture
+            progress(done, len(times), "drawing frames")
+
+    encode_film(Path(target), form, draw, len(times), fps)
+
+
+def check_shown(shown: Sequence[SceneItem], settings: FilmSettings, against: object) -> None:
+    """Raise errors for items that cannot be shown, before the work."""
+    if not shown:
+        raise SettingsError("there is nothing to show; give a sequence or a model")
+    if settings.colour == "error" and against is None:
+        raise SettingsError(
+            "the colour error is about errors; give the original that they are measured against"
+        )
+    if settings.colour != "error" and against is not None:
+        raise SettingsError("the original is for the colour error; leave it out, or choose that colour")
+    if settings.colour == "parts":
+        _parts(shown)
+
+
+def _parts(shown: Sequence[SceneItem]) -> list[Decomposition]:
+    """Return the parts of each mesh: its own, or those of a model of the same triangles."""
+    known = [(item.header.faces, item.decomposition) for item in shown]
+    found = []
+    for item in shown:
+        same = (parts for faces, parts in known if parts and np.array_equal(faces, item.header.faces))
+        parts = item.decomposition or next(same, None)
+        if parts is None:
+            raise SettingsError(
+                f"{item} has no parts; show a model in the mixed space, or choose another colour"
+            )
+        found.append(parts)
+    return found
+
+
+def _colourings(
+    items: Sequence[SceneItem], decoded: Sequence[DecodedItem], colour: Colour, original: SceneItem | None
+) -> list[Colouring]:
+    """Return the colouring of each mesh, against its first frame in the film or against the original."""
+    parts = _parts(items) if colour == "parts" else [None] * len(items)
+    for item in items:
+        if colour == "own" and item.header.surface.colours is None:
+            raise SettingsError(f"{item} has no colours of its own; choose another colour")
+        if original is not None:
+            _check_mesh(item, original.header)
+    before = None if original is None else original.exact_pose
+    return [
+        colouring_of(colour, each.header, each.pose(0), own, before)
+        for each, own in zip(decoded, parts, strict=True)
+    ]
+
+
+def _check_mesh(item: SceneItem, original: SequenceHeader) -> None:
+    header = item.header
+    if not same_mesh(header, original):
+        raise SettingsError(
+            f"{item} has {len(header.faces)} triangles of {header.vertex_count} vertices, the original "
+            f"{len(original.faces)} of {original.vertex_count}, or in another order; errors need one mesh"
+        )
+
+
+def _scaled(
+    colourings: list[Colouring], items: Sequence[DecodedItem], times: Float, settings: FilmSettings
+) -> list[Colouring]:
+    """Scale all colourings to the given end, by default the largest number of the film."""
+    if settings.colour not in _MEANING:
+        return colourings
+    _, part = _MEANING[settings.colour]
+    top = part * settings.scale if settings.scale else part * SMALLEST_COLOUR_SCALE
+    if settings.scale is None:
+        for item, colouring in zip(items, colourings, strict=True):
+            reached = (colouring.reached(item.pose(frame), float(time)) for frame, time in enumerate(times))
+            top = max(top, *reached)
+    return [colouring.scaled(top) for colouring in colourings]
+
+
+def _layout(
+    names: Sequence[str],
+    items: Sequence[DecodedItem],
+    colourings: Sequence[Colouring],
+    settings: FilmSettings,
+    fps: float,
+) -> Layout:
+    width, height = settings.size
+    meaning, part = _MEANING.get(settings.colour, ("", 1.0))
+    frames = len(items[0].pose_of_frame)
+    cameras = cameras_of(items, settings, fps)
+    aspect = float(np.median([camera.aspect for camera in cameras]))
+    places = panels_of(len(items), width, height, aspect, any(names), bool(meaning))
+    panels = [
+        Panel(
+            item.header,
+            colouring.of_faces,
+            camera.fitted((place[0].stop - place[0].start) / (place[1].stop - place[1].start)),
+            place,
+        )
+        for item, colouring, camera, place in zip(items, colourings, cameras, places, strict=True)
+    ]
+    if not meaning:
+        return Layout(panels, backdrop_of(width, height, places, names), frames)
+    scale = matplotlib_module("cm").ScalarMappable(None, "viridis").get_cmap()
+    palette = np.asarray(scale(np.arange(256))[:, :3], dtype=np.float64)
+    backdrop = backdrop_of(width, height, places, names, palette, colourings[0].top / part, meaning)
+    return Layout(panels, backdrop, frames, palette)
+
+
 SMOOTHED = 0.25
 """Time constant in seconds over which a following camera smooths the swing of a body."""
 
 
-@dataclass(frozen=True)
-class Aim:
-    """The view of a film."""
-
-    # Degrees from the body's front, to its left, and above the horizon; by default its front and a side.
-    camera: tuple[float, float] | None = None
-    turn: float = 0.0  # degrees by which the camera goes around during the film
-    follow: bool = False  # whether it goes with the body
-
-
-def cameras_of(items: Sequence[DecodedItem], aim: Aim, fps: float) -> list[Camera]:
+def cameras_of(items: Sequence[DecodedItem], settings: FilmSettings, fps: float) -> list[Camera]:
     """Return the cameras: a common one for meshes with the triangles of the first, one for each other."""
     groups: dict[int, list[DecodedItem]] = {}
     group_of = []
@@ -72,26 +236,26 @@ def cameras_of(items: Sequence[DecodedItem], aim: Aim, fps: float) -> list[Camer
         group_of.append(0 if same else number)
         groups.setdefault(group_of[-1], []).append(item)
     with one_blas_thread():
-        placed = {number: _camera(group, aim, fps) for number, group in groups.items()}
+        placed = {number: _camera(group, settings, fps) for number, group in groups.items()}
     return [placed[number] for number in group_of]
 
 
-def _camera(items: Sequence[DecodedItem], aim: Aim, fps: float) -> Camera:
+def _camera(items: Sequence[DecodedItem], settings: FilmSettings, fps: float) -> Camera:
     first, frames = items[0], len(items[0].pose_of_frame)
-    path = travel_path(first, fps) if aim.follow else np.zeros((frames, 3))
+    path = travel_path(first, fps) if settings.follow else np.zeros((frames, 3))
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for item in items:
-        for frame in range(frames) if aim.follow else item.shown_first.tolist():
+        for frame in range(frames) if settings.follow else item.shown_first.tolist():
             world = y_up(item.pose(frame), item.header.up_axis) - path[frame]
             low, high = np.minimum(low, world.min(axis=0)), np.maximum(high, world.max(axis=0))
     ground = float(low[1])
     ends = np.stack([first.pose(0), first.pose(frames - 1)])
-    view = seen_from(ends, first.header.up_axis, aim.camera)
-    camera = Camera(view, aim.turn, path + (low + high) / 2, ground, (0.0, 1.0, 0.0, 1.0))
+    view = seen_from(ends, first.header.up_axis, settings.camera)
+    camera = Camera(view, settings.turn, path + (low + high) / 2, ground, (0.0, 1.0, 0.0, 1.0))
     limits = []
     for item in items:
         # while the camera turns or follows, every frame is another picture
-        for frame in range(frames) if aim.turn or aim.follow else item.shown_first.tolist():
+        for frame in range(frames) if settings.turn or settings.follow else item.shown_first.tolist():
             centre = camera.centres[frame]
             world = y_up(item.pose(frame), item.header.up_axis) - centre
             below = np.array([[0, ground - centre[1], 0]])
@@ -141,12 +305,10 @@ def panels_of(
             f"{count} panels are too many for a picture of {width}x{height} pixels; give a larger size"
         )
     panels = []
-    for number in range(count):
-        row, column = divmod(number, columns)
+    for row, column in (divmod(number, columns) for number in range(count)):
+        left, right = column * width // columns, (column + 1) * width // columns
         upper, lower = row * free // rows + strip * named, (row + 1) * free // rows
-        panels.append(
-            (slice(upper, lower), slice(column * width // columns, (column + 1) * width // columns))
-        )
+        panels.append((slice(upper, lower), slice(left, right)))
     return panels
 
 
@@ -271,188 +433,3 @@ def draw_moment(layout: Layout, moment: Moment) -> Picture:
         ground = float(camera.ground - centre[1])
         render_mesh(picture[panel.place], world, faces, view, camera.limits, colours, ground, contrast)
     return picture
-
-
-_MEANING = {"error": ("diagonals", 1.0), "strain": ("strain", 100.0), "curvature": ("degrees", 1.0)}
-"""Units of colour scales in films, and how many units of `Colouring` each is."""
-
-SMALLEST_COLOUR_SCALE = 1e-12
-"""Smallest end of the colour scale, above rounding."""
-
-
-@dataclass(frozen=True)
-class FilmSettings:
-    """The settings of a film."""
-
-    size: tuple[int, int] = (1280, 720)  # width and height in pixels
-    fps: float | None = None  # frames per second, by default of the first mesh
-    seconds: float | None = None  # duration, by default of the longest sequence; 4 s for still poses
-    turn: float = 0.0  # rotation of the camera about the meshes during the film, in degrees
-    # Degrees from the front, to the body's left, and above the horizon; by default `three_quarter_view`.
-    camera: tuple[float, float] | None = None
-    follow: bool = False  # whether the camera follows bodies that travel
-    colour: Colour = "clay"  # the colouring
-    # Error (diagonals), strain or change of angles (degrees) of the last colour, by default the largest of the film.
-    scale: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.colour not in COLOURS:
-            raise SettingsError(f"the colour is {self.colour!r}; one of {', '.join(COLOURS)} is expected")
-        for name, value in (("fps", self.fps), ("the duration", self.seconds), ("the scale", self.scale)):
-            if value is not None and not (np.isfinite(value) and value > 0):
-                raise SettingsError(f"{name} is {value}; a positive number is expected")
-        if not np.isfinite(self.turn):
-            raise SettingsError(f"the turn is {self.turn}; a number of degrees is expected")
-        if self.camera is not None and not np.all(np.isfinite(self.camera)):
-            raise SettingsError(f"the camera is at {self.camera}; two numbers of degrees are expected")
-        if self.scale is not None and self.colour not in _MEANING:
-            raise SettingsError(
-                "the scale is for the colours error, strain and curvature; leave it out, or choose one of them"
-            )
-
-
-def film(
-    target: str | PathLike[str],
-    shown: Sequence[SceneItem],
-    settings: FilmSettings | None = None,
-    against: Frames | FrameStore | None = None,
-    progress: Progress = silent,
-    workers: Executor | None = None,
-) -> None:
-    """Make a film of meshes side by side, as .mp4 (by ffmpeg), .gif or .webp; the file is replaced when complete.
-
-    Frames are drawn on several threads; the file is the same for any number. `against` is the original for the colour
-    "error"; only its frames are shown then.
-    """
-    chosen = settings or FilmSettings()
-    form = film_format(target)
-    check_film(form, chosen.size, chosen.fps)
-    check_shown(shown, chosen, against)
-    work = workers or on_threads()
-    items = tuple(item.stored(progress) for item in shown)
-    scene = Scene(items, chosen.fps, chosen.seconds)
-    times, fps = scene.times, scene.fps
-    check_film(form, chosen.size, fps)
-    original = None
-    if against is not None:
-        original = SceneItem("the original", against).stored(progress)
-        check_starts(items, original.header)
-        times = original.elapsed[nearest_frames(original.header, times)]
-    decoded = [item.decode(times, progress, work) for item in items]
-    colourings = _scaled(_colourings(items, decoded, chosen.colour, original), decoded, times, chosen)
-    layout = _layout([item.name for item in items], decoded, colourings, chosen, fps)
-
-    def draw(frames: Iterable[int]) -> Iterator[Picture]:
-        shown_then = moments(decoded, colourings, times, frames)
-        for done, picture in enumerate(work(draw_moment, layout, shown_then), 1):
-            yield picture
-            progress(done, len(times), "drawing frames")
-
-    encode_film(Path(target), form, draw, len(times), fps)
-
-
-def check_shown(shown: Sequence[SceneItem], settings: FilmSettings, against: object) -> None:
-    """Raise errors for items that cannot be shown, before the work."""
-    if not shown:
-        raise SettingsError("there is nothing to show; give a sequence or a model")
-    if settings.colour == "error" and against is None:
-        raise SettingsError(
-            "the colour error is about errors; give the original that they are measured against"
-        )
-    if settings.colour != "error" and against is not None:
-        raise SettingsError("the original is for the colour error; leave it out, or choose that colour")
-    if settings.colour == "parts":
-        _parts(shown)
-
-
-def _parts(shown: Sequence[SceneItem]) -> list[Decomposition]:
-    """Return the parts of each mesh: its own, or those of a model of the same triangles."""
-    known = [(item.header.faces, item.decomposition) for item in shown]
-    found = []
-    for item in shown:
-        same = (parts for faces, parts in known if parts and np.array_equal(faces, item.header.faces))
-        parts = item.decomposition or next(same, None)
-        if parts is None:
-            raise SettingsError(
-                f"{item} has no parts; show a model in the mixed space, or choose another colour"
-            )
-        found.append(parts)
-    return found
-
-
-def _colourings(
-    items: Sequence[SceneItem], decoded: Sequence[DecodedItem], colour: Colour, original: SceneItem | None
-) -> list[Colouring]:
-    """Return the colouring of each mesh, against its first frame in the film or against the original."""
-    parts = _parts(items) if colour == "parts" else [None] * len(items)
-    for item in items:
-        if colour == "own" and item.header.surface.colours is None:
-            raise SettingsError(f"{item} has no colours of its own; choose another colour")
-    before = None
-    if original is not None:
-        before = original.exact_pose
-        for item in items:
-            _check_mesh(item, original.header)
-    return [
-        colouring_of(colour, each.header, each.pose(0), own, before)
-        for each, own in zip(decoded, parts, strict=True)
-    ]
-
-
-def _check_mesh(item: SceneItem, original: SequenceHeader) -> None:
-    header = item.header
-    if not same_mesh(header, original):
-        raise SettingsError(
-            f"{item} has {len(header.faces)} triangles of {header.vertex_count} vertices, the original "
-            f"{len(original.faces)} of {original.vertex_count}, or in another order; errors need one mesh"
-        )
-
-
-def _scaled(
-    colourings: list[Colouring], items: Sequence[DecodedItem], times: Float, settings: FilmSettings
-) -> list[Colouring]:
-    """Scale all colourings to the given end, by default the largest number of the film."""
-    if settings.colour not in _MEANING:
-        return colourings
-    _, part = _MEANING[settings.colour]
-    top = part * settings.scale if settings.scale else part * SMALLEST_COLOUR_SCALE
-    if settings.scale is None:
-        for item, colouring in zip(items, colourings, strict=True):
-            reached = (colouring.reached(item.pose(frame), float(time)) for frame, time in enumerate(times))
-            top = max(top, *reached)
-    return [colouring.scaled(top) for colouring in colourings]
-
-
-def _layout(
-    names: Sequence[str],
-    items: Sequence[DecodedItem],
-    colourings: Sequence[Colouring],
-    settings: FilmSettings,
-    fps: float,
-) -> Layout:
-    width, height = settings.size
-    meaning, part = _MEANING.get(settings.colour, ("", 1.0))
-    frames = len(items[0].pose_of_frame)
-    cameras = cameras_of(items, Aim(settings.camera, settings.turn, settings.follow), fps)
-    aspect = float(np.median([camera.aspect for camera in cameras]))
-    places = panels_of(len(items), width, height, aspect, any(names), bool(meaning))
-    panels = [
-        Panel(
-            item.header,
-            colouring.of_faces,
-            camera.fitted((place[0].stop - place[0].start) / (place[1].stop - place[1].start)),
-            place,
-        )
-        for item, colouring, camera, place in zip(items, colourings, cameras, places, strict=True)
-    ]
-    if not meaning:
-        return Layout(panels, backdrop_of(width, height, places, names), frames)
-    palette = colour_scale()
-    backdrop = backdrop_of(width, height, places, names, palette, colourings[0].top / part, meaning)
-    return Layout(panels, backdrop, frames, palette)
-
-
-def colour_scale() -> Float:
-    """Return the colours ``(256, 3)`` from zero to the largest number, as in pictures of errors."""
-    scale = matplotlib_module("cm").ScalarMappable(None, "viridis").get_cmap()
-    return np.asarray(scale(np.arange(256))[:, :3], dtype=np.float64)
