@@ -1,4 +1,4 @@
-r"""Blends of any number of poses: the operator A of the paper, then the projection back to meshes.
+r"""Parts of a sequence; blends of any number of poses: the operator A of the paper, then the projection to meshes.
 
 .. math:: x(w) = P\Bigl(\sum_i w_i\, s_i\Bigr), \qquad \sum_i w_i = 1
 
@@ -7,8 +7,6 @@ Bennamoun). Their vertices, and lengths and angles of joints, then blend linearl
 the other spaces of `mixseq.spaces` rigid-motion invariant coordinates blend linearly, poses as quaternions and centres.
 
 Whole turns of angles and rotations are unwrapped along the poses of nonzero weight, as in a sequence.
-
-The parts of a sequence, by any method.
 """
 
 from __future__ import annotations
