@@ -3,8 +3,6 @@
 Meshes are compressed as by `mixseq.compress`, and decoded by `mixseq.web`. Poses are shown at their times since each
 mesh's first one, and restart after the period, as in films (`mixseq.pictures.scene`).
 
-Scripts and styles of the pages, which are part of the package, and their assembly into one self-contained page.
-
 A page is a small document that unpacks itself: its first stream, deflated, has style, body, decoder, scripts and
 description, separated by NUL; the others belong to the meshes. `mixseq.viewer.export_data` encodes them as text.
 """
@@ -54,9 +52,6 @@ CHART_SCRIPTS = (
 )
 """Scripts of charts, in loading order."""
 
-EDITING_SCRIPTS = ("chart_retiming.js",)
-"""Additional scripts of editable charts."""
-
 PLAYER_SCRIPTS = (
     "clock.js",
     "camera.js",
@@ -82,7 +77,7 @@ def script(name: str) -> str:
 
 def chart_scripts() -> str:
     """Return all scripts of editable charts as one text, for one script element."""
-    return "\n".join(map(script, (*CHART_SCRIPTS, *EDITING_SCRIPTS)))
+    return "\n".join(map(script, (*CHART_SCRIPTS, "chart_retiming.js")))
 
 
 def page_text(description: Mapping[str, Any], data: Sequence[bytes]) -> bytes:

@@ -1,20 +1,14 @@
-"""Binary data as text in a page: two bytes a character; rows of colours as bytes that deflate well.
+"""The data of meshes in a page: their poses and extents, compressed streams, stored colours, and binary data as text.
 
 A page is UTF-16 with a byte order mark, which overrides a server's encoding. Two bytes, the lower one first, are one
 code unit. Units that the text of a script element cannot hold (NUL, carriage return, ``<``, surrogates) and U+0001 are
 written as U+0001 and a unit with the highest bit flipped. This adds 3 % to typical bytes; base64 in UTF-8 adds 33 %, 7
 bits a character 14 %. ``page/loader.js`` decodes it.
 
-Of rows :math:`q_{tj}` of bytes, a row per frame, the page has :math:`s_{tj} = d_{tj} - d_{t,j-1}` with
-:math:`d_{tj} = q_{tj} - q_{t-1,j}` and zeros before the first row and column, modulo 256, deflated (RFC 1950), which
-browsers decode.
-
-The meshes of a page, and their poses: read once and kept, with their extents in space and on the screen.
-
-A compressed mesh of a page: its streams, stored colours, and description.
-
 Vertices are numbered for the smallest size, and texture coordinates and other undrawn data are left out. The page
-computes strain and curvature; parts and errors are stored as palette entries.
+computes strain and curvature; parts and errors are stored as palette entries. Of rows :math:`q_{tj}` of bytes, a row
+per frame, the page has :math:`s_{tj} = d_{tj} - d_{t,j-1}` with :math:`d_{tj} = q_{tj} - q_{t-1,j}` and zeros before
+the first row and column, modulo 256, deflated (RFC 1950), which browsers decode.
 """
 
 from __future__ import annotations
@@ -178,29 +172,23 @@ def gather(
             raise InvalidSequenceError(f"{item.name} has more poses than the {len(elapsed)} times asked for")
         if table is None or views is None:
             table = new_large_array((len(elapsed), header.vertex_count, 3), block.dtype)
-            own = first[1].views[0] if first and same else _view(item, block[0], elapsed, camera)
+            if first and same:
+                own = first[1].views[0]
+            else:
+                end = next(item.poses(elapsed[-1:]))[-1]
+                own = seen_from(np.stack([block[0], end]), header.up_axis, camera)
             views = own, first[1].views[0] if first else own
         table[done : done + len(block)] = block
         done += len(block)
         world = y_up(block, header.up_axis)
         still = extent_of(world, views).joined(still)
-        following = extent_of(world - path_of(world), views).joined(following)
+        path = world.mean(axis=1, keepdims=True, dtype=np.float64) * [1, 0, 1]
+        following = extent_of(world - path, views).joined(following)
         progress(done, len(elapsed), "decoding frames")
     if table is None or still is None or following is None or views is None or done < len(elapsed):
         raise InvalidSequenceError(f"{item.name} has {done} poses but {len(elapsed)} times were asked for")
     like_first = same and (first is None or _together(still, first[1].still))
     return Gathered(table, still, following, views, like_first)
-
-
-def path_of(world: FloatArray) -> Float:
-    """Return body places ``(B, 1, 3)`` in poses ``(B, V, 3)``, Y up: the mean of their vertices, on the ground."""
-    return np.asarray(world.mean(axis=1, keepdims=True, dtype=np.float64) * [1, 0, 1])
-
-
-def _view(item: SceneItem, start: FloatArray, elapsed: Float, camera: tuple[float, float] | None) -> View:
-    """Return the view of a mesh from its first pose and its travel until the last of the times."""
-    end = next(item.poses(elapsed[-1:]))[-1]
-    return seen_from(np.stack([start, end]), item.header.up_axis, camera)
 
 
 def extent_of(world: FloatArray, views: Sequence[View]) -> Extent:
@@ -265,7 +253,9 @@ def page_mesh(
         coded, vertices = _compressed(header, elapsed, gathered, centre, max_error, progress)
     else:
         centre, vertices = np.zeros(3), np.arange(header.vertex_count)
-        coded = _bare(shown.coded)
+        bare = replace(shown.coded.header, surface=Surface(), name="")
+        without_uvs = replace(shown.coded.parameters, uv_steps=None, uv_error=None)
+        coded = replace(shown.coded, header=bare, parameters=without_uvs)
     container = pack(coded)
     colourings: list[dict[str, Any]] = []
     stored: list[bytes] = []
@@ -335,11 +325,6 @@ def _regular(elapsed: Float, fps: float) -> tuple[Float, float]:
         if np.allclose(times, elapsed, rtol=0, atol=1e-6 / rate):
             return times, rate
     return elapsed, fps
-
-
-def _bare(coded: CompressedSequence) -> CompressedSequence:
-    parameters = replace(coded.parameters, uv_steps=None, uv_error=None)
-    return replace(coded, header=replace(coded.header, surface=Surface(), name=""), parameters=parameters)
 
 
 def _own_times(header: SequenceHeader, elapsed: Float) -> bool:

@@ -335,7 +335,7 @@ class Charts:
                 if not self._playback.plays:  # what is dragged should be seen
                     self._playback.seek(scene.frame_at(time - session.model.start))
                 edit = partial(drag, time=time, to=to.tolist(), reach=self._reach, plane=self._plane)
-                (session.edit if done else session.preview)("drag", edit)
+                session.edit("drag", edit, preview=not done)
             case Sketch(points):
                 session.edit(
                     "sketch", partial(sketch, curve=points, duration=self._seconds, plane=self._plane)
