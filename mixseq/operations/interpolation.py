@@ -143,7 +143,8 @@ class PoseInterpolator(PickledWithoutCaches):
 
     def at_with_reports(self, weights: ArrayLike) -> tuple[Float, list[ShellReport]]:
         """Blend as `at`, and return the reports of the fits to lengths and angles, in spaces that fit."""
-        vector = self._blended(checked_weights(weights, len(self.vectors)))
+        with one_blas_thread():
+            vector = (checked_weights(weights, len(self.vectors)) @ self.vectors)[None]
         points, (reports,) = self.space.decode_with_reports(vector)
         return points[0], reports
 
@@ -161,10 +162,6 @@ class PoseInterpolator(PickledWithoutCaches):
         for done, points in enumerate(work(PoseInterpolator.at, self, rows), start=1):
             yield points
             progress(done, len(rows), "blending poses")
-
-    def _blended(self, weights: Float) -> Float:
-        with one_blas_thread():
-            return np.asarray(weights @ self.vectors)[None]
 
 
 @public

@@ -66,7 +66,7 @@ from mixseq.types import Float, Index
 ROUNDING = 0.25
 """Radius of a rounded tip, as a fraction of the distance to the nearest frame."""
 
-SAME = 1e-6
+SAME_PLACE = 1e-6
 """Largest distance of frames of one place, as a fraction of the embedding's size."""
 
 FAR = 0.5
@@ -179,7 +179,7 @@ def _drawn(curve: ArrayLike, duration: float) -> Curve:
 def _frames_apart(model: Model, places: Float) -> Index:
     """Return the frames with distinct places ``(T, 2)``: the first of those that share one."""
     size = float(np.linalg.norm(np.ptp(places, axis=0)))
-    close = cdist(places, places) <= SAME * size
+    close = cdist(places, places) <= SAME_PLACE * size
     chosen: list[int] = []
     stands_for = np.empty(len(places), dtype=np.int64)
     for frame, near in enumerate(close):
@@ -232,9 +232,6 @@ STEEPEST = 2.0
 
 DROPPED = 1e-3
 """Distance below which a point is dropped on a frame, as a fraction of the largest distance in the plane."""
-
-SAME_PLACE = 1e-6
-"""Distance below which frames share a place, as a fraction of the largest distance in the plane."""
 
 
 @public

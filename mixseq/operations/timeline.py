@@ -225,15 +225,11 @@ def repeat(
     step = step_of(model, first, last) if travel else np.zeros(3)
     sections = []
     for number in range(times):
-        here = shifted(carried(model, number * step), number * (last - first)) if number else model
         later = number * (last - first)
-        sections.append(
-            ModelSection(
-                here,
-                here.start if number == 0 else first + later,
-                here.end if number == times - 1 else last + later,
-            )
-        )
+        here = shifted(carried(model, number * step), later) if number else model
+        start = first + later if number else here.start
+        end = last + later if number < times - 1 else here.end
+        sections.append(ModelSection(here, start, end))
     return concatenated(sections, [Seam(seconds)] * (times - 1))
 
 

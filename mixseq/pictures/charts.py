@@ -119,7 +119,6 @@ def new_page(width: float, height: float, title: str) -> Figure:
     """Return an empty page of a size in inches, with automatic layout of panels."""
     engine = matplotlib_module("layout_engine").ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.1)
     page: Figure = matplotlib_module("figure").Figure(figsize=(width, height), layout=engine)
-    matplotlib_module("backends.backend_agg").FigureCanvasAgg(page)
     page.suptitle(title, x=0.1 / width, ha="left", parse_math=False)
     return page
 

@@ -335,12 +335,6 @@ class Colouring:
             )
         return replace(self, top=float(top))
 
-    def legend(self) -> str:
-        """Return a caption, such as "strain 0 to 12 %"."""
-        if self.constant:
-            return {"parts": "parts, joints red", "own": "colours of its own"}.get(self.name, self.name)
-        return f"{self.name} 0 to {two_digits(self.top)} {self.unit}"
-
 
 def clay(count: int) -> Colouring:
     """Return the uniform colouring of `count` vertices."""

@@ -48,7 +48,6 @@ class Sheet:
         page = top + rows * (height + GAP) - GAP + BOTTOM
 
         figure: Figure = matplotlib_module("figure").Figure(figsize=(WIDTH, page), facecolor="white")
-        matplotlib_module("backends.backend_agg").FigureCanvasAgg(figure)
         figure.text(0.1 / WIDTH, 1 - 0.1 / page, title, fontsize=13, color=INK, va="top")
 
         def panel(row: int, column: int) -> Axes:

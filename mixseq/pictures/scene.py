@@ -234,11 +234,6 @@ class SceneItem:
         row = int(nearest_frames(self.header, times)[0])
         return np.asarray(self._frames().points[row : row + 1][0], dtype=np.float32)
 
-    @property
-    def ends(self) -> Single:
-        """Points ``(2, V, 3)`` of the first and the last frame."""
-        return np.stack([self.pose(0.0), self.pose(float(self.elapsed[-1]))])
-
     def exact_pose(self, elapsed: float) -> FloatArray:
         """Return the points as `pose` does, in full precision."""
         return np.asarray(next(self.poses(np.array([elapsed])))[0])
@@ -447,7 +442,9 @@ def arranged(scene: Scene, side_by_side: bool, camera: tuple[float, float] | Non
         poses = [y_up(item.pose(scene.elapsed(frame)), up) for frame in scene.samples(SAMPLES)]
         boxes.append((np.min(poses, axis=(0, 1)), np.max(poses, axis=(0, 1))))
     spans = np.array(boxes)
-    view = seen_from(scene.items[0].ends, up_axes[0], camera)
+    first = scene.items[0]
+    ends = np.stack([first.pose(0.0), first.pose(float(first.elapsed[-1]))])
+    view = seen_from(ends, up_axes[0], camera)
     ground = float(spans[:, 0, 1].min())
     offsets = _row(spans, view.azimuth) if side_by_side else np.tile([0.0, -ground, 0.0], (len(spans), 1))
     low, high = (spans[:, 0] + offsets).min(axis=0), (spans[:, 1] + offsets).max(axis=0)

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from functools import cache
 from html import escape
 from importlib.resources import files
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -191,17 +192,18 @@ def export_page(
         compressing = stages.at(2 * number + 1)
         meshes.append(page_mesh(each, elapsed, gathered, tops, chosen.max_error, compressing))
         compressing(1, 1, "compressing")
+    descriptions, data, reports = zip(*meshes, strict=True)
     description = {
         "title": chosen.title or ", ".join(each.mesh.name for each in items),
         "version": __version__,
         "overlaid": chosen.overlaid,
         "following": chosen.following,
         "period": _period(items, times),
-        "items": [mesh.description for mesh in meshes],
+        "items": descriptions,
     }
-    text = page_text(description, [data for mesh in meshes for data in mesh.data])
+    text = page_text(description, list(chain.from_iterable(data)))
     target.write_bytes(text)
-    return ExportReport(len(text), tuple(mesh.report for mesh in meshes))
+    return ExportReport(len(text), reports)
 
 
 def _times(item: PageItem, settings: ExportSettings) -> Float:

@@ -27,7 +27,7 @@ from mixseq.compression.encoder.compress import compress
 from mixseq.compression.numbering import cheapest_numbering
 from mixseq.errors import InvalidSequenceError
 from mixseq.mesh.surface import Surface
-from mixseq.pictures.colours import MEASURES, Bytes, Colouring, SceneColours
+from mixseq.pictures.colours import MEASURES, Colouring, SceneColours
 from mixseq.pictures.scene import SceneItem, View, seen_from, y_up
 from mixseq.runtime.low_memory import LargeArray, new_large_array
 from mixseq.runtime.parallel import Executor
@@ -65,9 +65,9 @@ def as_text(data: bytes) -> bytes:
 def deflated_rows(rows: Iterable[NDArray[np.uint8]]) -> bytes:
     """Return rows ``(V,)`` of bytes, joined and deflated."""
     deflate, parts = zlib.compressobj(9), []
-    before: NDArray[np.uint8] | None = None
+    before = np.zeros(1, np.uint8)
     for row in rows:
-        steps = row - (np.zeros_like(row) if before is None else before)
+        steps = row - before
         parts.append(deflate.compress(np.diff(steps, prepend=np.uint8(0)).tobytes()))
         before = row
     return b"".join([*parts, deflate.flush()])
@@ -229,15 +229,6 @@ class PageItemReport:
     colours: int  # size of its colours in bytes, before conversion to text
 
 
-@dataclass(frozen=True, eq=False)
-class PageMesh:
-    """A mesh in a page."""
-
-    description: dict[str, Any]  # data for the page, ready for JSON
-    data: list[bytes]  # the streams, and colours that are stored
-    report: PageItemReport  # how exact it is, and how large
-
-
 def page_mesh(
     shown: PageItem,
     elapsed: Float,
@@ -245,8 +236,11 @@ def page_mesh(
     tops: Mapping[str, float],
     max_error: float,
     progress: Progress = silent,
-) -> PageMesh:
-    """Compress poses at `elapsed` ``(n,)`` within `max_error` diagonals; `tops` are ends of colour scales."""
+) -> tuple[dict[str, Any], list[bytes], PageItemReport]:
+    """Compress poses at `elapsed` ``(n,)`` within `max_error` diagonals; `tops` are ends of colour scales.
+
+    Returns the description for the page, ready for JSON, and its data: the streams, and colours that are stored.
+    """
     header = shown.mesh.header
     if shown.coded is None:
         centre = gathered.poses[:1][0].mean(axis=0, dtype=np.float64)
@@ -283,7 +277,7 @@ def page_mesh(
     }
     sizes = len(container.streams), sum(map(len, stored))
     report = PageItemReport(shown.mesh.name, len(elapsed), parameters.max_error, error, *sizes)
-    return PageMesh(description, [container.streams, *stored], report)
+    return description, [container.streams, *stored], report
 
 
 @dataclass(frozen=True, eq=False)
@@ -354,17 +348,13 @@ def _colours(
         scaled = {"name": colouring.name, "palette": palette.tolist(), "top": top, "unit": colouring.unit}
         if colouring.name in MEASURES:
             return scaled, None
-        return scaled, deflated_rows(_rows(colouring.scaled(top), elapsed, gathered, vertices))
-    entries = colouring.indices(gathered.poses[:1][0], 0.0)
-    used, places = np.unique(entries, return_inverse=True)
+        ending = colouring.scaled(top)
+        poses = (pose for block in blocks_of(gathered.poses) for pose in block)
+        times = elapsed.tolist()
+        entries = (ending.indices(pose, time) for pose, time in zip(poses, times, strict=True))
+        return scaled, deflated_rows(each[vertices] for each in entries)
+    used, places = np.unique(colouring.indices(gathered.poses[:1][0], 0.0), return_inverse=True)
     fixed = {"name": colouring.name, "palette": colouring.palette[used].tolist()}
     if len(used) == 1:
         return fixed, None
     return fixed, deflated_rows([places.astype(np.uint8)[vertices]])
-
-
-def _rows(colouring: Colouring, elapsed: Float, gathered: Gathered, vertices: Index) -> Iterator[Bytes]:
-    times = iter(elapsed.tolist())
-    for block in blocks_of(gathered.poses):
-        for pose in block:
-            yield colouring.indices(pose, next(times))[vertices]

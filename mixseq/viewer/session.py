@@ -228,14 +228,16 @@ def signals_of(model: Model, plane: Plane | None = None) -> dict[str, Any]:
     """Return the chart data of a model, ready for JSON."""
     start, end = model.start, model.end
     moves = end > start and model.time.dim > 0
-    times = _evenly_chosen(dense_times(model), POINTS) if end > start else np.array([start])
-    frames = _evenly_chosen(model.times, FRAMES)
+    times = dense_times(model) if end > start else np.array([start])
+    times = times[evenly(len(times), POINTS)]
+    frames = model.times[evenly(len(model.times), FRAMES)]
     handles = np.linspace(start, end, HANDLES) if moves else np.zeros(0)
     chosen, units = largest_coordinates(model)
     lines = model.time(times)[:, chosen] * units
     keys = np.linspace(start, end, KEYS).tolist() if end > start else []
     path = model.embedding(times, plane)
     step = float(np.abs(path).max(initial=0.0))
+    places = _rounded(model.embedding(handles, plane), step)
     return {
         "start": start,
         "end": end,
@@ -244,12 +246,7 @@ def signals_of(model: Model, plane: Plane | None = None) -> dict[str, Any]:
         "path": _rounded(path, step),
         "frames": _rounded(model.embedding(frames, plane), step),
         "frameTimes": _rounded(frames, end - start),
-        "handles": [
-            {"time": time, "at": at}
-            for time, at in zip(
-                handles.tolist(), _rounded(model.embedding(handles, plane), step), strict=True
-            )
-        ],
+        "handles": [{"time": time, "at": at} for time, at in zip(handles.tolist(), places, strict=True)],
         "reach": default_reach(model),
         "coefficients": [
             {"name": f"coordinate {number + 1}", "values": _rounded(line, float(np.abs(lines).max()))}
@@ -257,11 +254,6 @@ def signals_of(model: Model, plane: Plane | None = None) -> dict[str, Any]:
         ],
         "keys": [[time, time] for time in keys],
     }
-
-
-def _evenly_chosen(values: Float, most: int) -> Float:
-    """Return at most `most` evenly spaced values, with the first and the last."""
-    return values[evenly(len(values), most)]
 
 
 def _rounded(values: Float, largest: float) -> list[Any]:
