@@ -202,25 +202,20 @@ def _layout(
 ) -> Layout:
     width, height = settings.size
     meaning, part = _MEANING.get(settings.colour, ("", 1.0))
-    frames = len(items[0].pose_of_frame)
     cameras = cameras_of(items, settings, fps)
     aspect = float(np.median([camera.aspect for camera in cameras]))
     places = panels_of(len(items), width, height, aspect, any(names), bool(meaning))
-    panels = [
-        Panel(
-            item.header,
-            colouring.of_faces,
-            camera.fitted((place[0].stop - place[0].start) / (place[1].stop - place[1].start)),
-            place,
-        )
-        for item, colouring, camera, place in zip(items, colourings, cameras, places, strict=True)
-    ]
+    panels = []
+    for item, colouring, camera, place in zip(items, colourings, cameras, places, strict=True):
+        rows, columns = place
+        fitted = camera.fitted((rows.stop - rows.start) / (columns.stop - columns.start))
+        panels.append(Panel(item.header, colouring.of_faces, fitted, place))
     if not meaning:
-        return Layout(panels, backdrop_of(width, height, places, names), frames)
+        return Layout(panels, backdrop_of(width, height, places, names))
     scale = matplotlib_module("cm").ScalarMappable(None, "viridis").get_cmap()
     palette = np.asarray(scale(np.arange(256))[:, :3], dtype=np.float64)
     backdrop = backdrop_of(width, height, places, names, palette, colourings[0].top / part, meaning)
-    return Layout(panels, backdrop, frames, palette)
+    return Layout(panels, backdrop, palette)
 
 
 SMOOTHED = 0.25
@@ -397,7 +392,6 @@ class Layout:
 
     panels: Sequence[Panel]  # from left to right, and down
     backdrop: Picture  # (H, W, 3) what does not change: names and the colour bar
-    frames: int  # number of frames N
     palette: Float | None = None  # (256, 3) colours of what is measured, RGB in 0..1
 
 

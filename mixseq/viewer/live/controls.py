@@ -1,4 +1,4 @@
-"""The panels beside the scene: playback and display on the right, charts and edits of a model on the left and right."""
+"""The panels beside the scene: playback, display, edits and saving on the right, charts of a model on the left."""
 
 from __future__ import annotations
 
