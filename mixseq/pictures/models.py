@@ -507,4 +507,6 @@ def arranged(*sections: Section, beside: bool = False) -> Section:
         for section, part in zip(sections, pages.flat, strict=True):
             section.draw(part)
 
-    return Section(*((sum(widths), max(heights)) if beside else (max(widths), sum(heights))), draw)
+    if beside:
+        return Section(sum(widths), max(heights), draw)
+    return Section(max(widths), sum(heights), draw)
