@@ -1,12 +1,7 @@
-"""New sequences and models from models: resampling and editing.
+"""New sequences and models from models; operations are pure functions from models to a model, which compose.
 
-Operations are pure functions from models to a model, which compose::
-
-    from mixseq.operations import cut, loop, repeat, transition
-
-    run = loop(cut(mixseq.load("run.h5"), 0.2, 0.9))
-    twice = repeat(run, run.start, run.end, times=2)
-    mixseq.save("attack.h5", transition(twice, mixseq.load("slash.h5"), at=1.0, duration=0.3))
+`timeline`, `retiming` and `resampling` change times, `transitions` joins motions, `filters`, `limbs`, `sculpt` and
+`sketch` change poses, `shape_exchange` bodies; `interpolation` blends poses. `script` reads edits from files.
 """
 
 from mixseq.operations.filters import exaggerate, smooth

@@ -1,4 +1,4 @@
-r"""Filters: remove the fastest changes of a motion.
+r"""Filters: remove the fastest changes of a motion, or exaggerate or damp it.
 
 A smoothing spline f through values y minimises
 
@@ -12,7 +12,7 @@ halved at the period P for
 Lines stay unchanged. Their counterpart for rotations is a steady turn, :math:`\exp(\omega t)\, R`, with the mean
 :math:`\omega` of angular velocities: quaternions are smoothed relative to it.
 
-Exaggerate or damp a motion: scale relative poses and shapes of parts about their mean.
+Relative poses and shapes of parts are exaggerated about their mean,
 
 .. math:: c(t) \to \bar c + \text{gain}\, (c(t) - \bar c)
 
@@ -142,15 +142,8 @@ class SteadyTurn:
         lasting = placement.end - placement.start
         return cls(space, steps.sum(axis=0) / (lasting if lasting > 0 else 1.0))
 
-    def without(self, times: Float, placements: Float) -> Float:
-        """Remove the steady turn from placements ``(N, P)`` at times ``(N,)``."""
-        return self._turned(times, placements, -1.0)
-
-    def again(self, times: Float, placements: Float) -> Float:
-        """Add the steady turn to placements ``(N, P)`` at times ``(N,)``; the inverse of `without`."""
-        return self._turned(times, placements, 1.0)
-
-    def _turned(self, times: Float, placements: Float, sign: float) -> Float:
+    def turned(self, times: Float, placements: Float, sign: float) -> Float:
+        """Add the steady turn to placements ``(N, P)`` at times ``(N,)``, or remove it with the sign -1."""
         turns, centres = self.space.poses(placements)
         steady = exponentials(sign * times[:, None, None] * self.rates)
         return self.space.placements(Poses(product(steady, turns), centres))
@@ -172,12 +165,12 @@ def smoothed(curve: Curve, frames: Float, seconds: float, steady: SteadyTurn | N
     # The unit of time is the mean step, for the sake of the digits.
     unit = float(steps.mean())
     strength = (np.sqrt(2.0) - 1.0) * min(seconds / unit / (2.0 * np.pi), LONGEST) ** 4
-    values = curve(times) if steady is None else steady.without(times, curve(times))
+    values = curve(times) if steady is None else steady.turned(times, curve(times), -1.0)
     line = _line(times, values, lasting)
     spline = make_smoothing_spline(times / unit, values - line(times), lasting / unit, strength)
     sites = sites_of(ends, times[1:-1])
     result = line(sites) + np.asarray(spline(sites / unit)).reshape(len(sites), curve.dim)
-    return Curve(sites, result if steady is None else steady.again(sites, result))
+    return Curve(sites, result if steady is None else steady.turned(sites, result, 1.0))
 
 
 def _line(times: Float, values: Float, weights: Float) -> Curve:

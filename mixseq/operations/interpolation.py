@@ -1,4 +1,4 @@
-r"""Blends of any number of poses: the operator A of the paper, then the projection back to meshes.
+r"""Parts of a sequence; blends of any number of poses: the operator A of the paper, then the projection to meshes.
 
 .. math:: x(w) = P\Bigl(\sum_i w_i\, s_i\Bigr), \qquad \sum_i w_i = 1
 
@@ -7,8 +7,6 @@ Bennamoun). Their vertices, and lengths and angles of joints, then blend linearl
 the other spaces of `mixseq.spaces` rigid-motion invariant coordinates blend linearly, poses as quaternions and centres.
 
 Whole turns of angles and rotations are unwrapped along the poses of nonzero weight, as in a sequence.
-
-The parts of a sequence, by any method.
 """
 
 from __future__ import annotations
@@ -145,7 +143,8 @@ class PoseInterpolator(PickledWithoutCaches):
 
     def at_with_reports(self, weights: ArrayLike) -> tuple[Float, list[ShellReport]]:
         """Blend as `at`, and return the reports of the fits to lengths and angles, in spaces that fit."""
-        vector = self._blended(checked_weights(weights, len(self.vectors)))
+        with one_blas_thread():
+            vector = (checked_weights(weights, len(self.vectors)) @ self.vectors)[None]
         points, (reports,) = self.space.decode_with_reports(vector)
         return points[0], reports
 
@@ -163,10 +162,6 @@ class PoseInterpolator(PickledWithoutCaches):
         for done, points in enumerate(work(PoseInterpolator.at, self, rows), start=1):
             yield points
             progress(done, len(rows), "blending poses")
-
-    def _blended(self, weights: Float) -> Float:
-        with one_blas_thread():
-            return np.asarray(weights @ self.vectors)[None]
 
 
 @public

@@ -1,4 +1,4 @@
-r"""Limbs: a part with all parts below it, and changes of its stance in its joint.
+r"""Edits of one limb, a part with all parts below it: exaggerate or damp its motion in its joint, or hold it.
 
 The parts of a component are a tree by their boundaries: the root is the largest part, every other part hangs on its
 *parent*, one boundary nearer to the root. The *stance* of a limb is the pose of the part relative to its parent: a turn
@@ -7,25 +7,20 @@ either part's centre,
 
 .. math:: R_i^T R_j = \exp(\tau), \qquad R_j p_j + t_j = R_i (p_i + g) + t_i ,
 
-for poses relative to the body, rotations since the reference frame.
-
-A changed stance moves the part from :math:`(R, t)` to :math:`(R', t')`, and the whole limb with it as one rigid body,
-:math:`x \to R' R^T (x - t) + t'`. Turns are unwrapped along the knots of a model, so whole turns count; quaternions
-change by :math:`\exp(\tau') \exp(\tau)^{-1}`, with continuous signs for any distance of times. Poses are changed by the
-model's correction.
-
-Edits of one limb: exaggerate or damp the motion of a part in its joint, or hold it.
-
-The stance of a part relative to its parent (`mixseq.operations.limbs`) is a vector of six numbers over time,
-:math:`\tau(t)`, with turns as unwrapped rotation vectors. Edits change it,
+for poses relative to the body, rotations since the reference frame. It is six numbers over time, with turns as rotation
+vectors, unwrapped along the knots of a model, so whole turns count. Edits change it,
 
 .. math::
 
     \tau' = \bar\tau + \text{gain}\, (\tau - \bar\tau), \qquad
-    \tau' = \tau + w(t)\, (\tau(t_0) - \tau),
+    \tau' = \tau + w(t)\, (\tau(t_0) - \tau).
 
-and the part moves rigidly with its whole limb. Between limb and body the skin follows the poses of both; the remaining
-shape change in the joint follows the same formula. As the results are no cubic splines, signals are adaptively sampled.
+A changed stance moves the part from :math:`(R, t)` to :math:`(R', t')`, and the whole limb with it as one rigid body,
+:math:`x \to R' R^T (x - t) + t'`. Quaternions change by :math:`\exp(\tau') \exp(\tau)^{-1}`, with continuous signs for
+any distance of times. Poses are changed by the model's correction.
+
+Between limb and body the skin follows the poses of both; the remaining shape change in the joint follows the same
+formula. As the results are no cubic splines, signals are adaptively sampled.
 """
 
 from __future__ import annotations
@@ -49,11 +44,11 @@ from mixseq.mesh.rotations import (
     unwrap,
 )
 from mixseq.operations.filters import check_gain
-from mixseq.operations.sculpt import smoothstep
 from mixseq.operations.sections import (
     ACCURACY,
     CurveSection,
     Seam,
+    blended_poses,
     correction_measure,
     join,
     refined,
@@ -61,6 +56,7 @@ from mixseq.operations.sections import (
     shape_measure,
     sites_within,
     snapped,
+    window,
 )
 from mixseq.runtime.public import public
 from mixseq.sequence.frame_rates import Seconds
@@ -127,7 +123,7 @@ class Limb:
         away = centres[:, self.parts] - centres[:, [self.part]]
         centres[:, self.parts] = turned(rotations_of(turn)[:, None], away) + place[:, None]
         targets = np.concatenate([each.reshape(len(times), -1) for each in (rotations, centres)], axis=1)
-        corrections = self.space.corrections(_blended_poses(model, times), targets)
+        corrections = self.space.corrections(blended_poses(model, times), targets)
         spins, before = (
             each.reshape(len(each), 2, -1, 3)[:, 0] for each in (corrections, model.correction(times[:1]))
         )
@@ -172,13 +168,7 @@ class Limb:
 
 def part_poses(model: Model, times: Float) -> Poses:
     """Return the poses ``(N, p)`` of all parts relative to their bodies, at times ``(N,)``."""
-    return as_mixed(model.space).corrected_poses(_blended_poses(model, times), model.correction(times))
-
-
-def _blended_poses(model: Model, times: Float) -> Float:
-    """Return the pose columns ``(N, pose_dim)`` of blended shapes."""
-    columns = model.shapes[:, model.space.shape_dim - model.space.pose_dim :]
-    return np.asarray(model.pose.weights(model.time(times)) @ columns)
+    return as_mixed(model.space).corrected_poses(blended_poses(model, times), model.correction(times))
 
 
 def limb_of(model: Model, part: int) -> Limb:
@@ -278,12 +268,9 @@ def hold(model: Model, part: int, time: Seconds, start: Seconds, end: Seconds, f
         raise SettingsError(f"fade is {fade}; a positive number of seconds is expected")
 
     def rest(times: Float) -> Float:
-        weight = np.ones(len(times))
-        if start > model.start:
-            weight = weight * smoothstep(times, start - fade, start)
-        if end < model.end:
-            weight = weight * (1.0 - smoothstep(times, end, end + fade))
-        return np.asarray(weight[:, None])
+        rise = (start - fade, start) if start > model.start else None
+        fall = (end, end + fade) if end < model.end else None
+        return window(times, rise, fall)[:, None]
 
     first, last = max(start - fade, model.start), min(end + fade, model.end)
     knots = np.concatenate([np.linspace(start - fade, start, 4), np.linspace(end, end + fade, 4)])

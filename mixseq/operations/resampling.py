@@ -14,6 +14,7 @@ import numpy as np
 
 from mixseq.errors import SettingsError
 from mixseq.operations.retiming import Retiming
+from mixseq.operations.sections import SLACK
 from mixseq.runtime.parallel import Executor
 from mixseq.runtime.progress import Progress, silent
 from mixseq.runtime.public import public
@@ -24,9 +25,6 @@ from mixseq.signals.decoding import FRAMES
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
 from mixseq.types import Float
-
-SLACK = 1e-3
-"""Fraction of a frame by which ends may miss a frame, as times are typed and printed with a few digits."""
 
 
 @dataclass(frozen=True, eq=False)

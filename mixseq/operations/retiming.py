@@ -9,9 +9,7 @@ Where r is linear, a retimed signal is a cubic spline whose knots are the output
 Elsewhere it is approximated by a spline through the keys, the times at which r passes knots, and further sites between
 these. Sites are dense next to a kink of r: their distances to it double from one to the next.
 
-Parsing of TOML for scripts and retimings, with a FormatError for any fault.
-
-Retimings from text files: pairs of output and source times, as CSV or TOML.
+Files of retimings are pairs of output and source times, as CSV or TOML.
 """
 
 from __future__ import annotations
@@ -28,16 +26,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator, PPoly
 
 from mixseq.errors import FormatError, SettingsError
-from mixseq.operations.sections import (
-    SLACK,
-    between,
-    breakpoints,
-    correction_measure,
-    placement_measure,
-    sampled,
-    shape_measure,
-    sites_of,
-)
+from mixseq.operations.sections import SLACK, between, breakpoints, measures_of, sampled, sites_of
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.public import public
 from mixseq.sequence.header import frame_times
@@ -46,30 +35,6 @@ from mixseq.signals.decoding import ResidualLayer
 from mixseq.signals.detail import Measure
 from mixseq.signals.model import Model
 from mixseq.types import Float
-
-_LARGEST = 2**63
-_DEEPEST = 20
-
-
-def parse_toml(file: Path, text: str) -> dict[str, Any]:
-    """Parse the text of a TOML file; FormatError for invalid, too deep or too large values."""
-    try:
-        parsed = tomllib.loads(text)
-    except RecursionError:
-        raise FormatError(f"{file} is not a TOML file: its tables or lists are nested too deeply") from None
-    except ValueError as error:  # integers of thousands of digits are one, too
-        raise FormatError(f"{file} is not a TOML file: {error}") from None
-    level: list[Any] = [parsed]
-    for _ in range(_DEEPEST):
-        inner = [value for each in level for value in (each.values() if isinstance(each, dict) else each)]
-        for value in inner:
-            if isinstance(value, int) and not -_LARGEST <= value < _LARGEST:
-                raise FormatError(f"{file} is not a TOML file: {str(value)[:20]}... has more than 64 bits")
-        level = [value for value in inner if isinstance(value, dict | list)]
-        if not level:
-            return parsed
-    raise FormatError(f"{file} is not a TOML file: its tables or lists are nested too deeply")
-
 
 ACCURACY = 2e-6
 """Largest error of the splines between sites, in diagonals; errors of vertices in joints may be many times larger."""
@@ -222,9 +187,10 @@ def retime(model: Model, keys: ArrayLike, smooth: bool = True) -> Model:
     frames = frame_times(retiming.start, retiming.end, model.header.fps, SLACK)
 
     dense = np.zeros(0) if smooth else _near_kinks(outputs, sources)
-    time = _composed(model, model.time, retiming, dense, shape_measure(model))
-    placement = _composed(model, model.placement, retiming, dense, placement_measure(model))
-    correction = _composed(model, model.correction, retiming, dense, correction_measure(model))
+    time, placement, correction = (
+        _composed(model, curve, retiming, dense, measure)
+        for curve, measure in zip(model.curves, measures_of(model), strict=True)
+    )
     layer = model.residual_layer
     retimed = None if layer is None else RetimedLayer(layer, retiming)
     return model.with_motion(time, placement, correction, model.header.with_times(frames), retimed)
@@ -264,6 +230,30 @@ class RetimedLayer(PickledWithoutCaches):
         """Return the derivatives ``(N, V, 3)`` of the displacements by time, per second."""
         slopes = self.retiming.slope(times)
         return np.asarray(slopes[:, None, None] * self.source.rates(self.retiming(times)))
+
+
+_LARGEST = 2**63
+_DEEPEST = 20
+
+
+def parse_toml(file: Path, text: str) -> dict[str, Any]:
+    """Parse the text of a TOML file; FormatError for invalid, too deep or too large values."""
+    try:
+        parsed = tomllib.loads(text)
+    except RecursionError:
+        raise FormatError(f"{file} is not a TOML file: its tables or lists are nested too deeply") from None
+    except ValueError as error:  # integers of thousands of digits are one, too
+        raise FormatError(f"{file} is not a TOML file: {error}") from None
+    level: list[Any] = [parsed]
+    for _ in range(_DEEPEST):
+        inner = [value for each in level for value in (each.values() if isinstance(each, dict) else each)]
+        for value in inner:
+            if isinstance(value, int) and not -_LARGEST <= value < _LARGEST:
+                raise FormatError(f"{file} is not a TOML file: {str(value)[:20]}... has more than 64 bits")
+        level = [value for value in inner if isinstance(value, dict | list)]
+        if not level:
+            return parsed
+    raise FormatError(f"{file} is not a TOML file: its tables or lists are nested too deeply")
 
 
 Lines = list[tuple[int, list[str]]]

@@ -15,10 +15,8 @@
     duration = 0.25
 
 Operations are functions ``model -> model`` of this package, and the keys of a table are the names of their
-parameters, see `mixseq.operations.script`. A script that begins with ``unit = "frames"`` gives times, and how long
-things last, as numbers of frames of the model that is edited (`mixseq.sequence.frame_rates`).
-
-Arguments of operations from tables of a script: the value of a key follows from the parameter's annotation.
+parameters; the value of a key follows from the parameter's annotation. A script that begins with ``unit = "frames"``
+gives times, and how long things last, as numbers of frames of the edited model (`mixseq.sequence.frame_rates`).
 """
 
 from __future__ import annotations
@@ -80,8 +78,8 @@ def keys_of(function: Callable[..., Model]) -> dict[str, Key]:
     for parameter in parameters:
         name, required = parameter.name, parameter.default is Parameter.empty
         if name in FILES:
-            key, holds, read = FILES[name]
-            keys[key] = Key(name, required, holds, read, TIMES.get(name))
+            key, holds, read, in_seconds = FILES[name]
+            keys[key] = Key(name, required, holds, read, in_seconds)
         elif holds := _holds(hints[name]):
             time = _number_in_seconds if marked[name] != hints[name] else None
             keys[name] = Key(name, required, holds, partial(_plain, hints[name]), time)
@@ -211,22 +209,18 @@ def _weight_in_seconds(value: float | Curve, fps: float, unit: Unit) -> float | 
     return value
 
 
-def _keys_in_seconds(value: RetimingKeys, fps: float, unit: Unit) -> Float:
-    return value.in_seconds(fps, fps, unit)
+_OF_KEYS = "pairs of output and source times, as a list or a CSV or TOML file,"
+_OF_WEIGHT = "a number, or pairs of time and weight as a list or a CSV file,"
 
-
-FILES: Mapping[str, tuple[str, str, Read]] = {
-    "b": ("b", "the file of a model", _model),
-    "points": ("mesh", "the file of a mesh", _mesh),
-    "curve": ("curve", "pairs of x and y, as a list or a CSV file,", _pairs),
-    "to": ("to", "a list of two numbers, x and y,", _place),
-    "keys": ("keys", "pairs of output and source times, as a list or a CSV or TOML file,", _keys),
-    "weight": ("weight", "a number, or pairs of time and weight as a list or a CSV file,", _weight),
+FILES: Mapping[str, tuple[str, str, Read, InSeconds | None]] = {
+    "b": ("b", "the file of a model", _model, None),
+    "points": ("mesh", "the file of a mesh", _mesh, None),
+    "curve": ("curve", "pairs of x and y, as a list or a CSV file,", _pairs, None),
+    "to": ("to", "a list of two numbers, x and y,", _place, None),
+    "keys": ("keys", _OF_KEYS, _keys, lambda value, fps, unit: value.in_seconds(fps, fps, unit)),
+    "weight": ("weight", _OF_WEIGHT, _weight, _weight_in_seconds),
 }
-"""Parameters without plain values, in all operations: key in a script, description of its value, reader."""
-
-TIMES: Mapping[str, InSeconds] = {"keys": _keys_in_seconds, "weight": _weight_in_seconds}
-"""Conversions to seconds of those parameters that hold times."""
+"""Parameters without plain values, in all operations: key in a script, and what `Key` says about it."""
 
 
 OPERATIONS: Mapping[str, str] = {

@@ -1,4 +1,4 @@
-r"""Sculpt: an edit of one frame by hand, applied over time.
+r"""Edits of a frame by hand: applied over time, or in the place of a key shape.
 
 The difference :math:`\Delta` of the mesh at a time and the edited mesh in the shape space
 (`ShapeSpace.shape_difference`) is independent of the placement of parts, so it can be added to any frame:
@@ -15,8 +15,6 @@ window
 similar
     :math:`\exp(-(d / r)^2 / 2)`, with the distance d in the shape space between the shape at t and the shape before
     the edit. The radius r is given as a fraction of the largest distance of the model.
-
-Frames edited by hand: validation, the difference to the model, and replaced key shapes.
 """
 
 from __future__ import annotations
@@ -30,7 +28,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from mixseq.errors import InvalidSequenceError, MixseqWarning, SettingsError
 from mixseq.mesh.polygons import Polygons, difference
-from mixseq.operations.sections import breakpoints, refined, sampled, shape_measure, sites_of, snapped
+from mixseq.operations.sections import (
+    breakpoints,
+    refined,
+    sampled,
+    shape_measure,
+    sites_between,
+    snapped,
+    window,
+)
 from mixseq.runtime.public import public
 from mixseq.sequence.frame_rates import Seconds
 from mixseq.sequence.header import SequenceHeader
@@ -244,12 +250,8 @@ def _window(model: Model, time: float, start: float | None, end: float | None) -
     knots += [np.linspace(first, time, 4)] if first is not None else []
     knots += [np.linspace(time, last, 4)] if last is not None else []
     sites = _sites(model, np.concatenate(knots))
-    weight = np.ones(len(sites))
-    if first is not None:
-        weight = weight * smoothstep(sites, first, time)
-    if last is not None:
-        weight = weight * (1.0 - smoothstep(sites, time, last))
-    return Curve(sites, weight[:, None])
+    rise, fall = None if first is None else (first, time), None if last is None else (time, last)
+    return Curve(sites, window(sites, rise, fall)[:, None])
 
 
 def _similar(model: Model, time: float, radius: float) -> Curve:
@@ -268,15 +270,6 @@ def _similar(model: Model, time: float, radius: float) -> Curve:
 
 def _sites(model: Model, knots: Float) -> Float:
     """Return the sites of the time signal with more breakpoints; those outside it are ignored."""
-    ends = np.array([model.time.start, model.time.end])
-    if ends[0] == ends[1]:
+    if model.time.start == model.time.end:
         return model.time.times
-    return sites_of(ends, knots[(knots > ends[0]) & (knots < ends[1])])
-
-
-def smoothstep(times: Float, start: float, end: float) -> Float:
-    """Return the C2 step ``(N,)`` from 0 until `start` to 1 from `end` on, of three cubics of equal length."""
-    x = np.clip((times - start) / (end - start), 0.0, 1.0) * 3.0
-    return np.asarray(
-        (x**3 - 3.0 * np.maximum(x - 1.0, 0.0) ** 3 + 3.0 * np.maximum(x - 2.0, 0.0) ** 3) / 6.0
-    )
+    return sites_between(model.time.start, model.time.end, knots)

@@ -1,4 +1,4 @@
-r"""Placements of two motions: continuation and interpolation.
+r"""Splines over time, and exact concatenation of sections of motions: what operations on models share.
 
 A rotation is interpolated from :math:`R_a` to :math:`R_b` along the turn between them,
 
@@ -6,10 +6,6 @@ A rotation is interpolated from :math:`R_a` to :math:`R_b` along the turn betwee
 
 which is unwrapped over time, as one motion may turn more than the other by whole turns. Centres are interpolated
 linearly.
-
-Splines over time: interpolation sites, adaptive sampling of other functions, and distances of values.
-
-Exact concatenation of sections of motions into one motion.
 
 A section of a cubic spline is a cubic spline. At a *seam* value, slope and curvature jump by :math:`d_0, d_1, d_2`. The
 jump is distributed to both sides by C2 offsets, each a cubic spline of three cubics on a window next to the seam:
@@ -28,6 +24,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mixseq.errors import SettingsError
 from mixseq.mesh.rotations import continuous_vectors, exponentials, inverse, normalised, product, rotations_of
@@ -67,14 +64,10 @@ def mean_placements(space: ShapeSpace, one: Float, other: Float, share: Float) -
     length, longer = (np.linalg.norm(poses.rotations, axis=2, keepdims=True) for poses in (first, second))
     a, b = (Poses(normalised(poses.rotations), poses.centres) for poses in (first, second))
     share = share[:, :, None]
-    turns = _turned(a.rotations, b.rotations, share) * mean(length, longer, share)
+    # the shorter way at first
+    ways = continuous_vectors(rotations_of(product(inverse(a.rotations), b.rotations)))
+    turns = product(a.rotations, exponentials(share * ways)) * mean(length, longer, share)
     return space.placements(Poses(turns, mean(a.centres, b.centres, share)))
-
-
-def _turned(one: Float, other: Float, share: Float) -> Float:
-    """Interpolate unit quaternions ``(N, r, 4)``, by the shorter way at first."""
-    ways = continuous_vectors(rotations_of(product(inverse(one), other)))
-    return product(one, exponentials(share * ways))
 
 
 ACCURACY = 1e-5
@@ -111,13 +104,17 @@ def sites_of(edges: Float, inner: Float) -> Float:
     return np.sort(np.concatenate([breaks, (breaks[[0, -2]] + breaks[[1, -1]]) / 2]))
 
 
+def sites_between(start: float, end: float, knots: Float) -> Float:
+    """Return sites from `start` to `end`, with those of the knots ``(m,)`` that are between them."""
+    return sites_of(np.array([start, end]), between(knots, start, end))
+
+
 def sites_within(model: Model, start: float, end: float, knots: Float | None = None) -> Float:
     """Return sites from `start` to `end`, with frames of the model, breakpoints of its signals, and knots ``(m,)``."""
     if start == end:
         return np.array([start])
     times = [*(breakpoints(curve) for curve in model.curves), model.times]
-    inner = np.concatenate(times if knots is None else [*times, knots])
-    return sites_of(np.array([start, end]), between(inner, start, end))
+    return sites_between(start, end, np.concatenate(times if knots is None else [*times, knots]))
 
 
 def refined(times: Float, parts: int) -> Float:
@@ -147,6 +144,24 @@ def sampled(function: Callable[[Float], Float], sites: Float, tolerance: float, 
     return Curve(sites, function(sites))
 
 
+def window(times: Float, rise: tuple[float, float] | None, fall: tuple[float, float] | None) -> Float:
+    """Return the weight ``(N,)`` of a window with a C2 rise and fall, from start to end each, None where it is open."""
+    weight = np.ones(len(times))
+    if rise is not None:
+        weight *= smoothstep(times, *rise)
+    if fall is not None:
+        weight *= 1.0 - smoothstep(times, *fall)
+    return weight
+
+
+def smoothstep(times: Float, start: float, end: float) -> Float:
+    """Return the C2 step ``(N,)`` from 0 until `start` to 1 from `end` on, of three cubics of equal length."""
+    x = np.clip((times - start) / (end - start), 0.0, 1.0) * 3.0
+    return np.asarray(
+        (x**3 - 3.0 * np.maximum(x - 1.0, 0.0) ** 3 + 3.0 * np.maximum(x - 2.0, 0.0) ** 3) / 6.0
+    )
+
+
 def shape_measure(model: Model, metric: Float | None = None) -> Measure:
     """Return a measure of steps ``(N, k)`` in pose space: RMS over vertices in diagonals, by weights ``(S,)``."""
     shapes = model.shapes
@@ -164,6 +179,11 @@ def placement_measure(model: Model) -> Measure:
 def correction_measure(model: Model) -> Measure:
     """Return the size ``(N,)`` of correction changes ``(N, C)``: the largest component, in diagonals."""
     return largest(model.space.weights[model.space.shape_dim + model.space.placement_dim :])
+
+
+def measures_of(model: Model) -> tuple[Measure, Measure, Measure]:
+    """Return the measures of changes of `Model.curves`: time signal, placement and correction."""
+    return shape_measure(model), placement_measure(model), correction_measure(model)
 
 
 REACHES = np.array([1.0, 2.0, 3.0]) / 3.0
@@ -312,7 +332,8 @@ def going_on(sections: Sequence[ModelSection]) -> Sequence[ModelSection]:
     size, dim = first.space.pose_dim, first.time.dim
     signs = [np.ones(size)]
     for before, (model, start, _) in pairwise(sections):
-        signs.append(model.space.signs(_poses(model, start), signs[-1] * _poses(before.model, before.end)))
+        here, there = blended_poses(model, [start])[0], blended_poses(before.model, [before.end])[0]
+        signs.append(model.space.signs(here, signs[-1] * there))
     numbers: dict[bytes, int] = {}
     kinds = [numbers.setdefault(each.tobytes(), len(numbers)) for each in signs]
     if len(numbers) == 1:
@@ -336,10 +357,10 @@ def going_on(sections: Sequence[ModelSection]) -> Sequence[ModelSection]:
     return result
 
 
-def _poses(model: Model, time: float) -> Float:
-    """Return the pose columns ``(pose_dim,)`` of the shape at a time."""
+def blended_poses(model: Model, times: ArrayLike) -> Float:
+    """Return the pose columns ``(N, pose_dim)`` of the shapes at times ``(N,)``."""
     columns = model.shapes[:, model.space.shape_dim - model.space.pose_dim :]
-    return np.asarray(model.pose.weights(model.time([time]))[0] @ columns)
+    return np.asarray(model.pose.weights(model.time(times)) @ columns)
 
 
 def _distinct(rows: Float) -> tuple[Float, Index]:

@@ -1,4 +1,4 @@
-r"""Sketch: a curve drawn in the embedding of a model becomes a new sequence.
+r"""Edits in the embedding of a model: sketch a curve that becomes a new sequence, or drag a point of the time curve.
 
 Every frame j of the model has a place :math:`y_j` in the plane (`Model.embedding`). Points :math:`c_j` of pose space,
 and placements, are interpolated from there to any other place of the plane:
@@ -14,12 +14,10 @@ Cones (:math:`\varepsilon = 0`) have almost no negative weights, but a kink at e
 thin plates, are slightly more accurate where the embedding determines the motion, and overshoot badly elsewhere: where
 paths cross, or frames nearly meet. As :math:`\sum b_j = 0`, weights stay bounded for distant y.
 
-Drag: pull a point of the time curve in the embedding; the motion around it follows.
-
-The pose at a place is interpolated from the pulled point and from frames spread over the plane, by the cardinal weights
-of `mixseq.operations.sketch`: :math:`c^*(y)`. The correction is interpolated by the same weights, so a point that is
-pulled to one of these frames becomes that frame. Of two frames that are close in the plane and far apart in pose space,
-which would make :math:`c^*` steep, one is left out.
+A drag pulls a point of the time curve, and the motion around it follows. Pose and correction at a place are
+interpolated by the same weights, :math:`c^*(y)`, from the pulled point and from frames spread over the plane, so a
+point that is pulled to one of these frames becomes that frame. Of two frames that are close in the plane and far apart
+in pose space, which would make :math:`c^*` steep, one is left out.
 
 The embedding of a model (`Model.embedding`) is affine in pose space, :math:`y(t) = A^T (c(t) - \bar c)`. Where the
 interpolated pose misses the place by :math:`\Delta y`, the step of least shape change is along the two principal
@@ -46,17 +44,16 @@ from numpy.typing import ArrayLike
 from scipy.spatial.distance import cdist
 
 from mixseq.errors import MixseqWarning, SettingsError
-from mixseq.operations.sculpt import smoothstep
 from mixseq.operations.sections import (
     SLACK,
-    between,
     breakpoints,
-    correction_measure,
+    measures_of,
     placement_measure,
     sampled,
     shape_measure,
-    sites_of,
+    sites_between,
     snapped,
+    window,
 )
 from mixseq.runtime.public import public
 from mixseq.sequence.frame_rates import Seconds
@@ -69,7 +66,7 @@ from mixseq.types import Float, Index
 ROUNDING = 0.25
 """Radius of a rounded tip, as a fraction of the distance to the nearest frame."""
 
-SAME = 1e-6
+SAME_PLACE = 1e-6
 """Largest distance of frames of one place, as a fraction of the embedding's size."""
 
 FAR = 0.5
@@ -127,9 +124,10 @@ def sketch(model: Model, curve: ArrayLike, duration: Seconds, plane: Plane | Non
     def blended(values: Float) -> Callable[[Float], Float]:
         return lambda at: weights(drawn(at)) @ values
 
-    time = sampled(blended(model.time(times)), drawn.times, ACCURACY, shape_measure(model))
-    placement = sampled(blended(model.placement(times)), drawn.times, ACCURACY, placement_measure(model))
-    correction = sampled(blended(model.correction(times)), drawn.times, ACCURACY, correction_measure(model))
+    time, placement, correction = (
+        sampled(blended(curve(times)), drawn.times, ACCURACY, measure)
+        for curve, measure in zip(model.curves, measures_of(model), strict=True)
+    )
     return model.with_motion(time, placement, correction, header)
 
 
@@ -181,7 +179,7 @@ def _drawn(curve: ArrayLike, duration: float) -> Curve:
 def _frames_apart(model: Model, places: Float) -> Index:
     """Return the frames with distinct places ``(T, 2)``: the first of those that share one."""
     size = float(np.linalg.norm(np.ptp(places, axis=0)))
-    close = cdist(places, places) <= SAME * size
+    close = cdist(places, places) <= SAME_PLACE * size
     chosen: list[int] = []
     stands_for = np.empty(len(places), dtype=np.int64)
     for frame, near in enumerate(close):
@@ -234,9 +232,6 @@ STEEPEST = 2.0
 
 DROPPED = 1e-3
 """Distance below which a point is dropped on a frame, as a fraction of the largest distance in the plane."""
-
-SAME_PLACE = 1e-6
-"""Distance below which frames share a place, as a fraction of the largest distance in the plane."""
 
 
 @public
@@ -330,11 +325,10 @@ def _pulled(curve: Curve, time: float, reach: float, change: Float) -> Curve:
     """Return a curve with a change ``(k,)`` at a time, fading to zero over `reach` seconds on both sides."""
     if not change.any():
         return curve
-    ends = np.array([curve.start, curve.end])
     knots = np.concatenate([breakpoints(curve), time + reach * np.linspace(-1.0, 1.0, 7)])
-    sites = sites_of(ends, between(knots, *ends))
+    sites = sites_between(curve.start, curve.end, knots)
     sites[np.abs(sites - time).argmin()] = time  # which may be taken for a knot that is nearly there
-    weight = smoothstep(sites, time - reach, time) * (1.0 - smoothstep(sites, time, time + reach))
+    weight = window(sites, (time - reach, time), (time, time + reach))
     values, near = curve(sites), weight > 0
     values[near] += weight[near, None] * change
     return Curve(sites, values)

@@ -1,8 +1,6 @@
-r"""Edits of the time line: cut, repeat, loop, shift, change speed, reverse.
+r"""Edits of the time line: cut, repeat, loop, shift, change speed, reverse; and travel along the ground.
 
-Travel: displacement of a body along the ground, the root motion of game engines.
-
-The place of a body is the mean of the centres :math:`c_i` of its parts,
+Travel is the root motion of game engines. The place of a body is the mean of the centres :math:`c_i` of its parts,
 :math:`m(t) = \sum_i r_i^2\, c_i(t) / \sum_i r_i^2`, weighted by their squared radii of gyration :math:`r_i` in place of
 areas. The component along the up axis is left out.
 
@@ -26,7 +24,6 @@ from mixseq.operations.sections import (
     ModelSection,
     Seam,
     affine,
-    between,
     breakpoints,
     centre_columns,
     concatenated,
@@ -34,7 +31,7 @@ from mixseq.operations.sections import (
     refined,
     section_of,
     shifted,
-    sites_of,
+    sites_between,
 )
 from mixseq.runtime.public import public
 from mixseq.sequence.frame_rates import Seconds
@@ -146,8 +143,7 @@ def drift(
     r"""Return the integral :math:`\int w' (m_a - m_b)\, dt` from the start of a transition, as a function of times."""
     start, end = ends
     one, other = place_of(a), place_of(b)
-    inner = between(np.concatenate([breakpoints(one), breakpoints(other)]), start, end)
-    sites = refined(sites_of(np.array(ends), inner), FINE)
+    sites = refined(sites_between(start, end, np.concatenate([breakpoints(one), breakpoints(other)])), FINE)
     grown = Curve(sites, slope(sites) * (one(sites) - other(sites))).spline.antiderivative()
     return lambda times: np.asarray(grown(times) - grown(start))
 
@@ -229,15 +225,11 @@ def repeat(
     step = step_of(model, first, last) if travel else np.zeros(3)
     sections = []
     for number in range(times):
-        here = shifted(carried(model, number * step), number * (last - first)) if number else model
         later = number * (last - first)
-        sections.append(
-            ModelSection(
-                here,
-                here.start if number == 0 else first + later,
-                here.end if number == times - 1 else last + later,
-            )
-        )
+        here = shifted(carried(model, number * step), later) if number else model
+        start = first + later if number else here.start
+        end = last + later if number < times - 1 else here.end
+        sections.append(ModelSection(here, start, end))
     return concatenated(sections, [Seam(seconds)] * (times - 1))
 
 

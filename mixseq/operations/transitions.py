@@ -4,9 +4,8 @@ r"""From one motion into another: concatenation, transitions, blends.
 
 for all signals except rotations of bodies, which are interpolated along the rotation between both
 (`mixseq.operations.sections`). The weight of a transition is the C2 step :math:`w = 6x^5 - 15x^4 + 10x^3`. The
-product of weight and signal is approximated by a cubic spline through dense knots; the rest is exact.
-
-Two models of one mesh in one space, with the same key shapes, so that their signals can be added.
+product of weight and signal is approximated by a cubic spline through dense knots; the rest is exact. Before, both
+models are put in one space, with the same key shapes, so that their signals can be added.
 """
 
 from __future__ import annotations
@@ -22,7 +21,6 @@ from mixseq.operations.sections import (
     SLACK,
     ModelSection,
     Seam,
-    between,
     breakpoints,
     concatenated,
     continued,
@@ -34,7 +32,7 @@ from mixseq.operations.sections import (
     refined,
     section_of,
     shifted,
-    sites_of,
+    sites_between,
     snapped,
 )
 from mixseq.operations.timeline import carried, drift, place_of
@@ -88,15 +86,13 @@ def together(first: Model, second: Model) -> tuple[Model, Model]:
     )
     if _same_shapes(first, second):
         return first, replace(second, pose=first.pose, shapes=first.shapes)
-    counts = len(first.shapes), len(second.shapes)
-    pose = PoseMap.of_weights(sum(counts))
     shapes = np.concatenate([first.shapes, second.shapes])
-    starts = 0, counts[0]
-    both = [
-        replace(model, pose=pose, shapes=shapes, time=_weights_of(model, start, sum(counts)))
-        for model, start in zip((first, second), starts, strict=True)
-    ]
-    return both[0], both[1]
+    pose = PoseMap.of_weights(len(shapes))
+    first, second = (
+        replace(model, pose=pose, shapes=shapes, time=_weights_of(model, start, len(shapes)))
+        for model, start in ((first, 0), (second, len(first.shapes)))
+    )
+    return first, second
 
 
 def _weights_of(model: Model, start: int, count: int) -> Curve:
@@ -318,7 +314,7 @@ def _mix(
 
     def mixed(one: Curve, other: Curve, means: Callable[[Float, Float, Float], Float]) -> Curve:
         inner = [breakpoints(one), breakpoints(other), *([] if knots is None else [knots])]
-        sites = refined(sites_of(np.array(ends), between(np.concatenate(inner), start, end)), parts)
+        sites = refined(sites_between(start, end, np.concatenate(inner)), parts)
         return Curve(sites, means(one(sites), other(sites), weight(sites)))
 
     return a.with_motion(

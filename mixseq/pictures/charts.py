@@ -1,8 +1,4 @@
-"""Common parts of charts: style, line colours, logarithmic axes, and files as PNG or SVG.
-
-Placement of labels clear of curves and of each other.
-
-Charts of a model's signals: the embedding, coordinates over time, sizes of modes.
+"""Charts of a model's signals: the embedding, coordinates over time, sizes of modes; and what all charts share.
 
 All are in diagonals, as distances in the shape space, without the placement of parts. With :math:`C` the frames
 ``(T, k)`` in pose space, centred, and :math:`G = L L^T` the Gram matrix of unit steps along the coordinates of pose
@@ -17,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
@@ -78,7 +74,7 @@ def _gaps(middles: Float, size: Float, points: Float) -> Float:
 
 
 Format = Literal["png", "svg"]
-FORMATS: tuple[Format, ...] = ("png", "svg")
+FORMATS: tuple[Format, ...] = get_args(Format)
 
 LINES = ("#31688e", "#d08c2c", "#4a9d6e", "#8d5fa8", "#8a8a8a")
 """Colours of lines, different from the red of the joints."""
@@ -123,7 +119,6 @@ def new_page(width: float, height: float, title: str) -> Figure:
     """Return an empty page of a size in inches, with automatic layout of panels."""
     engine = matplotlib_module("layout_engine").ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.1)
     page: Figure = matplotlib_module("figure").Figure(figsize=(width, height), layout=engine)
-    matplotlib_module("backends.backend_agg").FigureCanvasAgg(page)
     page.suptitle(title, x=0.1 / width, ha="left", parse_math=False)
     return page
 

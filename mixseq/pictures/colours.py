@@ -1,42 +1,26 @@
-r"""Colourings of the meshes of a scene, computed on first use, with a common scale.
+r"""Colourings of meshes: a palette, and an entry of it at every vertex, which may change over time.
 
-Palettes: clay for meshes, cool hues for parts, and a red reserved for joints.
-
-Deviation of a pose from a pose at rest: a number at every vertex, shown by colours.
-
+- **clay**: uniform.
+- **own**: the colours of the mesh, as viewers of glTF show them on a plain white material: linear, converted to opaque
+  sRGB, clipped to 0..1, with 8 bits a channel.
+- **parts**: rigid parts in cool hues, and joints in a red reserved for them. A vertex is a joint's if any of its faces
+  is, else of the part of most of its faces.
 - **strain**: mean over the edges of a vertex of :math:`|l / \bar l - 1|`, with :math:`\bar l` their lengths at rest.
 - **curvature** (its change): mean over the hinges of a vertex of :math:`|\theta - \bar\theta|` in degrees, with
   :math:`\bar\theta` their dihedral angles at rest and the difference in :math:`(-\pi, \pi]`, the shorter way round. A
   hinge belongs to the two vertices of its edge, where the surface bends.
 - **error**: distance from the same vertex of an original, :math:`|a_v - b_v| / d`, in diagonals.
 
-Strain and curvature are invariant to rigid motions; uniform scaling by s has the strain :math:`|s - 1|` everywhere. On
-a finer mesh a bend is shared by more hinges, so curvatures compare poses of one mesh only.
+The last three are numbers from 0 to `top` in viridis. Strain and curvature are invariant to rigid motions; uniform
+scaling by s has the strain :math:`|s - 1|` everywhere. On a finer mesh a bend is shared by more hinges, so curvatures
+compare poses of one mesh only. Edges of length zero and hinges of flat faces count as unchanged; vertices without edges
+or hinges have 0.
 
-Edges of length zero and hinges of flat faces count as unchanged; vertices without edges or hinges have 0.
-
-The angles are those of `mixseq.mesh.measures`, from normals that are computed once for every face: with
-:math:`n_f = (b - a) \times (c - a)`, the hinge of edge ab and faces f and g has :math:`n_1 = n_f`, and
-:math:`n_2 = n_g`, or :math:`-n_g` where g has the other orientation.
-
-The colours of a mesh as entries of a palette, as viewers of glTF show them on a plain white material.
-
-They are linear, as in glTF and USD, and converted to opaque sRGB, clipped to 0..1. Up to 256 colours are kept to 8 bits
-a channel. Of more a palette is made: starting with one box, the box with the largest sum of squared distances from its
-mean is cut there, across the side of largest share, until there are 256 (as Wu 1991, without a search for the best
-cuts). A colour then is the mean of its box.
-
-Colourings of a mesh in a scene: a palette entry at every vertex, which may change over time.
-
-- **clay**: uniform.
-- **own**: the colours of the mesh, see `mixseq.pictures.colours`.
-- **parts**: rigid parts, in the colours of the pictures on paper, and joints in red. A vertex is a joint's if any of
-  its faces is, else of the part of most of its faces.
-- **error**, **strain** and **curvature**: numbers from 0 to `top` in viridis, defined in
-  `mixseq.pictures.colours`. Strain and curvature are relative to the pose at rest.
+A palette of more than 256 own colours is made from boxes: of one box with all of them, the box with the largest sum of
+squared distances from its mean is cut there, across the side of largest share, until there are 256 (as Wu 1991, without
+a search for the best cuts). A colour then is the mean of its box.
 
 A pose has one byte per vertex, so a page stores the palette once and V bytes for each pose, or once if constant.
-`Colouring.of_faces` has the colours of whole faces, for films, where nothing is measured.
 """
 
 from __future__ import annotations
@@ -59,6 +43,8 @@ from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import FrameStore, bounding_diagonal
 from mixseq.types import Float, FloatArray, Index, IntArray
+
+Bytes = NDArray[np.uint8]
 
 CLAY = (0.80, 0.77, 0.72)
 JOINT_RED = (0.85, 0.20, 0.13)
@@ -212,13 +198,18 @@ def _means(values: Float, ends: IntArray, count: int) -> Float:
 def _angles(
     points: FloatArray, faces: IntArray, hinges: IntArray, sides: IntArray, signs: Float
 ) -> tuple[Float, NDArray[np.bool_]]:
-    """Return the angles ``(H,)`` of all hinges, and a mask of those between faces with area."""
+    r"""Return the angles ``(H,)`` of all hinges, and a mask of those between faces with area.
+
+    They are those of `mixseq.mesh.measures`, from normals that are computed once for every face: with
+    :math:`n_f = (b - a) \times (c - a)`, the hinge of edge ab and faces f and g has :math:`n_f`, and :math:`n_g`, or
+    :math:`-n_g` where g has the other orientation.
+    """
     x = np.ascontiguousarray(points.T, dtype=np.float64)  # columns: several times faster than rows of three
     normals, low = _normals(x, faces)
     first, second = (np.take(normals, side, axis=1) for side in sides.T)
     second *= signs
     edge = np.take(x, hinges[:, 1], axis=1) - np.take(x, hinges[:, 0], axis=1)
-    sine = _dot(_cross(first, second), edge)
+    sine = _dot(np.cross(first, second, axis=0), edge)
     cosine = _dot(first, second) * np.sqrt(_dot(edge, edge))
     return np.arctan2(sine, cosine), ~(low[sides[:, 0]] | low[sides[:, 1]])
 
@@ -227,16 +218,9 @@ def _normals(x: Float, faces: IntArray) -> tuple[Float, NDArray[np.bool_]]:
     """Return face normals ``(3, F)`` of twice the faces' areas in length, and a mask of flat faces."""
     a, b, c = (np.take(x, corner, axis=1) for corner in faces.T)
     u, v, w = b - a, c - a, c - b
-    normals = _cross(u, v)
+    normals = np.cross(u, v, axis=0)
     longest = np.maximum(np.maximum(_dot(u, u), _dot(v, v)), _dot(w, w))
     return normals, _dot(normals, normals) <= (FLAT * longest) ** 2
-
-
-def _cross(u: Float, v: Float) -> Float:
-    """Return cross products ``(3, n)`` of columns."""
-    return np.stack(
-        [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]],
-    )
 
 
 def _dot(u: Float, v: Float) -> Float:
@@ -248,7 +232,7 @@ ENTRIES = 256
 """Largest number of colours of a palette."""
 
 
-def own_colours(header: SequenceHeader) -> tuple[NDArray[np.uint8], Index]:
+def own_colours(header: SequenceHeader) -> tuple[Bytes, Index]:
     """Return a palette ``(n, 3)`` and entries ``(V,)`` of vertices, those of their first corners."""
     assert header.surface.colours is not None
     linear = header.surface.colours.at_vertices(header.polygons.indices, header.vertex_count, WHITE)[:, :3]
@@ -283,7 +267,6 @@ def _box(colours: Float, counts: Index, inside: Index) -> tuple[float, int, Inde
     return -float(squares.sum()), int(inside[0]), inside, mean, int(squares.argmax())
 
 
-Bytes = NDArray[np.uint8]
 Numbers = Callable[[FloatArray, float], Float]
 """From points ``(V, 3)`` and seconds since the first frame to numbers ``(V,)``."""
 
@@ -352,12 +335,6 @@ class Colouring:
             )
         return replace(self, top=float(top))
 
-    def legend(self) -> str:
-        """Return a caption, such as "strain 0 to 12 %"."""
-        if self.constant:
-            return {"parts": "parts, joints red", "own": "colours of its own"}.get(self.name, self.name)
-        return f"{self.name} 0 to {two_digits(self.top)} {self.unit}"
-
 
 def clay(count: int) -> Colouring:
     """Return the uniform colouring of `count` vertices."""
@@ -408,7 +385,8 @@ def colouring_of(
         assert decomposition is not None
         entries = _fixed(_part_entries(faces, count, decomposition))
         of_faces = segmentation_colours(decomposition.part_of_face, decomposition.joint_of_face)
-        return Colouring("parts", _part_palette(), entries, of_faces=of_faces)
+        palette = np.concatenate([_bytes(part_colours(JOINT)), _bytes(np.array([JOINT_RED]))])
+        return Colouring("parts", palette, entries, of_faces=of_faces)
     measure = _measure(name, rest, faces, original)
     return Colouring(name, _bytes(viridis()), measure=measure, top=LEAST[name], unit=UNITS[name])
 
@@ -430,10 +408,6 @@ def _check(what: str, points: FloatArray, count: int) -> None:
         raise SettingsError(
             f"{what} has the shape {points.shape}, the mesh {count} vertices; colours compare poses of one mesh"
         )
-
-
-def _part_palette() -> Bytes:
-    return np.concatenate([_bytes(part_colours(JOINT)), _bytes(np.array([JOINT_RED]))])
 
 
 def _part_entries(faces: IntArray, count: int, decomposition: Decomposition) -> Index:
@@ -510,20 +484,16 @@ class SceneColours:
         return self._found[index]
 
     def shared(self, name: str) -> list[Colouring]:
-        """Return the colourings of all meshes, with a common scale."""
-        return with_one_scale([self.of(index, name) for index in range(len(self.scene.items))])
+        """Return the colourings of all meshes, with the scale of the largest end."""
+        colourings = [self.of(index, name) for index in range(len(self.scene.items))]
+        top = max((each.top for each in colourings if not each.constant), default=0.0)
+        return [each if each.constant else each.scaled(top) for each in colourings]
 
     def _original_of(self, item: SceneItem) -> Original | None:
         """Return the original's points at elapsed times, if it is the same mesh."""
         if self.original is None or not same_mesh(self.original.header, item.header):
             return None
         return SceneItem("the original", self.original).pose
-
-
-def with_one_scale(colourings: list[Colouring]) -> list[Colouring]:
-    """Return colourings of several meshes, with the scale of the largest end."""
-    top = max((each.top for each in colourings if not each.constant), default=0.0)
-    return [each if each.constant else each.scaled(top) for each in colourings]
 
 
 def check_original(scene: Scene, original: FrameStore) -> None:

@@ -1,11 +1,7 @@
-"""H.264 in MP4 by the program ffmpeg, with raw frames through a pipe.
-
-One thread and no metadata, so that equal films are equal files on any number of cores.
-
-Encoding of films: WebP and GIF by Pillow, MP4 by ffmpeg.
+"""Encoding of films: WebP and GIF by Pillow, H.264 in MP4 by the program ffmpeg, with raw frames through a pipe.
 
 Frames are drawn while they are encoded. Pillow keeps the encoded WebP, and one byte per pixel of all GIF frames, in
-memory. Encoders run on one thread, so that equal films are equal files.
+memory. Encoders run on one thread and write no metadata, so that equal films are equal files on any number of cores.
 """
 
 from __future__ import annotations
@@ -25,6 +21,72 @@ import numpy as np
 
 from mixseq.errors import MissingExtraError, OutputError, SettingsError
 from mixseq.pictures.raster import PAPER, Picture
+
+FilmFormat = Literal["mp4", "gif", "webp"]
+FILM_FORMATS: tuple[FilmFormat, ...] = get_args(FilmFormat)
+
+Draw = Callable[[Iterable[int]], Iterator[Picture]]
+"""From frame numbers to pictures ``(H, W, 3)`` in their order."""
+
+SMALLEST, LARGEST = 64, 8192
+"""Sides of a film, in pixels."""
+
+FASTEST_GIF = 50.0
+"""Largest GIF frame rate, in 1/s: delays are in hundredths of seconds, and players slow down delays below two."""
+
+LONGEST_GIF = 655.0
+"""Longest duration of one GIF picture, which may cover all frames, in seconds."""
+
+
+def film_format(target: str | PathLike[str]) -> FilmFormat:
+    """Return a film's format from its file's extension."""
+    extension = Path(target).suffix.lower().removeprefix(".")
+    for known in FILM_FORMATS:
+        if extension == known:
+            return known
+    raise OutputError(f"{target}: films are MP4, GIF or WebP files; end the name in .mp4, .gif or .webp")
+
+
+def check_film(form: FilmFormat, size: tuple[int, int], fps: float | None = None) -> None:
+    """Raise errors for limits of a format or of this machine, before the work."""
+    for side in size:
+        if not SMALLEST <= side <= LARGEST:
+            raise SettingsError(
+                f"the size is {size[0]}x{size[1]}; films have {SMALLEST} to {LARGEST} pixels on each side"
+            )
+        if form == "mp4" and side % 2:
+            raise SettingsError(
+                f"the size is {size[0]}x{size[1]}; MP4 needs even numbers, {side} could be {side + 1}"
+            )
+    if form == "gif" and fps is not None and fps > FASTEST_GIF:
+        raise SettingsError(
+            f"{fps:g} frames per second are too many for GIF, which has at most {FASTEST_GIF:g}; give a lower rate, "
+            "or write .mp4 or .webp"
+        )
+    modules = pillow_module("features").get_supported_modules()
+    if form == "webp" and "webp" not in modules:
+        raise MissingExtraError(
+            "Pillow is installed without its WebP encoder; get one with: pip install 'pillow>=11.3', or write a .gif"
+        )
+    if form == "mp4":
+        find_ffmpeg()
+
+
+def encode_film(target: Path, form: FilmFormat, draw: Draw, count: int, fps: float) -> None:
+    """Write frames as they are drawn; the file is replaced when all are written."""
+    target = target.resolve()  # a symbolic link is followed, not replaced
+    with TemporaryDirectory(prefix=target.name, dir=target.parent) as folder:
+        temporary = Path(folder, target.name)
+        if form == "mp4":
+            write_mp4(temporary, draw(range(count)), fps)
+        else:
+            with temporary.open("wb") as file:
+                if form == "webp":
+                    _write_webp(file, draw(range(count)), count, fps)
+                else:
+                    _write_gif(file, draw, count, fps)
+        temporary.replace(target)
+
 
 CONSTANT_RATE_FACTOR = 18
 """Quality of H.264, from 0 (lossless) to 51; 18 looks like the original."""
@@ -97,15 +159,6 @@ def frame_rate(fps: float) -> Fraction:
     return Fraction(fps).limit_denominator(1001) or Fraction(1, max(1, round(1 / fps)))
 
 
-FilmFormat = Literal["mp4", "gif", "webp"]
-FILM_FORMATS: tuple[FilmFormat, ...] = get_args(FilmFormat)
-
-Draw = Callable[[Iterable[int]], Iterator[Picture]]
-"""From frame numbers to pictures ``(H, W, 3)`` in their order."""
-
-SMALLEST, LARGEST = 64, 8192
-"""Sides of a film, in pixels."""
-
 WEBP_QUALITY = 80
 """WebP quality, of 100."""
 
@@ -117,62 +170,6 @@ WEBP_KEYFRAME_DISTANCES = 24, 48
 
 GIF_PALETTE_FRAMES = 6
 """Number of frames, evenly spaced, whose colours make the palette of a GIF."""
-
-FASTEST_GIF = 50.0
-"""Largest GIF frame rate, in 1/s: delays are in hundredths of seconds, and players slow down delays below two."""
-
-LONGEST_GIF = 655.0
-"""Longest duration of one GIF picture, which may cover all frames, in seconds."""
-
-
-def film_format(target: str | PathLike[str]) -> FilmFormat:
-    """Return a film's format from its file's extension."""
-    extension = Path(target).suffix.lower().removeprefix(".")
-    for known in FILM_FORMATS:
-        if extension == known:
-            return known
-    raise OutputError(f"{target}: films are MP4, GIF or WebP files; end the name in .mp4, .gif or .webp")
-
-
-def check_film(form: FilmFormat, size: tuple[int, int], fps: float | None = None) -> None:
-    """Raise errors for limits of a format or of this machine, before the work."""
-    for side in size:
-        if not SMALLEST <= side <= LARGEST:
-            raise SettingsError(
-                f"the size is {size[0]}x{size[1]}; films have {SMALLEST} to {LARGEST} pixels on each side"
-            )
-        if form == "mp4" and side % 2:
-            raise SettingsError(
-                f"the size is {size[0]}x{size[1]}; MP4 needs even numbers, {side} could be {side + 1}"
-            )
-    if form == "gif" and fps is not None and fps > FASTEST_GIF:
-        raise SettingsError(
-            f"{fps:g} frames per second are too many for GIF, which has at most {FASTEST_GIF:g}; give a lower rate, "
-            "or write .mp4 or .webp"
-        )
-    modules = pillow_module("features").get_supported_modules()
-    if form == "webp" and "webp" not in modules:
-        raise MissingExtraError(
-            "Pillow is installed without its WebP encoder; get one with: pip install 'pillow>=11.3', or write a .gif"
-        )
-    if form == "mp4":
-        find_ffmpeg()
-
-
-def encode_film(target: Path, form: FilmFormat, draw: Draw, count: int, fps: float) -> None:
-    """Write frames as they are drawn; the file is replaced when all are written."""
-    target = target.resolve()  # a symbolic link is followed, not replaced
-    with TemporaryDirectory(prefix=target.name, dir=target.parent) as folder:
-        temporary = Path(folder, target.name)
-        if form == "mp4":
-            write_mp4(temporary, draw(range(count)), fps)
-        else:
-            with temporary.open("wb") as file:
-                if form == "webp":
-                    _write_webp(file, draw(range(count)), count, fps)
-                else:
-                    _write_gif(file, draw, count, fps)
-        temporary.replace(target)
 
 
 def _write_webp(file: IO[bytes], pictures: Iterator[Picture], count: int, fps: float) -> None:

@@ -1,10 +1,6 @@
-"""Pictures of a model: of one kind, or all of them on one page.
-
-Errors of the frames of a model against a sequence: by frame as a chart, by vertex as colours of the mesh.
+"""Pictures of a model: charts of its signals, parts and joints, errors by frame and by vertex, alone or on one page.
 
 The error of a vertex is its distance from the original in diagonals, :math:`|A_{tv} - B_{tv}| / d`.
-
-Parts and joints of a model: a coloured picture with numbers, and its legend.
 """
 
 from __future__ import annotations
@@ -35,8 +31,8 @@ from mixseq.pictures.charts import (
     time_axis,
 )
 from mixseq.pictures.colours import INK, JOINT_RED, distances, part_colours, segmentation_colours
-from mixseq.pictures.page import Target, draw_mesh, matplotlib_module
-from mixseq.pictures.scene import Limits, View, seen_from, y_up
+from mixseq.pictures.page import Target, draw_mesh, error_map, matplotlib_module
+from mixseq.pictures.scene import Limits, View, aspect_of, seen_from, y_up
 from mixseq.pictures.sheets import height_per_width, two_sides
 from mixseq.runtime.progress import Progress, silent
 from mixseq.segmentation.joints import Decomposition
@@ -138,8 +134,7 @@ def draw_vertex_errors(
 
     A face has the largest error of its corners. A ring marks the largest visible error of each row.
     """
-    scale = matplotlib_module("colors").Normalize(0, max(errors.by_vertex.max(), ROUNDING))
-    heat = matplotlib_module("cm").ScalarMappable(scale, "viridis")
+    heat = error_map(max(errors.by_vertex.max(), ROUNDING))
     _, *single = rows = drawn_frames(errors, frames)
     values = [errors.by_vertex, *(errors.by_frame[frame] for frame in single)]
     titles = ["largest of all frames", *(_title(errors, original, frame) for frame in single)]
@@ -175,17 +170,13 @@ def _ring(ax: Axes, place: Float) -> None:
 def _hidden(vertex: int, screen: Float, faces: IntArray) -> bool:
     """Whether a triangle without the vertex is between it and the camera."""
     others = screen[faces[(faces != vertex).all(axis=1)]] - screen[vertex]
-    a, b, c = others[:, 0], others[:, 1], others[:, 2]
+    (x, y, _), (u, v, _) = (np.moveaxis(np.roll(others, -step, axis=1), 2, 0) for step in (1, 2))
     # weights of the corners, times twice the area, of the point where the line of sight meets the plane
-    weights = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)], axis=1)
+    weights = x * v - y * u
     area = weights.sum(axis=1)
     met = ((weights * area[:, None] >= 0).all(axis=1)) & (area != 0)
     heights = np.einsum("fc,fc->f", weights[met], others[met, :, 2]) / area[met]
     return bool((heights > 0).any())
-
-
-def _cross(a: Float, b: Float) -> Float:
-    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
 def add_error_bar(page: FigureBase, panels: Sequence[Axes], heat: Any) -> None:
@@ -226,18 +217,22 @@ def draw_parts_legend(ax: Axes, parts: Decomposition, columns: int) -> None:
     patch = matplotlib_module("patches").Patch
     named = _named(parts)
     handles = [
-        patch(color=colour, label=f"part {number}: {_vertices(len(part))}")
+        patch(color=colour, label=f"part {number}: {_count(len(part), 'vertex', 'vertices')}")
         for number, (part, colour) in enumerate(zip(parts.parts, part_colours(named), strict=False))
     ]
     if len(handles) > LISTED:
         left_out = len(handles) - LISTED
         handles = [*handles[:LISTED], patch(color="none", label=f"and {left_out} more parts")]
     if len(parts.parts) > named:
-        handles.append(patch(color="none", label=f"in no triangle: {_vertices(len(parts.parts[named]))}"))
+        handles.append(
+            patch(
+                color="none", label=f"in no triangle: {_count(len(parts.parts[named]), 'vertex', 'vertices')}"
+            )
+        )
     if parts.joints:
-        free = sum(int(joint.free.sum()) for joint in parts.joints)
+        free = _count(sum(int(joint.free.sum()) for joint in parts.joints), "free vertex", "free vertices")
         what = "1 joint" if len(parts.joints) == 1 else f"{len(parts.joints)} joints"
-        handles.append(patch(color=JOINT_RED, label=f"{what}: {_vertices(free, 'free ')}"))
+        handles.append(patch(color=JOINT_RED, label=f"{what}: {free}"))
     ax.legend(handles=handles, loc="upper center", ncols=columns, handlelength=1.2, borderaxespad=0)
     ax.set_axis_off()
 
@@ -252,8 +247,8 @@ def _named(parts: Decomposition) -> int:
     return int(parts.part_of_face.max()) + 1
 
 
-def _vertices(count: int, kind: str = "") -> str:
-    return f"{count:,} {kind}{'vertex' if count == 1 else 'vertices'}"
+def _count(number: int, one: str, many: str = "") -> str:
+    return f"{number:,} {one if number == 1 else many or f'{one}s'}"
 
 
 def _number_places(
@@ -275,12 +270,10 @@ def _number_places(
 
 def _seen_parts(screen: Float, faces: IntArray, part_of_face: IntArray, limits: Limits) -> NDArray[np.int64]:
     """Paint part numbers from back to front: an image, lowest row first, -1 for background."""
-    left, right, bottom, top = limits
-    width = _PIXELS
-    height = max(1, round(width * (top - bottom) / (right - left)))
-    figure = matplotlib_module("figure").Figure(figsize=(width, height), dpi=1, facecolor="black")
+    size = _PIXELS, max(1, round(_PIXELS * aspect_of(limits)))
+    figure = matplotlib_module("figure").Figure(figsize=size, dpi=1, facecolor="black")
     canvas = matplotlib_module("backends.backend_agg").FigureCanvasAgg(figure)
-    ax = figure.add_axes((0, 0, 1, 1), xlim=(left, right), ylim=(bottom, top))
+    ax = figure.add_axes((0, 0, 1, 1), xlim=limits[:2], ylim=limits[2:])
     ax.set_axis_off()
     order = np.argsort(screen[faces, 2].mean(axis=1), kind="stable")
     codes = (part_of_face[order, None] + 1) >> np.array([16, 8, 0]) & 255  # as red, green and blue
@@ -369,10 +362,6 @@ def summary(model: Model) -> str:
     )
 
 
-def _count(number: int, one: str, many: str = "") -> str:
-    return f"{number:,} {one if number == 1 else many or f'{one}s'}"
-
-
 def check_settings(
     kind: PictureKind | None,
     against: bool,
@@ -425,8 +414,8 @@ def _content(
         return _parts(model, near)
     rows = []
     if kind is None:
-        charts = stacked(_coefficients(model, 2.7), _singular_values(model, 2.7))
-        rows.append(beside(_embedding(model, frames), charts))
+        charts = arranged(_coefficients(model, 2.7), _singular_values(model, 2.7))
+        rows.append(arranged(_embedding(model, frames), charts, beside=True))
         if model.space.decomposed:
             rows.append(_parts(model, near, 5.0))
     if against is not None:
@@ -435,17 +424,17 @@ def _content(
         errors = vertex_errors(model, against, single or (), progress)
         by_frame = _frame_errors(errors, against, tolerance)
         if kind is None:
-            rows.append(beside(by_frame, _vertex_errors(errors, against, None, near, 3.0)))
+            by_vertex = _vertex_errors(errors, against, None, near, 3.0)
+            rows.append(arranged(by_frame, by_vertex, beside=True))
+        elif kind == "error-frames":
+            rows.append(by_frame)
         else:
-            rows.append(
-                by_frame if kind == "error-frames" else _vertex_errors(errors, against, single, near, 4.5)
-            )
-    return stacked(*rows)
+            rows.append(_vertex_errors(errors, against, single, near, 4.5))
+    return arranged(*rows)
 
 
 def _embedding(model: Model, frames: Sequence[int] | None) -> Section:
-    left, right, bottom, top = embedding_limits(model)
-    height = 4.6 * (top - bottom) / (right - left) + 1.0
+    height = 4.6 * aspect_of(embedding_limits(model)) + 1.0
     return Section(6.0, height, lambda page: draw_embedding(page.subplots(), model, frames))
 
 
@@ -505,27 +494,19 @@ class Section:
     draw: Callable[[FigureBase], None]  # draws it on a matplotlib Figure or SubFigure
 
 
-def stacked(*sections: Section) -> Section:
-    """Put sections one below the other, all as wide as the widest."""
+def arranged(*sections: Section, beside: bool = False) -> Section:
+    """Put sections side by side, all as high as the highest, or one below the other, all as wide as the widest."""
+    widths, heights = [each.width for each in sections], [each.height for each in sections]
+    count = len(sections)
 
     def draw(page: FigureBase) -> None:
-        heights = [section.height for section in sections]
-        rows = page.subfigures(len(sections), 1, squeeze=False, height_ratios=heights)[:, 0]
-        for section, row in zip(sections, rows, strict=True):
-            section.draw(row)
+        if beside:
+            pages = page.subfigures(1, count, squeeze=False, width_ratios=widths)
+        else:
+            pages = page.subfigures(count, 1, squeeze=False, height_ratios=heights)
+        for section, part in zip(sections, pages.flat, strict=True):
+            section.draw(part)
 
-    width = max(section.width for section in sections)
-    return Section(width, sum(section.height for section in sections), draw)
-
-
-def beside(*sections: Section) -> Section:
-    """Put sections side by side, all as high as the highest."""
-
-    def draw(page: FigureBase) -> None:
-        widths = [section.width for section in sections]
-        columns = page.subfigures(1, len(sections), squeeze=False, width_ratios=widths)[0]
-        for section, column in zip(sections, columns, strict=True):
-            section.draw(column)
-
-    height = max(section.height for section in sections)
-    return Section(sum(section.width for section in sections), height, draw)
+    if beside:
+        return Section(sum(widths), max(heights), draw)
+    return Section(max(widths), sum(heights), draw)

@@ -1,7 +1,4 @@
-"""Sheets of panels: layout of the page, and output as PNG.
-
-One mesh in one panel: shaded polygons from back to front, above their shadow.
-"""
+"""Drawing with matplotlib: pages of equal panels, and a shaded mesh in one of them, from back to front."""
 
 from __future__ import annotations
 
@@ -51,7 +48,6 @@ class Sheet:
         page = top + rows * (height + GAP) - GAP + BOTTOM
 
         figure: Figure = matplotlib_module("figure").Figure(figsize=(WIDTH, page), facecolor="white")
-        matplotlib_module("backends.backend_agg").FigureCanvasAgg(figure)
         figure.text(0.1 / WIDTH, 1 - 0.1 / page, title, fontsize=13, color=INK, va="top")
 
         def panel(row: int, column: int) -> Axes:
@@ -100,6 +96,11 @@ def matplotlib_module(name: str) -> Any:
         raise MissingExtraError(
             "pictures need matplotlib; get it with: pip install 'mixseq[plot]'"
         ) from error
+
+
+def error_map(top: float) -> Any:
+    """Return the colours of errors from 0 to `top`, a matplotlib ScalarMappable."""
+    return matplotlib_module("cm").ScalarMappable(matplotlib_module("colors").Normalize(0, top), "viridis")
 
 
 def draw_mesh(
@@ -165,10 +166,6 @@ def _back_to_front(screen: Float, faces: IntArray, normals: Float) -> Index:
     # at the outline of an open mesh, front faces go above the back faces next to them
     depth = corners[..., 2].mean(axis=1) - 0.03 * np.ptp(screen[:, 2]) * hidden
     order = np.argsort(depth, kind="stable")
-    return order[~hidden[order]] if _is_closed(Topology(faces, len(screen))) else order
-
-
-def _is_closed(topology: Topology) -> bool:
-    """Whether every edge has two faces, of the same orientation."""
+    topology = Topology(faces, len(screen))
     loose = topology.boundary_edges, topology.non_manifold_edges, topology.inconsistent_edges
-    return not any(edges.size for edges in loose)
+    return order if any(edges.size for edges in loose) else order[~hidden[order]]

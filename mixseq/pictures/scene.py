@@ -1,13 +1,7 @@
-"""Cameras: the direction of view, and the rectangle of the screen that a mesh fills.
-
-Frame times of a scene, whose meshes start together, and restart when the longest has ended.
+"""Scenes: moving meshes with a common start and frame rate, their frame times, places, and the camera in front of them.
 
 Frame k is shown at :math:`k / f`, with f frames per second. The *period* is that of the longest mesh: the time from its
-first frame to its last, and one frame. Shorter ones wait in their last pose.
-
-Items of a scene: moving meshes with a common start and frame rate, for films, pages and the viewer.
-
-Places of meshes, side by side or overlaid, and the camera in front of them.
+first frame to its last, and one frame. Shorter ones wait in their last pose, and all restart when it has ended.
 """
 
 from __future__ import annotations
@@ -73,8 +67,7 @@ class Camera:
     @property
     def aspect(self) -> float:
         """Height per width of the view."""
-        left, right, bottom, top = self.limits
-        return (top - bottom) / (right - left)
+        return aspect_of(self.limits)
 
     def fitted(self, aspect: float) -> Camera:
         """Return a camera that is widened to an aspect."""
@@ -128,6 +121,12 @@ def shared_limits(
     low, high = screen[:, :2].min(axis=0), screen[:, :2].max(axis=0)
     space = margin * (float((high - low).max()) or 1.0)  # a single point still gets a rectangle
     return low[0] - space, high[0] + space, low[1] - space, high[1] + space
+
+
+def aspect_of(limits: Limits) -> float:
+    """Return the height per width of a rectangle."""
+    left, right, bottom, top = limits
+    return (top - bottom) / (right - left)
 
 
 def of_aspect(limits: Limits, aspect: float) -> Limits:
@@ -235,11 +234,6 @@ class SceneItem:
         row = int(nearest_frames(self.header, times)[0])
         return np.asarray(self._frames().points[row : row + 1][0], dtype=np.float32)
 
-    @property
-    def ends(self) -> Single:
-        """Points ``(2, V, 3)`` of the first and the last frame."""
-        return np.stack([self.pose(0.0), self.pose(float(self.elapsed[-1]))])
-
     def exact_pose(self, elapsed: float) -> FloatArray:
         """Return the points as `pose` does, in full precision."""
         return np.asarray(next(self.poses(np.array([elapsed])))[0])
@@ -321,7 +315,7 @@ class Scene:
 
     def checked(self) -> Scene:
         """Return the scene; SettingsError if it has too few or too many frames at its rate."""
-        film_times([item.header for item in self.items], self.rate, self.seconds)
+        _ = self._timeline
         return self
 
     def elapsed(self, frame: int) -> float:
@@ -446,22 +440,17 @@ def arranged(scene: Scene, side_by_side: bool, camera: tuple[float, float] | Non
     boxes = []
     for item, up in zip(scene.items, up_axes, strict=True):
         poses = [y_up(item.pose(scene.elapsed(frame)), up) for frame in scene.samples(SAMPLES)]
-        boxes.append(
-            (np.min([pose.min(axis=0) for pose in poses], 0), np.max([pose.max(axis=0) for pose in poses], 0))
-        )
+        boxes.append((np.min(poses, axis=(0, 1)), np.max(poses, axis=(0, 1))))
     spans = np.array(boxes)
-    view = seen_from(scene.items[0].ends, up_axes[0], camera)
-    offsets = _row(spans, view.azimuth) if side_by_side else _together(spans)
+    first = scene.items[0]
+    ends = np.stack([first.pose(0.0), first.pose(float(first.elapsed[-1]))])
+    view = seen_from(ends, up_axes[0], camera)
+    ground = float(spans[:, 0, 1].min())
+    offsets = _row(spans, view.azimuth) if side_by_side else np.tile([0.0, -ground, 0.0], (len(spans), 1))
     low, high = (spans[:, 0] + offsets).min(axis=0), (spans[:, 1] + offsets).max(axis=0)
     scale = HEIGHT / (float((high - low).max()) or 1.0)
     centre = (low + high) / 2 * [1, 0, 1]
     return Arrangement(up_axes, scale, scale * spans, scale * (offsets - centre), view)
-
-
-def _together(boxes: Float) -> Float:
-    """Return offsets ``(n, 3)`` that keep meshes in place, on the ground of the lowest."""
-    ground = float(boxes[:, 0, 1].min())
-    return np.tile([0.0, -ground, 0.0], (len(boxes), 1))
 
 
 def _row(boxes: Float, azimuth: float) -> Float:

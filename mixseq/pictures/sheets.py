@@ -1,9 +1,4 @@
-"""The contact sheet: original, parts, reconstruction and error of a sequence, frame by frame.
-
-The segmentation of one pose, seen from two opposite sides.
-
-The contact sheet of a transfer: source above, target below, at rest and in some frames.
-"""
+"""Contact sheets: the segmentation of a pose, source and target of a transfer, original and reconstruction by frame."""
 
 from __future__ import annotations
 
@@ -16,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from mixseq.errors import SettingsError
 from mixseq.pictures.colours import CLAY, INK, part_colours, segmentation_colours
-from mixseq.pictures.page import Sheet, Target, draw_mesh, matplotlib_module
-from mixseq.pictures.scene import Limits, View, of_aspect, shared_limits, three_quarter_view, y_up
+from mixseq.pictures.page import Sheet, Target, draw_mesh, error_map
+from mixseq.pictures.scene import Limits, View, aspect_of, of_aspect, shared_limits, three_quarter_view, y_up
 from mixseq.sequence.frame_rates import frame_text
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MeshSequence
@@ -65,8 +60,7 @@ def two_sides(
 
 def height_per_width(sides: list[list[tuple[View, Limits]]]) -> float:
     """Return the height per width of the rectangles of `two_sides`."""
-    left, right, bottom, top = sides[0][0][1]
-    return (top - bottom) / (right - left)
+    return aspect_of(sides[0][0][1])
 
 
 def transfer_sheet(
@@ -97,7 +91,7 @@ def transfer_sheet(
     limits = [
         shared_limits(x, header.up_axis, view) for x, header, view in zip(poses, headers, views, strict=True)
     ]
-    aspect = max((top - bottom) / (right - left) for left, right, bottom, top in limits)
+    aspect = max(map(aspect_of, limits))
     names = title or f"{here.name}: its motion on {there.name}"
     sheet = Sheet.of(2, 1 + len(frames), aspect, names, left=1.25)
     for row, (what, header) in enumerate(zip(("source", "target"), headers, strict=True)):
@@ -213,8 +207,7 @@ def _error_colours(
     """Return a matplotlib colour map of vertex errors, and the colours ``(F, 3)`` of every pair of frames."""
     offsets = decoded.points[there].astype(np.float64) - original.points[here]
     errors = np.linalg.norm(offsets, axis=2) / (original.diagonal or 1.0)
-    scale = matplotlib_module("colors").Normalize(0, max(errors.max(), np.finfo(np.float64).eps))
-    heat_map = matplotlib_module("cm").ScalarMappable(scale, "viridis")
+    heat_map = error_map(max(errors.max(), np.finfo(np.float64).eps))
     return heat_map, [heat_map.to_rgba(error[original.faces].mean(axis=1))[:, :3] for error in errors]
 
 
@@ -226,17 +219,13 @@ def _draw_rows(rows: list[_Row], title: str) -> Sheet:
     limits = shared_limits(shown, first.up_axis, view)
     ground = float(y_up(shown, first.up_axis)[..., 1].min())
 
-    aspect = (limits[3] - limits[2]) / (limits[1] - limits[0])
-    sheet = Sheet.of(len(rows), len(rows[0].frames), aspect, title, left=1.25, right=1.0)
+    sheet = Sheet.of(len(rows), len(rows[0].frames), aspect_of(limits), title, left=1.25, right=1.0)
     for number, row in enumerate(rows):
         sheet.label_row(number, row.label)
         for column, frame in row.frames.items():
-            ax, points, colours = (
-                sheet.panels[number][column],
-                row.sequence.points[frame],
-                row.colours[column],
-            )
-            draw_mesh(ax, points, first.faces, colours, first.up_axis, view, limits, ground, row.contrast)
+            ax, points = sheet.panels[number][column], row.sequence.points[frame]
+            look = row.colours[column], first.up_axis, view, limits, ground, row.contrast
+            draw_mesh(ax, points, first.faces, *look)
             if row.show_times:
                 time = float(row.sequence.times[frame])
                 when = f"frame {frame_text(time, first.fps)}, {time:.3f} s"

@@ -3,8 +3,6 @@
 Meshes are compressed as by `mixseq.compress`, and decoded by `mixseq.web`. Poses are shown at their times since each
 mesh's first one, and restart after the period, as in films (`mixseq.pictures.scene`).
 
-Scripts and styles of the pages, which are part of the package, and their assembly into one self-contained page.
-
 A page is a small document that unpacks itself: its first stream, deflated, has style, body, decoder, scripts and
 description, separated by NUL; the others belong to the meshes. `mixseq.viewer.export_data` encodes them as text.
 """
@@ -19,6 +17,7 @@ from dataclasses import dataclass
 from functools import cache
 from html import escape
 from importlib.resources import files
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -54,9 +53,6 @@ CHART_SCRIPTS = (
 )
 """Scripts of charts, in loading order."""
 
-EDITING_SCRIPTS = ("chart_retiming.js",)
-"""Additional scripts of editable charts."""
-
 PLAYER_SCRIPTS = (
     "clock.js",
     "camera.js",
@@ -82,7 +78,7 @@ def script(name: str) -> str:
 
 def chart_scripts() -> str:
     """Return all scripts of editable charts as one text, for one script element."""
-    return "\n".join(map(script, (*CHART_SCRIPTS, *EDITING_SCRIPTS)))
+    return "\n".join(map(script, (*CHART_SCRIPTS, "chart_retiming.js")))
 
 
 def page_text(description: Mapping[str, Any], data: Sequence[bytes]) -> bytes:
@@ -196,17 +192,18 @@ def export_page(
         compressing = stages.at(2 * number + 1)
         meshes.append(page_mesh(each, elapsed, gathered, tops, chosen.max_error, compressing))
         compressing(1, 1, "compressing")
+    descriptions, data, reports = zip(*meshes, strict=True)
     description = {
         "title": chosen.title or ", ".join(each.mesh.name for each in items),
         "version": __version__,
         "overlaid": chosen.overlaid,
         "following": chosen.following,
         "period": _period(items, times),
-        "items": [mesh.description for mesh in meshes],
+        "items": descriptions,
     }
-    text = page_text(description, [data for mesh in meshes for data in mesh.data])
+    text = page_text(description, list(chain.from_iterable(data)))
     target.write_bytes(text)
-    return ExportReport(len(text), tuple(mesh.report for mesh in meshes))
+    return ExportReport(len(text), reports)
 
 
 def _times(item: PageItem, settings: ExportSettings) -> Float:

@@ -1,20 +1,14 @@
-"""Binary data as text in a page: two bytes a character; rows of colours as bytes that deflate well.
+"""The data of meshes in a page: their poses and extents, compressed streams, stored colours, and binary data as text.
 
 A page is UTF-16 with a byte order mark, which overrides a server's encoding. Two bytes, the lower one first, are one
 code unit. Units that the text of a script element cannot hold (NUL, carriage return, ``<``, surrogates) and U+0001 are
 written as U+0001 and a unit with the highest bit flipped. This adds 3 % to typical bytes; base64 in UTF-8 adds 33 %, 7
 bits a character 14 %. ``page/loader.js`` decodes it.
 
-Of rows :math:`q_{tj}` of bytes, a row per frame, the page has :math:`s_{tj} = d_{tj} - d_{t,j-1}` with
-:math:`d_{tj} = q_{tj} - q_{t-1,j}` and zeros before the first row and column, modulo 256, deflated (RFC 1950), which
-browsers decode.
-
-The meshes of a page, and their poses: read once and kept, with their extents in space and on the screen.
-
-A compressed mesh of a page: its streams, stored colours, and description.
-
 Vertices are numbered for the smallest size, and texture coordinates and other undrawn data are left out. The page
-computes strain and curvature; parts and errors are stored as palette entries.
+computes strain and curvature; parts and errors are stored as palette entries. Of rows :math:`q_{tj}` of bytes, a row
+per frame, the page has :math:`s_{tj} = d_{tj} - d_{t,j-1}` with :math:`d_{tj} = q_{tj} - q_{t-1,j}` and zeros before
+the first row and column, modulo 256, deflated (RFC 1950), which browsers decode.
 """
 
 from __future__ import annotations
@@ -33,7 +27,7 @@ from mixseq.compression.encoder.compress import compress
 from mixseq.compression.numbering import cheapest_numbering
 from mixseq.errors import InvalidSequenceError
 from mixseq.mesh.surface import Surface
-from mixseq.pictures.colours import MEASURES, Bytes, Colouring, SceneColours
+from mixseq.pictures.colours import MEASURES, Colouring, SceneColours
 from mixseq.pictures.scene import SceneItem, View, seen_from, y_up
 from mixseq.runtime.low_memory import LargeArray, new_large_array
 from mixseq.runtime.parallel import Executor
@@ -71,9 +65,9 @@ def as_text(data: bytes) -> bytes:
 def deflated_rows(rows: Iterable[NDArray[np.uint8]]) -> bytes:
     """Return rows ``(V,)`` of bytes, joined and deflated."""
     deflate, parts = zlib.compressobj(9), []
-    before: NDArray[np.uint8] | None = None
+    before = np.zeros(1, np.uint8)
     for row in rows:
-        steps = row - (np.zeros_like(row) if before is None else before)
+        steps = row - before
         parts.append(deflate.compress(np.diff(steps, prepend=np.uint8(0)).tobytes()))
         before = row
     return b"".join([*parts, deflate.flush()])
@@ -178,29 +172,23 @@ def gather(
             raise InvalidSequenceError(f"{item.name} has more poses than the {len(elapsed)} times asked for")
         if table is None or views is None:
             table = new_large_array((len(elapsed), header.vertex_count, 3), block.dtype)
-            own = first[1].views[0] if first and same else _view(item, block[0], elapsed, camera)
+            if first and same:
+                own = first[1].views[0]
+            else:
+                end = next(item.poses(elapsed[-1:]))[-1]
+                own = seen_from(np.stack([block[0], end]), header.up_axis, camera)
             views = own, first[1].views[0] if first else own
         table[done : done + len(block)] = block
         done += len(block)
         world = y_up(block, header.up_axis)
         still = extent_of(world, views).joined(still)
-        following = extent_of(world - path_of(world), views).joined(following)
+        path = world.mean(axis=1, keepdims=True, dtype=np.float64) * [1, 0, 1]
+        following = extent_of(world - path, views).joined(following)
         progress(done, len(elapsed), "decoding frames")
     if table is None or still is None or following is None or views is None or done < len(elapsed):
         raise InvalidSequenceError(f"{item.name} has {done} poses but {len(elapsed)} times were asked for")
     like_first = same and (first is None or _together(still, first[1].still))
     return Gathered(table, still, following, views, like_first)
-
-
-def path_of(world: FloatArray) -> Float:
-    """Return body places ``(B, 1, 3)`` in poses ``(B, V, 3)``, Y up: the mean of their vertices, on the ground."""
-    return np.asarray(world.mean(axis=1, keepdims=True, dtype=np.float64) * [1, 0, 1])
-
-
-def _view(item: SceneItem, start: FloatArray, elapsed: Float, camera: tuple[float, float] | None) -> View:
-    """Return the view of a mesh from its first pose and its travel until the last of the times."""
-    end = next(item.poses(elapsed[-1:]))[-1]
-    return seen_from(np.stack([start, end]), item.header.up_axis, camera)
 
 
 def extent_of(world: FloatArray, views: Sequence[View]) -> Extent:
@@ -241,15 +229,6 @@ class PageItemReport:
     colours: int  # size of its colours in bytes, before conversion to text
 
 
-@dataclass(frozen=True, eq=False)
-class PageMesh:
-    """A mesh in a page."""
-
-    description: dict[str, Any]  # data for the page, ready for JSON
-    data: list[bytes]  # the streams, and colours that are stored
-    report: PageItemReport  # how exact it is, and how large
-
-
 def page_mesh(
     shown: PageItem,
     elapsed: Float,
@@ -257,15 +236,20 @@ def page_mesh(
     tops: Mapping[str, float],
     max_error: float,
     progress: Progress = silent,
-) -> PageMesh:
-    """Compress poses at `elapsed` ``(n,)`` within `max_error` diagonals; `tops` are ends of colour scales."""
+) -> tuple[dict[str, Any], list[bytes], PageItemReport]:
+    """Compress poses at `elapsed` ``(n,)`` within `max_error` diagonals; `tops` are ends of colour scales.
+
+    Returns the description for the page, ready for JSON, and its data: the streams, and colours that are stored.
+    """
     header = shown.mesh.header
     if shown.coded is None:
         centre = gathered.poses[:1][0].mean(axis=0, dtype=np.float64)
         coded, vertices = _compressed(header, elapsed, gathered, centre, max_error, progress)
     else:
         centre, vertices = np.zeros(3), np.arange(header.vertex_count)
-        coded = _bare(shown.coded)
+        bare = replace(shown.coded.header, surface=Surface(), name="")
+        without_uvs = replace(shown.coded.parameters, uv_steps=None, uv_error=None)
+        coded = replace(shown.coded, header=bare, parameters=without_uvs)
     container = pack(coded)
     colourings: list[dict[str, Any]] = []
     stored: list[bytes] = []
@@ -293,7 +277,7 @@ def page_mesh(
     }
     sizes = len(container.streams), sum(map(len, stored))
     report = PageItemReport(shown.mesh.name, len(elapsed), parameters.max_error, error, *sizes)
-    return PageMesh(description, [container.streams, *stored], report)
+    return description, [container.streams, *stored], report
 
 
 @dataclass(frozen=True, eq=False)
@@ -337,11 +321,6 @@ def _regular(elapsed: Float, fps: float) -> tuple[Float, float]:
     return elapsed, fps
 
 
-def _bare(coded: CompressedSequence) -> CompressedSequence:
-    parameters = replace(coded.parameters, uv_steps=None, uv_error=None)
-    return replace(coded, header=replace(coded.header, surface=Surface(), name=""), parameters=parameters)
-
-
 def _own_times(header: SequenceHeader, elapsed: Float) -> bool:
     """Whether the poses of a page are the frames of the compressed sequence."""
     own = header.times - header.times[0]
@@ -369,17 +348,13 @@ def _colours(
         scaled = {"name": colouring.name, "palette": palette.tolist(), "top": top, "unit": colouring.unit}
         if colouring.name in MEASURES:
             return scaled, None
-        return scaled, deflated_rows(_rows(colouring.scaled(top), elapsed, gathered, vertices))
-    entries = colouring.indices(gathered.poses[:1][0], 0.0)
-    used, places = np.unique(entries, return_inverse=True)
+        ending = colouring.scaled(top)
+        poses = (pose for block in blocks_of(gathered.poses) for pose in block)
+        times = elapsed.tolist()
+        entries = (ending.indices(pose, time) for pose, time in zip(poses, times, strict=True))
+        return scaled, deflated_rows(each[vertices] for each in entries)
+    used, places = np.unique(colouring.indices(gathered.poses[:1][0], 0.0), return_inverse=True)
     fixed = {"name": colouring.name, "palette": colouring.palette[used].tolist()}
     if len(used) == 1:
         return fixed, None
     return fixed, deflated_rows([places.astype(np.uint8)[vertices]])
-
-
-def _rows(colouring: Colouring, elapsed: Float, gathered: Gathered, vertices: Index) -> Iterator[Bytes]:
-    times = iter(elapsed.tolist())
-    for block in blocks_of(gathered.poses):
-        for pose in block:
-            yield colouring.indices(pose, next(times))[vertices]

@@ -1,8 +1,4 @@
-"""Immutable state of setting markers: pairs, a begun pair, skipped proposals, and the undo history.
-
-`mixseq.viewer.marking` holds the current state.
-
-Session of setting markers of two meshes: current state, proposals, and results of a background thread.
+"""Session of setting markers of two meshes: pairs, undo, proposals, and results of a background thread.
 
 Slow work is queued in the background: suggestions, mirror symmetry of both bodies, and the examination of the current
 pairs.
@@ -234,13 +230,7 @@ class MarkingSession(Jobs[Callable[[], None]]):
 
     def accept_all(self) -> None:
         """Set all proposals."""
-
-        def all_set(marking: Marking) -> Marking:
-            for pair in self.proposals:
-                marking = marking.with_pair(pair)
-            return marking
-
-        self._step(all_set)
+        self._step(lambda marking: replace(marking, pairs=(*marking.pairs, *self.proposals)))
 
     def skip(self) -> None:
         """Reject the next proposal."""
@@ -252,27 +242,23 @@ class MarkingSession(Jobs[Callable[[], None]]):
 
     def undo(self) -> None:
         """Undo the last step."""
-        with self._changed:
-            self._history = self._history.undone()
-        self._went_on()
+        self._go(MarkingHistory.undone)
 
     def redo(self) -> None:
         """Redo the last undone step."""
-        with self._changed:
-            self._history = self._history.redone()
-        self._went_on()
+        self._go(MarkingHistory.redone)
 
     def suggest(self) -> None:
         """Suggest markers, including skipped ones."""
-        self._step(lambda marking: Marking(marking.pairs, marking.begun, marking.chosen))
+        self._step(lambda marking: replace(marking, skipped=frozenset()))
         self._later(self._suggest)
 
     def _step(self, change: Callable[[Marking], Marking]) -> None:
-        with self._changed:
-            self._history = self._history.done(change(self.marking))
-        self._went_on()
+        self._go(lambda history: history.done(change(history.marking)))
 
-    def _went_on(self) -> None:
+    def _go(self, change: Callable[[MarkingHistory], MarkingHistory]) -> None:
+        with self._changed:
+            self._history = change(self._history)
         self._mirror_pairs()
         self._listener.changed()
         self._later(self._examine)

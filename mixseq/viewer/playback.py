@@ -1,15 +1,8 @@
-"""Playback of a scene: a thread that passes the current frame to a stage, which draws it.
+"""Playback of a scene: a clock, a cache of frames decoded in the background, and a thread that passes them to a stage.
 
 Frames that are not decoded in time are dropped, and a frame is sent when the stage has drawn the one before, so that
-the displayed time is right at any speed of machine and network.
-
-The clock of playback: the current frame of a repeated period, at any speed.
-
-Background threads of an object, ended when it is closed, and queues of jobs.
-
-Cache of decoded frames within a memory limit, and the threads that decode them.
-
-The newest requested frame comes first. Idle threads decode the frames after it.
+the displayed time is right at any speed of machine and network. The newest requested frame is decoded first; idle
+threads decode the frames after it.
 """
 
 from __future__ import annotations
@@ -60,24 +53,21 @@ class Clock:
         """Return the clock stopped at its current frame."""
         return replace(self, frame=float(self.at(now)), since=None)
 
-    def sought(self, frame: int, now: float) -> Clock:
+    def sought(self, frame: float, now: float) -> Clock:
         """Return the clock at another frame, running if it ran."""
         inside = float(min(max(frame, 0), self.count - 1))
         return replace(self, frame=inside, since=None if self.since is None else now)
 
     def paced(self, speed: float, now: float) -> Clock:
         """Return the clock at another speed, with the same current time."""
-        return replace(
-            self, frame=self._place(now) % self.count, since=None if self.since is None else now, speed=speed
-        )
+        since = None if self.since is None else now
+        return replace(self, frame=self._place(now) % self.count, since=since, speed=speed)
 
     def over(self, count: int, fps: float, now: float) -> Clock:
         """Return the clock over another period, with the same current time as far as possible."""
         elapsed = (self._place(now) % self.count) / self.fps
-        frame = min(elapsed * fps, count - 1)
-        if self.since is None:
-            frame = float(round(frame))
-        return replace(self, count=count, fps=fps, frame=frame, since=None if self.since is None else now)
+        frame = elapsed * fps if self.runs else round(min(elapsed * fps, count - 1))
+        return replace(self, count=count, fps=fps).sought(frame, now)
 
     def _place(self, now: float) -> float:
         return self.frame if self.since is None else self.frame + (now - self.since) * self.fps * self.speed
@@ -154,13 +144,6 @@ MEMORY = 1 << 30
 Key = tuple[SceneItem, float]
 
 
-@dataclass(frozen=True)
-class _Wish:
-    scene: Scene
-    frame: int
-    ahead: bool
-
-
 class FrameCache(Background):
     """Frames of scenes, decoded in the background."""
 
@@ -170,14 +153,14 @@ class FrameCache(Background):
         self._kept: OrderedDict[Key, Single | MixseqError] = OrderedDict()
         self._size = 0
         self._busy: set[Key] = set()
-        self._wish: _Wish | None = None
+        self._wish: tuple[Scene, int, bool] | None = None  # a frame, and whether those after it are wanted
         super().__init__(self._decode, threads)
 
     def want(self, scene: Scene, frame: int, ahead: bool = True) -> tuple[Single, ...] | None:
         """Request a frame, and return its poses ``(V, 3)``, None if they are not decoded yet."""
         elapsed = scene.elapsed(frame)
         with self._changed:
-            self._wish = _Wish(scene, frame, ahead)
+            self._wish = scene, frame, ahead
             self._changed.notify_all()
             poses = []
             for item in scene.items:
@@ -219,8 +202,8 @@ class FrameCache(Background):
         """Return the next pose to decode: a requested one, or the first missing one after it."""
         if self._wish is None:
             return None
-        scene, first = self._wish.scene, self._wish.frame
-        for step in range(self._horizon(scene) if self._wish.ahead else 1):
+        scene, first, ahead = self._wish
+        for step in range(self._horizon(scene) if ahead else 1):
             elapsed = scene.elapsed((first + step) % scene.count)
             for item in scene.items:
                 key = item, elapsed
@@ -315,11 +298,12 @@ class Playback(Background):
 
     def play(self) -> None:
         """Play, from the start if it is at the end."""
-        with self._changed:
-            if not self._clock.runs and self._clock.at(monotonic()) == self._clock.count - 1:
-                self._clock = self._clock.sought(0, monotonic())
-            self._clock = self._clock.started(monotonic())
-            self._changed.notify_all()
+
+        def started(clock: Clock, now: float) -> Clock:
+            at_end = not clock.runs and clock.at(now) == clock.count - 1
+            return (clock.sought(0, now) if at_end else clock).started(now)
+
+        self._set(started)
 
     def pause(self) -> None:
         """Stop at the frame that was shown last."""
@@ -333,14 +317,15 @@ class Playback(Background):
 
     def seek(self, frame: int) -> None:
         """Go to a frame."""
-        with self._changed:
-            self._clock = self._clock.sought(frame, monotonic())
-            self._changed.notify_all()
+        self._set(lambda clock, now: clock.sought(frame, now))
 
     def pace(self, speed: float) -> None:
         """Set the speed."""
+        self._set(lambda clock, now: clock.paced(speed, now))
+
+    def _set(self, change: Callable[[Clock, float], Clock]) -> None:
         with self._changed:
-            self._clock = self._clock.paced(speed, monotonic())
+            self._clock = change(self._clock, monotonic())
             self._changed.notify_all()
 
     def rate(self, fps: float) -> None:
@@ -411,9 +396,8 @@ class Playback(Background):
             self._sent = monotonic()
             try:
                 self._stage.show(Moment(scene, frame, poses))
-            except (
-                Exception
-            ) as error:  # scales of colours look at frames of their own; or a bug, but playing goes on
+            except Exception as error:
+                # scales of colours look at frames of their own; or a bug, but playing goes on
                 if not isinstance(error, MixseqError):
                     print_exception(error)
                 self.pause()

@@ -1,17 +1,10 @@
-r"""Session of editing the models of a scene: the edited model, its history, and the thread that runs edits.
+r"""Session of editing the models of a scene: messages of the page, picking, undo, chart data, and the thread for edits.
 
 Edits run in order. Of previews, which follow the mouse, only the newest runs, after the one before was shown.
 
-Messages from the page to Python: JSON from a browser, validated before use.
-
-Picking: the first triangle that a ray from the pointer meets (Möller & Trumbore 1997).
-
-A point of the ray is :math:`o + t\,d`, one of the triangle :math:`a + u\,(b - a) + v\,(c - a)`; they meet where
-:math:`t > 0`, :math:`u, v \ge 0` and :math:`u + v \le 1`.
-
-Undo and redo: the edits of a model, and the current one.
-
-Chart data of a model's signals for a page: plain numbers, at the resolution of a screen.
+Picking finds the first triangle that a ray from the pointer meets (Möller & Trumbore 1997). A point of the ray is
+:math:`o + t\,d`, one of the triangle :math:`a + u\,(b - a) + v\,(c - a)`; they meet where :math:`t > 0`,
+:math:`u, v \ge 0` and :math:`u + v \le 1`.
 """
 
 from __future__ import annotations
@@ -130,7 +123,8 @@ def pick(
 ) -> Picked | None:
     """Return the first triangle on a ray ``(3,)``, from either side, or None: points ``(V, 3)``; faces ``(F, 3)``."""
     start, along = np.asarray(origin, dtype=np.float64), np.asarray(direction, dtype=np.float64)
-    a, b, c = np.moveaxis(np.asarray(points, dtype=np.float64)[faces], 1, 0)
+    corners = np.asarray(points, dtype=np.float64)[faces]
+    a, b, c = np.moveaxis(corners, 1, 0)
     first, second = b - a, c - a
     across = np.cross(along, second)
     volume = np.einsum("fi,fi->f", first, across)
@@ -146,10 +140,8 @@ def pick(
     if not met.any():
         return None
     face = int(np.where(met, t, np.inf).argmin())
-    corners = faces[face]
-    place = start + t[face] * along
-    nearest = np.linalg.norm(np.asarray(points, dtype=np.float64)[corners] - place, axis=1).argmin()
-    return Picked(face, int(corners[nearest]), float(t[face]))
+    nearest = np.linalg.norm(corners[face] - (start + t[face] * along), axis=1).argmin()
+    return Picked(face, int(faces[face, nearest]), float(t[face]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,9 +176,9 @@ class History:
         """Whether the current model is edited."""
         return self.now > 0
 
-    def done(self, name: str, model: Model) -> History:
+    def done(self, name: str, model: Model, keys: tuple[tuple[float, float], ...] = ()) -> History:
         """Return the history after an edit; undone steps are dropped."""
-        return History((*self.steps[: self.now + 1], Step(name, model)), self.now + 1)
+        return History((*self.steps[: self.now + 1], Step(name, model, keys)), self.now + 1)
 
     @property
     def before_retiming(self) -> History:
@@ -195,8 +187,7 @@ class History:
 
     def retimed(self, model: Model, keys: tuple[tuple[float, float], ...]) -> History:
         """Return the history with a retiming of `before_retiming` as its last step."""
-        before = self.before_retiming
-        return History((*before.steps[: before.now + 1], Step("retime", model, keys)), before.now + 1)
+        return self.before_retiming.done("retime", model, keys)
 
     @property
     def undoes(self) -> str | None:
@@ -237,14 +228,16 @@ def signals_of(model: Model, plane: Plane | None = None) -> dict[str, Any]:
     """Return the chart data of a model, ready for JSON."""
     start, end = model.start, model.end
     moves = end > start and model.time.dim > 0
-    times = _evenly_chosen(dense_times(model), POINTS) if end > start else np.array([start])
-    frames = _evenly_chosen(model.times, FRAMES)
+    times = dense_times(model) if end > start else np.array([start])
+    times = times[evenly(len(times), POINTS)]
+    frames = model.times[evenly(len(model.times), FRAMES)]
     handles = np.linspace(start, end, HANDLES) if moves else np.zeros(0)
     chosen, units = largest_coordinates(model)
     lines = model.time(times)[:, chosen] * units
     keys = np.linspace(start, end, KEYS).tolist() if end > start else []
     path = model.embedding(times, plane)
     step = float(np.abs(path).max(initial=0.0))
+    places = _rounded(model.embedding(handles, plane), step)
     return {
         "start": start,
         "end": end,
@@ -253,12 +246,7 @@ def signals_of(model: Model, plane: Plane | None = None) -> dict[str, Any]:
         "path": _rounded(path, step),
         "frames": _rounded(model.embedding(frames, plane), step),
         "frameTimes": _rounded(frames, end - start),
-        "handles": [
-            {"time": time, "at": at}
-            for time, at in zip(
-                handles.tolist(), _rounded(model.embedding(handles, plane), step), strict=True
-            )
-        ],
+        "handles": [{"time": time, "at": at} for time, at in zip(handles.tolist(), places, strict=True)],
         "reach": default_reach(model),
         "coefficients": [
             {"name": f"coordinate {number + 1}", "values": _rounded(line, float(np.abs(lines).max()))}
@@ -266,11 +254,6 @@ def signals_of(model: Model, plane: Plane | None = None) -> dict[str, Any]:
         ],
         "keys": [[time, time] for time in keys],
     }
-
-
-def _evenly_chosen(values: Float, most: int) -> Float:
-    """Return at most `most` evenly spaced values, with the first and the last."""
-    return values[evenly(len(values), most)]
 
 
 def _rounded(values: Float, largest: float) -> list[Any]:
@@ -283,12 +266,8 @@ def _rounded(values: Float, largest: float) -> list[Any]:
 Edit = Callable[[Model], Model]
 
 
-class Save(Protocol):
-    """Writes a model to a file, as a model or as a sequence."""
-
-    def __call__(self, path: Path, model: Model, replace: bool) -> str:
-        """Write the file, and return a sentence about it."""
-
+Save = Callable[[Path, Model, bool], str]
+"""Writes a model to a file, also over an existing one if that is true, and returns a sentence about it."""
 
 PATIENCE = 1.0
 """Seconds after which the next preview runs although the last one was not shown."""
@@ -318,7 +297,7 @@ class _Job:
     name: str
     index: int
     change: Callable[[History], History]
-    preview: bool = False
+    preview: bool
 
 
 class Session(Jobs[_Job]):
@@ -379,13 +358,9 @@ class Session(Jobs[_Job]):
             self._index = index
             self._listener.chosen(self)
 
-    def edit(self, name: str, edit: Edit) -> None:
-        """Edit the model on another thread, as a step that can be undone."""
-        self._ask(_Job(name, self._index, _step(name, edit)))
-
-    def preview(self, name: str, edit: Edit) -> None:
-        """Show the result of an edit, unless a newer job replaces it."""
-        self._ask(_Job(name, self._index, _step(name, edit), preview=True))
+    def edit(self, name: str, edit: Edit, preview: bool = False) -> None:
+        """Edit the model on another thread, as a step that can be undone; a preview is shown, unless a newer job is."""
+        self._ask(name, lambda history: history.done(name, edit(history.model)), preview)
 
     def retime(self, keys: Float, preview: bool = False) -> None:
         """Retime the model by keys ``(n, 2)`` of output and source seconds, in place of a retiming as last step."""
@@ -394,20 +369,20 @@ class Session(Jobs[_Job]):
             model = retime(history.before_retiming.model, keys)
             return history.retimed(model, tuple((float(output), float(source)) for output, source in keys))
 
-        self._ask(_Job("retime", self._index, change, preview))
+        self._ask("retime", change, preview)
 
     def undo(self) -> None:
         """Undo the last step, after the queued edits."""
-        self._ask(_Job("undo", self._index, History.undone))
+        self._ask("undo", History.undone)
 
     def redo(self) -> None:
         """Redo the last undone step."""
-        self._ask(_Job("redo", self._index, History.redone))
+        self._ask("redo", History.redone)
 
     def settle(self) -> None:
         """Show the current model in place of a preview."""
         if self._histories:
-            self._ask(_Job("settle", self._index, lambda history: history))
+            self._ask("settle", lambda history: history)
 
     def save(self, path: Path, replace: bool = False) -> None:
         """Write the model to a file on its own thread, over an existing one if `replace`; ignored once closed."""
@@ -434,8 +409,8 @@ class Session(Jobs[_Job]):
             self._saved[index] = model
             self._listener.saved(what)
 
-    def _ask(self, job: _Job) -> None:
-        self._add(job, needless=lambda waiting: waiting.preview)
+    def _ask(self, name: str, change: Callable[[History], History], preview: bool = False) -> None:
+        self._add(_Job(name, self._index, change, preview), needless=lambda waiting: waiting.preview)
 
     def _do(self, job: _Job) -> None:
         try:
@@ -460,7 +435,3 @@ class Session(Jobs[_Job]):
             self._listener.edited(self)
         except Exception as error:
             self._fail("drawing charts", error)
-
-
-def _step(name: str, edit: Edit) -> Callable[[History], History]:
-    return lambda history: history.done(name, edit(history.model))

@@ -10,7 +10,7 @@ import pytest
 
 from mixseq.errors import SettingsError
 from mixseq.operations.limbs import exaggerate_part, hold, limb_of
-from mixseq.operations.sculpt import smoothstep
+from mixseq.operations.sections import smoothstep
 from mixseq.signals.curve import Curve
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model

@@ -13,7 +13,8 @@ import mixseq
 from mixseq.errors import InvalidSequenceError, MixseqWarning, SettingsError
 from mixseq.mesh.measures import dihedral_angles, wrap
 from mixseq.mesh.rigid import kabsch
-from mixseq.operations.sculpt import Where, sculpt, smoothstep
+from mixseq.operations.sculpt import Where, sculpt
+from mixseq.operations.sections import smoothstep
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.detail import Detail, build, encode
 from mixseq.signals.fitting import fit

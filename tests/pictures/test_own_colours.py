@@ -89,7 +89,6 @@ def test_faces_of_films_have_the_mean_of_their_vertices() -> None:
     expected = np.where((sequence.faces == 0).any(axis=1)[:, None], [1, 2 / 3, 2 / 3], [1.0, 1, 1])
     np.testing.assert_allclose(np.asarray(colouring.of_faces), expected, atol=1e-6)
     assert colouring.constant
-    assert colouring.legend() == "colours of its own"
 
 
 def test_films_of_meshes_without_colours_are_refused(tmp_path: object) -> None:

@@ -13,7 +13,7 @@ import pytest
 from mixseq.errors import MissingExtraError, OutputError, SettingsError
 from mixseq.pictures import film_encoding as encoding
 from mixseq.pictures.colours import MEASURES, colouring_of
-from mixseq.pictures.film import Aim, FilmSettings, backdrop_of, cameras_of, film, panels_of, travel_path
+from mixseq.pictures.film import FilmSettings, backdrop_of, cameras_of, film, panels_of, travel_path
 from mixseq.pictures.film_encoding import check_film, encode_film, film_format
 from mixseq.pictures.raster import Picture, blank
 from mixseq.pictures.scene import DecodedItem, SceneItem, film_times, nearest_frames
@@ -97,7 +97,7 @@ def test_models_are_decoded_at_the_times_of_the_film(gem: MeshSequence) -> None:
 
 def test_the_camera_turns_and_holds_all(gem: MeshSequence) -> None:
     track = decoded(gem, np.zeros(8))
-    (camera,) = cameras_of([track], Aim(turn=360), 24)
+    (camera,) = cameras_of([track], FilmSettings(turn=360), 24)
     assert camera.at(2).azimuth == camera.view.azimuth + 90
     left, right, *_ = camera.limits
     assert left < -2
@@ -111,14 +111,16 @@ def test_one_camera_for_equal_meshes_and_one_for_each_other(gem: MeshSequence) -
     larger = MeshSequence.from_arrays(3 * gem.points, gem.faces)
     other = MeshSequence.from_arrays(gem.points, gem.faces[:, ::-1])
     tracks = [decoded(each, gem.times) for each in (gem, larger, other)]
-    first, second, third = cameras_of(tracks, Aim(), 24)
+    first, second, third = cameras_of(tracks, FilmSettings(), 24)
     assert first is second
     assert third.limits[1] < first.limits[1] / 2
 
 
 def test_cameras_are_in_the_middle_of_what_is_far_away(gem: MeshSequence) -> None:
     away = MeshSequence.from_arrays(gem.points + np.array([100, 5, -40]), gem.faces)
-    here, there = (cameras_of([decoded(each, gem.times)], Aim(turn=90), 24)[0] for each in (gem, away))
+    here, there = (
+        cameras_of([decoded(each, gem.times)], FilmSettings(turn=90), 24)[0] for each in (gem, away)
+    )
     assert np.allclose(here.limits, there.limits)
     assert np.allclose(there.centres - here.centres, [100, 5, -40])
 
@@ -132,10 +134,10 @@ def travelling(gem: MeshSequence, steps: Float) -> DecodedItem:
 
 def test_a_camera_that_follows_sees_a_rigid_body_stand_still(gem: MeshSequence) -> None:
     item = travelling(gem, np.full(30, 0.3))
-    (following,) = cameras_of([item], Aim(follow=True), 24)
+    (following,) = cameras_of([item], FilmSettings(follow=True), 24)
     seen = [item.pose(frame) - following.centres[frame] for frame in range(30)]
     np.testing.assert_allclose(seen, np.broadcast_to(seen[0], np.shape(seen)), atol=1e-12)
-    (waiting,) = cameras_of([item], Aim(), 24)
+    (waiting,) = cameras_of([item], FilmSettings(), 24)
     assert following.limits[1] - following.limits[0] < 0.3 * (waiting.limits[1] - waiting.limits[0])
 
 
@@ -149,7 +151,7 @@ def test_a_camera_that_follows_does_not_follow_steps(gem: MeshSequence) -> None:
 
 
 def test_a_camera_is_asked_for_from_the_front(gem: MeshSequence) -> None:
-    (camera,) = cameras_of([travelling(gem, np.full(3, 1.0))], Aim((-20.0, 5.0)), 24)
+    (camera,) = cameras_of([travelling(gem, np.full(3, 1.0))], FilmSettings(camera=(-20.0, 5.0)), 24)
     assert (camera.view.azimuth, camera.view.elevation) == (70, 5)
 
 

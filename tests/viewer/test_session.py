@@ -160,10 +160,10 @@ def test_of_previews_only_the_newest_is_made(room: Room, bar_model: Model) -> No
     def preview(number: int) -> Callable[[Model], Model]:
         return lambda model: tried.append(number) or replace(model)  # type: ignore[func-returns-value]
 
-    session.preview("drag", held)
+    session.edit("drag", held, preview=True)
     assert held.begun.wait(PATIENCE)
     for number in range(5):
-        session.preview("drag", preview(number))
+        session.edit("drag", preview(number), preview=True)
     held.go_on.set()
     eventually(lambda: tried)
     assert tried == [4]
@@ -174,9 +174,9 @@ def test_of_previews_only_the_newest_is_made(room: Room, bar_model: Model) -> No
 
 def test_no_preview_after_the_edit(room: Room, bar_model: Model) -> None:
     session, held, seen = room.session, Held(), list[Model]()
-    session.preview("drag", held)
+    session.edit("drag", held, preview=True)
     assert held.begun.wait(PATIENCE)
-    session.preview("drag", fail)
+    session.edit("drag", fail, preview=True)
     session.edit("drag", lambda model: seen.append(model) or replace(model))  # type: ignore[func-returns-value]
     held.go_on.set()
     room.done(1)
@@ -190,7 +190,7 @@ def test_edits_before_previews_are_kept(room: Room) -> None:
     session.edit("first", held)
     assert held.begun.wait(PATIENCE)
     session.edit("second", same)
-    session.preview("drag", fail)
+    session.edit("drag", fail, preview=True)
     session.edit("third", same)
     held.go_on.set()
     room.done(3)
@@ -209,9 +209,9 @@ def test_the_next_preview_waits_until_the_last_was_seen(
         assert go_on.wait(PATIENCE)
 
     room.stage.on_show = slowly
-    room.session.preview("drag", same)
+    room.session.edit("drag", same, preview=True)
     assert sending.wait(PATIENCE)
-    room.session.preview("drag", second)
+    room.session.edit("drag", second, preview=True)
     assert not second.begun.wait(0.02)
     go_on.set()
     assert second.begun.wait(PATIENCE)
@@ -246,7 +246,7 @@ def test_undo_takes_back_what_was_asked_for_before(room: Room, bar_model: Model)
 
 
 def test_a_failed_edit_changes_nothing(room: Room, bar_model: Model) -> None:
-    room.session.preview("drag", same)
+    room.session.edit("drag", same, preview=True)
     eventually(lambda: room.shown() is not bar_model)
     room.session.edit("drag", fail)
     eventually(lambda: room.told.failures)
@@ -279,7 +279,7 @@ def test_an_edit_that_makes_too_many_frames(room: Room, bar_model: Model) -> Non
     long = bar_model
     while (long.end - long.start) * 240 < 1e5:
         long = repeat(long, long.start, long.end, times=100)
-    room.session.preview("repeat", lambda model: long)  # of which nothing is told
+    room.session.edit("repeat", lambda model: long, preview=True)  # of which nothing is told
     room.session.edit("repeat", lambda model: long)
     eventually(lambda: room.told.failures)
     assert [name for name, _ in room.told.failures] == ["repeat"]
@@ -296,7 +296,7 @@ def test_a_failing_preview_is_not_told(room: Room, bar_model: Model) -> None:
         tried.set()
         raise SettingsError("no")
 
-    room.session.preview("drag", failing)
+    room.session.edit("drag", failing, preview=True)
     eventually(tried.is_set)
     room.session.edit("loop", same)
     room.done(1)
@@ -305,7 +305,7 @@ def test_a_failing_preview_is_not_told(room: Room, bar_model: Model) -> None:
 
 def test_settling_shows_the_model_again(room: Room, bar_model: Model) -> None:
     other = same(bar_model)
-    room.session.preview("drag", lambda model: other)
+    room.session.edit("drag", lambda model: other, preview=True)
     eventually(lambda: room.shown() is other)
     room.session.settle()
     eventually(lambda: room.shown() is bar_model)

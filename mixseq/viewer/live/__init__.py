@@ -1,1 +1,4 @@
-"""The viewer in a browser: a viser server with meshes, controls and charts (the extra ``viewer``)."""
+"""The viewer in a browser (the extra ``viewer``): `viewer` and `marking` run a viser server behind a `guard`.
+
+`stage` is the scene of the page, `controls` the panels beside it.
+"""

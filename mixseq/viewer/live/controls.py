@@ -1,9 +1,4 @@
-"""The right panel: playback, display, and saving.
-
-The left panel: charts of the edited model, with dragging, drawing and retiming by mouse.
-
-The controls that edit a model: charts on the left, buttons and saving on the right.
-"""
+"""The panels beside the scene: playback, display, edits and saving on the right, charts of a model on the left."""
 
 from __future__ import annotations
 
@@ -33,106 +28,12 @@ from mixseq.viewer.live.stage import LiveStage
 from mixseq.viewer.playback import Moment, Playback
 from mixseq.viewer.session import Drag, Edit, Message, Picked, Retime, Seek, Session, Sketch, signals_of
 
-
-class Charts:
-    """The time curve, coefficients, and keys of a retiming."""
-
-    def __init__(
-        self, server: Any, session: Session, playback: Playback, reach: float, seconds: float
-    ) -> None:
-        gui = server.gui
-        self._session = session
-        self._playback = playback
-        self._lock = Lock()
-        self._planes: dict[int, Plane] = {}
-        self._version = 0
-        self._pen = False
-        self._reach = reach
-        self._seconds = seconds
-        gui.add_html('<div id="mixseq-charts" style="height: calc(100vh - 88px); min-height: 420px"></div>')
-        self._signals = gui.add_html("")
-        self._now = gui.add_html("")
-        self.draw()
-
-    def draw(self) -> None:
-        """Draw the edited model."""
-        with self._lock:  # the newest model is drawn last, whoever asks
-            self._version += 1
-            history = self._session.history
-            signals = signals_of(history.model, self._plane) | {"reach": self._reach}
-            if keys := history.steps[history.now].keys:  # which can be moved on
-                before = history.before_retiming.model
-                signals |= {"keys": keys, "source": [before.start, before.end]}
-            self._signals.content = (
-                f'<script type="application/json" id="mixseq-signals" data-version="{self._version}">'
-                f"{script_json(signals)}</script>"
-            )
-
-    def show(self, moment: Moment) -> None:
-        """Move the point of the current time."""
-        model = self._session.model
-        time = min(model.start + moment.scene.elapsed(moment.frame), model.end)
-        pen = "true" if self._pen else "false"
-        self._now.content = f'<span id="mixseq-now" data-time="{time:.6f}" data-pen="{pen}" hidden></span>'
-
-    def pen(self, on: bool) -> None:
-        """Set the mouse to drawing or dragging."""
-        self._pen = on
-        self._playback.refresh()
-
-    def reach(self, seconds: float) -> None:
-        """Set the reach of dragging, in seconds."""
-        self._reach = seconds
-        self.draw()
-
-    def last(self, seconds: float) -> None:
-        """Set the duration of drawn curves."""
-        self._seconds = seconds
-
-    def heard(self, message: Message) -> None:
-        """Apply a mouse message of the charts."""
-        session, scene = self._session, self._playback.scene
-        match message:
-            case Seek(time):
-                self._playback.seek(scene.frame_at(time - session.model.start))
-            case Drag(time, to, done):
-                if not self._playback.plays:  # what is dragged should be seen
-                    self._playback.seek(scene.frame_at(time - session.model.start))
-                edit = partial(drag, time=time, to=to.tolist(), reach=self._reach, plane=self._plane)
-                (session.edit if done else session.preview)("drag", edit)
-            case Sketch(points):
-                session.edit(
-                    "sketch", partial(sketch, curve=points, duration=self._seconds, plane=self._plane)
-                )
-            case Retime(keys, done):
-                session.retime(keys, preview=not done)
-
-    @property
-    def _plane(self) -> Plane:
-        """The drawn embedding, which is kept while dragging so that the picture stays."""
-        model, index = self._session.model, self._session.index
-        if index not in self._planes or not _fits(model, self._planes[index]):
-            self._planes[index] = model.plane
-        return self._planes[index]
-
-
-def _fits(model: Model, plane: Plane) -> bool:
-    try:
-        model.known(plane)
-    except SettingsError:
-        return False
-    return True
-
-
 SPEEDS = {"1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
 HAND = 0.5
 """Seconds for which a moved slider keeps its value, as the display lags behind."""
 
 DIGITS = 3
 """Decimals of fractional frame numbers."""
-
-LONGEST_NAME = 200
-"""Longest file name in bytes: folders allow 255, and writers temporarily add some letters."""
 
 ROW, PLACE = "side by side", "in one place"
 
@@ -182,7 +83,7 @@ class PlayControls:
         self._playback = playback
         self._base = TimeBase.of(playback.scene, index)
         low, high, step, digits = self._base.slider
-        self._icons = _icons()
+        self._icons = _icon("PLAYER_PLAY"), _icon("PLAYER_PAUSE")
         self._hand = -HAND
         self._button = gui.add_button("Play", icon=self._icons[0], hint="Play or pause (P)")
         self._slider = gui.add_slider("Frame", low, high, step, low)
@@ -265,7 +166,8 @@ class ShowControls:
                 )
                 places.on_update(lambda _: self._arrange(playback, places.value == ROW))
                 for index, name in enumerate(names):
-                    self._add_switch(gui, index, name)
+                    switch = gui.add_checkbox(name, True)
+                    switch.on_update(lambda _, of=index, switch=switch: stage.hide(of, not switch.value))
             self._picked = gui.add_html(_line("Click a mesh for its vertex and part", "mixseq-picked"))
         self._colour.on_update(lambda event: self._paint(event, playback))
         wire.on_update(lambda _: stage.wire(wire.value))
@@ -274,10 +176,6 @@ class ShowControls:
     def picked(self, text: str) -> None:
         """Show the picked mesh element."""
         self._picked.content = _line(text, "mixseq-picked")
-
-    def _add_switch(self, gui: Any, index: int, name: str) -> None:
-        switch = gui.add_checkbox(name, True)
-        switch.on_update(lambda _: self._stage.hide(index, not switch.value))
 
     def _follow(self, playback: Playback, on: bool) -> None:
         self._stage.following = on
@@ -292,6 +190,45 @@ class ShowControls:
             self._stage.colour(self._colour.value)
             self._legend.content = _legend(self._stage.colours)
             playback.refresh()
+
+
+def _legend(colourings: list[Colouring]) -> str:
+    """Return the colour scale as a bar with its ends."""
+    shown = next((each for each in colourings if not each.constant), None)
+    if shown is None:
+        return ""
+    stops = ", ".join(f"rgb({r} {g} {b})" for r, g, b in shown.palette[::15])
+    bar = f'<div style="height: 10px; border-radius: 3px; background: linear-gradient(to right, {stops})"></div>'
+    ends = (
+        f'<div style="display: flex; justify-content: space-between"><span>0</span><span>{shown.top:.3g} '
+        f"{escape(shown.unit)}</span></div>"
+    )
+    return f'<div id="mixseq-legend" style="padding: 2px 12px; font-size: 12px">{bar}{ends}</div>'
+
+
+def _line(text: str, name: str) -> str:
+    return f'<div id="{name}" style="padding: 0 12px; font-size: 12px; opacity: 0.75">{escape(text)}</div>'
+
+
+def _icon(name: str) -> Any:
+    from viser import Icon
+
+    return getattr(Icon, name)
+
+
+def notify(client: Any, title: str, text: str, good: bool = False) -> None:
+    """Show a notification on a page for some seconds."""
+    client.add_notification(title, text, auto_close_seconds=6.0, color="teal" if good else "red")
+
+
+def notify_all(server: Any, title: str, text: str, good: bool = False) -> None:
+    """Show a notification on all pages."""
+    for client in server.get_clients().values():
+        notify(client, title, text, good)
+
+
+LONGEST_NAME = 200
+"""Longest file name in bytes: folders allow 255, and writers temporarily add some letters."""
 
 
 class SaveControls:
@@ -333,43 +270,94 @@ def _is_file_name(name: str) -> bool:
     return plain and name.isprintable() and len(name.encode(errors="replace")) <= LONGEST_NAME
 
 
-def notify(client: Any, title: str, text: str, good: bool = False) -> None:
-    """Show a notification on a page for some seconds."""
-    client.add_notification(title, text, auto_close_seconds=6.0, color="teal" if good else "red")
+class Charts:
+    """The time curve, coefficients, and keys of a retiming."""
+
+    def __init__(
+        self, server: Any, session: Session, playback: Playback, reach: float, seconds: float
+    ) -> None:
+        gui = server.gui
+        self._session = session
+        self._playback = playback
+        self._lock = Lock()
+        self._planes: dict[int, Plane] = {}
+        self._version = 0
+        self._pen = False
+        self._reach = reach
+        self._seconds = seconds
+        gui.add_html('<div id="mixseq-charts" style="height: calc(100vh - 88px); min-height: 420px"></div>')
+        self._signals = gui.add_html("")
+        self._now = gui.add_html("")
+        self.draw()
+
+    def draw(self) -> None:
+        """Draw the edited model."""
+        with self._lock:  # the newest model is drawn last, whoever asks
+            self._version += 1
+            history = self._session.history
+            signals = signals_of(history.model, self._plane) | {"reach": self._reach}
+            if keys := history.steps[history.now].keys:  # which can be moved on
+                before = history.before_retiming.model
+                signals |= {"keys": keys, "source": [before.start, before.end]}
+            self._signals.content = (
+                f'<script type="application/json" id="mixseq-signals" data-version="{self._version}">'
+                f"{script_json(signals)}</script>"
+            )
+
+    def show(self, moment: Moment) -> None:
+        """Move the point of the current time."""
+        model = self._session.model
+        time = min(model.start + moment.scene.elapsed(moment.frame), model.end)
+        pen = "true" if self._pen else "false"
+        self._now.content = f'<span id="mixseq-now" data-time="{time:.6f}" data-pen="{pen}" hidden></span>'
+
+    def pen(self, on: bool) -> None:
+        """Set the mouse to drawing or dragging."""
+        self._pen = on
+        self._playback.refresh()
+
+    def reach(self, seconds: float) -> None:
+        """Set the reach of dragging, in seconds."""
+        self._reach = seconds
+        self.draw()
+
+    def last(self, seconds: float) -> None:
+        """Set the duration of drawn curves."""
+        self._seconds = seconds
+
+    def heard(self, message: Message) -> None:
+        """Apply a mouse message of the charts."""
+        session, scene = self._session, self._playback.scene
+        match message:
+            case Seek(time):
+                self._playback.seek(scene.frame_at(time - session.model.start))
+            case Drag(time, to, done):
+                if not self._playback.plays:  # what is dragged should be seen
+                    self._playback.seek(scene.frame_at(time - session.model.start))
+                edit = partial(drag, time=time, to=to.tolist(), reach=self._reach, plane=self._plane)
+                session.edit("drag", edit, preview=not done)
+            case Sketch(points):
+                session.edit(
+                    "sketch", partial(sketch, curve=points, duration=self._seconds, plane=self._plane)
+                )
+            case Retime(keys, done):
+                session.retime(keys, preview=not done)
+
+    @property
+    def _plane(self) -> Plane:
+        """The drawn embedding, which is kept while dragging so that the picture stays."""
+        model, index = self._session.model, self._session.index
+        if index not in self._planes or not _fits(model, self._planes[index]):
+            self._planes[index] = model.plane
+        return self._planes[index]
 
 
-def notify_all(server: Any, title: str, text: str, good: bool = False) -> None:
-    """Show a notification on all pages."""
-    for client in server.get_clients().values():
-        notify(client, title, text, good)
-
-
-def _legend(colourings: list[Colouring]) -> str:
-    """Return the colour scale as a bar with its ends."""
-    shown = next((each for each in colourings if not each.constant), None)
-    if shown is None:
-        return ""
-    stops = ", ".join(f"rgb({r} {g} {b})" for r, g, b in shown.palette[::15])
-    bar = f'<div style="height: 10px; border-radius: 3px; background: linear-gradient(to right, {stops})"></div>'
-    ends = (
-        f'<div style="display: flex; justify-content: space-between"><span>0</span><span>{shown.top:.3g} '
-        f"{escape(shown.unit)}</span></div>"
-    )
-    return f'<div id="mixseq-legend" style="padding: 2px 12px; font-size: 12px">{bar}{ends}</div>'
-
-
-def _line(text: str, name: str) -> str:
-    return f'<div id="{name}" style="padding: 0 12px; font-size: 12px; opacity: 0.75">{escape(text)}</div>'
-
-
-def _icons() -> tuple[Any, Any]:
-    return _icon("PLAYER_PLAY"), _icon("PLAYER_PAUSE")
-
-
-def _icon(name: str) -> Any:
-    from viser import Icon
-
-    return getattr(Icon, name)
+def _fits(model: Model, plane: Plane) -> bool:
+    try:
+        model.known(plane)
+    except SettingsError:
+        return False
+    return True
 
 
 WHOLE = "whole body"
@@ -383,15 +371,18 @@ SHORTEST = 1e-3
 """Smallest duration in controls, in seconds."""
 
 
-class EditControls:
-    """Undo, sections, parts."""
+class Editor:
+    """All controls that edit: charts, undo, sections, parts and saving."""
 
-    def __init__(self, server: Any, session: Session, playback: Playback, charts: Charts) -> None:
-        gui = server.gui
+    def __init__(self, server: Any, session: Session, playback: Playback, folder: Path) -> None:
+        gui, model = server.gui, session.model
         self._session = session
         self._playback = playback
-        self._charts = charts
-        model = session.model
+        panel = gui.add_panel()
+        with panel.add_tab("Curves"):
+            self.charts = charts = Charts(server, session, playback, reach_of(model), duration(model))
+        panel.dock_left()
+        panel.set_width(360)
         with gui.add_folder("Edit"):
             if len(session.editable) > 1:
                 names = {playback.scene.items[index].name: index for index in session.editable}
@@ -417,7 +408,8 @@ class EditControls:
             )
             self._gain = gui.add_number("Gain", 1.5, min=-10.0, max=10.0, step=0.1)
             parts = gui.add_button_group("", ("Exaggerate", "Hold"))
-        self.edited()  # a line that came later would push all else down
+        self._show_steps()  # a line that came later would push all else down
+        self._saving = SaveControls(server, folder, self._target, session.save)
         self._undo.on_click(lambda _: session.undo() if self._undo.value == "Undo" else session.redo())
         self._section.on_update(lambda _: self._tell_frames())
         pen.on_update(lambda _: charts.pen(pen.value))
@@ -429,7 +421,11 @@ class EditControls:
         gui.add_command("Redo", hotkey="Z", modifier="cmd/ctrl+shift").on_trigger(lambda _: session.redo())
 
     def edited(self) -> None:
-        """Adapt the controls to the model, and keep the choices that still fit."""
+        """Show the model after an edit, and keep the choices that still fit."""
+        self.charts.draw()
+        self._show_steps()
+
+    def _show_steps(self) -> None:
         model, history = self._session.model, self._session.history
         done = f"{history.now} of {len(history.steps) - 1} steps"
         last = f": {history.undoes}" if history.undoes else ""
@@ -445,7 +441,7 @@ class EditControls:
         self._tell_frames()
 
     def chosen(self) -> None:
-        """Reset the controls to another model."""
+        """Show another model."""
         model = self._session.model
         self._section.min, self._section.max = span(model)
         self._section.value = span(model)
@@ -453,19 +449,19 @@ class EditControls:
         self._reach.value = reach_of(model)
         self._part.value = WHOLE
         self._part.options = (WHOLE, *_parts(model))
+        self._saving.name(self._target)
         self.edited()
+        self._playback.refresh()
 
     def picked(self, index: int, picked: Picked) -> str:
-        """Choose the part that was clicked, and describe the picked element."""
-        motion = self._playback.scene.items[index].motion
-        text = f"vertex {picked.vertex}, triangle {picked.face}"
-        if isinstance(motion, Model) and motion.space.decomposed is not None:
-            cut_up = motion.decomposition
-            part, joint = int(cut_up.part_of_face[picked.face]), int(cut_up.joint_of_face[picked.face])
-            if index == self._session.index:  # the root has nothing that it could move against
-                self._part.value = str(part) if str(part) in self._part.options else WHOLE
-            text += f", part {part}" if joint < 0 else f", joint {joint} of part {part}"
-        return text
+        """Choose the part that was clicked, and return its description, empty for meshes without parts."""
+        cut_up = self._playback.scene.items[index].decomposition
+        if cut_up is None:
+            return ""
+        part, joint = int(cut_up.part_of_face[picked.face]), int(cut_up.joint_of_face[picked.face])
+        if index == self._session.index:  # the root has nothing that it could move against
+            self._part.value = str(part) if str(part) in self._part.options else WHOLE
+        return f", part {part}" if joint < 0 else f", joint {joint} of part {part}"
 
     def _edit_section(self, name: str) -> None:
         start, end = self._chosen_section
@@ -499,14 +495,18 @@ class EditControls:
     def _tell_frames(self) -> None:
         fps = self._session.model.header.fps
         first, last = (frame_text(each, fps) for each in self._chosen_section)
-        style = "padding: 0 12px; font-size: 12px; opacity: 0.75"
-        self._frames.content = f'<div id="mixseq-section" style="{style}">frames {first} to {last}</div>'
+        self._frames.content = _line(f"frames {first} to {last}", "mixseq-section")
 
     @property
     def _time(self) -> float:
         """Current time of the model, in seconds."""
         model, playback = self._session.model, self._playback
         return min(model.start + playback.scene.elapsed(playback.frame), model.end)
+
+    @property
+    def _target(self) -> str:
+        """Default file name of the model."""
+        return f"{Path(self._playback.scene.items[self._session.index].name).stem}-edited.h5"
 
 
 def span(model: Model) -> tuple[float, float]:
@@ -532,51 +532,3 @@ def _parts(model: Model) -> tuple[str, ...]:
     if not isinstance(model.space, MixedSpace) or model.space.placement == "free":
         return ()
     return tuple(str(part) for part in np.flatnonzero(model.space.articulation.parents >= 0))
-
-
-class Editor:
-    """All controls that edit."""
-
-    def __init__(self, server: Any, session: Session, playback: Playback, folder: Path) -> None:
-        self._session = session
-        self._playback = playback
-        model, panel = session.model, server.gui.add_panel()
-        with panel.add_tab("Curves"):
-            self._charts = Charts(server, session, playback, reach_of(model), duration(model))
-        panel.dock_left()
-        panel.set_width(360)
-        self._controls = EditControls(server, session, playback, self._charts)
-        self._saving = SaveControls(server, folder, self._target, session.save)
-
-    def edited(self) -> None:
-        """Show the model after an edit."""
-        self._charts.draw()
-        self._controls.edited()
-
-    def chosen(self) -> None:
-        """Show another model."""
-        self._controls.chosen()
-        self._charts.draw()
-        self._saving.name(self._target)
-        self._playback.refresh()
-
-    def undone(self) -> None:
-        """Draw the model again, over unfinished mouse edits of its charts."""
-        self._charts.draw()
-
-    def show(self, moment: Moment) -> None:
-        """Show the current time."""
-        self._charts.show(moment)
-
-    def heard(self, message: Message) -> None:
-        """Apply a mouse message of the charts."""
-        self._charts.heard(message)
-
-    def picked(self, index: int, picked: Picked) -> str:
-        """Choose the picked mesh element, and describe it."""
-        return self._controls.picked(index, picked)
-
-    @property
-    def _target(self) -> str:
-        """Default file name of the model."""
-        return f"{Path(self._playback.scene.items[self._session.index].name).stem}-edited.h5"

@@ -1,11 +1,7 @@
-"""A guard in front of viser's server, for requests allowed by `Access` and messages allowed by `checked_message`.
+"""A guard in front of viser's server: only browsers with the token of the viewer, and a few kinds of checked messages.
 
 viser creates its server with ``websockets.asyncio.server.serve``, whose arguments for a request hook and a connection
 class are set by replacing that function.
-
-Access control of a viewer: browsers with the token in its address, under one of its names.
-
-Messages of a page to viser: a few kinds, checked, at a limited rate.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
-"""Markers in the scene: a ball and a number at both ends of a pair, dark balls for proposals.
+"""The viewer for markers: two meshes at rest, side by side, whose points are clicked in pairs.
 
-The panel for setting markers, beside the two meshes.
-
-The viewer for markers: two meshes at rest, side by side, whose points are clicked in pairs.
+Both ends of a pair have a ball and its number, proposals dark balls; a panel has undo, proposals, and the map.
 """
 
 from __future__ import annotations
@@ -92,6 +90,8 @@ class MarkingStage:
     def __init__(
         self, server: Any, topologies: tuple[Topology, Topology], clicked: Callable[[int, int], None]
     ) -> None:
+        from trimesh.creation import icosphere
+
         self._server = server
         self._clicked = clicked
         self._topologies = topologies
@@ -100,7 +100,8 @@ class MarkingStage:
         self._labels: dict[str, Any] = {}
         self._nodes: dict[int, Any] = {}
         self._frames = [server.scene.add_frame(f"/markers/{side}", show_axes=False) for side in range(2)]
-        self._ball = _icosphere()
+        ball = icosphere(subdivisions=2, radius=1.0)
+        self._ball = np.asarray(ball.vertices), np.asarray(ball.faces)
 
     def place(self, side: int, points: Float) -> None:
         """Set the vertices ``(V, 3)`` of a mesh, relative to its place."""
@@ -186,14 +187,6 @@ class MarkingStage:
                 label.text = text
 
 
-def _icosphere() -> tuple[Float, Index]:
-    """Return points and triangles of a ball of radius 1."""
-    import trimesh
-
-    ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
-    return np.asarray(ball.vertices, np.float64), np.asarray(ball.faces, np.int64)
-
-
 VIEWS = {
     "Front": (0.0, 5.0),
     "Left": (90.0, 5.0),
@@ -239,23 +232,26 @@ class MarkingControls:
         with gui.add_folder("Save"):
             self._saved = gui.add_html("")
             button = gui.add_button("Save")
-        steps.on_click(lambda _: getattr(session, steps.value.lower())())
         views.on_click(lambda _: look(VIEWS[views.value]))
         across.on_click(lambda event: other(event.client.camera))
         gui.add_command("Other mesh", hotkey="O").on_trigger(lambda event: other(event.client.camera))
-        does = {"Accept": session.accept, "Skip": session.skip, "Accept all": session.accept_all}
-        proposals.on_click(lambda _: does[proposals.value]())
+        for group in (steps, proposals):
+            group.on_click(lambda _, by=group: self._do(by.value))
         again.on_click(lambda _: session.suggest())
         button.on_click(lambda _: save())
-        for label, key, modifier, action in (
-            ("Undo", "Z", "cmd/ctrl", session.undo),
-            ("Redo", "Z", "cmd/ctrl+shift", session.redo),
-            ("Accept", "A", None, session.accept),
-            ("Skip", "S", None, session.skip),
-            ("Delete", "D", None, session.delete),
+        for label, key, modifier in (
+            ("Undo", "Z", "cmd/ctrl"),
+            ("Redo", "Z", "cmd/ctrl+shift"),
+            ("Accept", "A", None),
+            ("Skip", "S", None),
+            ("Delete", "D", None),
         ):
             command = gui.add_command(label, hotkey=key, modifier=modifier)
-            command.on_trigger(lambda _, act=action: act())
+            command.on_trigger(lambda _, by=label: self._do(by))
+
+    def _do(self, label: str) -> None:
+        """Call the method of the session that a button or a command is named after."""
+        getattr(self._session, label.lower().replace(" ", "_"))()
 
     def show(self) -> None:
         """Show the current markers and their examination."""
@@ -286,11 +282,9 @@ def _hint(marking: Marking, names: tuple[str, str]) -> str:
 def _proposed(count: int, work: str) -> str:
     if count:
         return f"{count} to confirm, dark in the picture: the next one has a ?. Click one to accept it"
-    return (
-        escape(f"{work} ...")
-        if "look" in work
-        else "Nothing: the other side of what you set is proposed here"
-    )
+    if "look" in work:
+        return escape(f"{work} ...")
+    return "Nothing: the other side of what you set is proposed here"
 
 
 def _map_lines(marking: Marking, examination: Examination | None, work: str) -> list[str]:
@@ -378,9 +372,7 @@ class MarkingViewer:
         self._save = save
         self._lock = Lock()
         self._controls: MarkingControls | None = None  # the session may have news before they are there
-        gui, scene = server.gui, meshes.scene
-        gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(70, 95, 120))
-        gui.set_panel_label("mixseq")
+        scene = meshes.scene
         topologies = [Topology(each.faces, each.vertex_count) for each in (meshes.source, meshes.target)]
         self._balls = MarkingStage(
             server, (topologies[0], topologies[1]), lambda side, row: self.session.click_ball(side, row)
@@ -393,8 +385,8 @@ class MarkingViewer:
         self._controls = MarkingControls(
             server, self.session, meshes.names, meshes.file, self._look, self._other, self.save
         )
-        gui.main_panel.dock_right()
-        gui.main_panel.set_width(320)
+        server.gui.main_panel.dock_right()
+        server.gui.main_panel.set_width(320)
         self._stage.on_click(lambda side, picked: self.session.click(side, picked.vertex), mark=False)
         server.on_client_connect(self._connected)
         server.on_client_disconnect(self._stage.forget)
@@ -485,7 +477,7 @@ class MarkingViewer:
 
     def _heard(self, message: Message) -> None:
         if isinstance(message, Drawn):
-            self._stage.drawn()
+            self._stage.busy = False
             self._playback.drawn()
 
 

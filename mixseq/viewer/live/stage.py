@@ -47,7 +47,7 @@ class LiveStage:
         self._report = report
         self.overlaid = overlaid
         self._lock = Lock()
-        self._drawing = False
+        self.busy = False  # whether the page is still drawing the last moment
         self._moment: Moment | None = None
         self._placed: dict[int, tuple[Float, float]] = {}
         self._colour = "clay"
@@ -95,15 +95,6 @@ class LiveStage:
             ]
 
     @property
-    def busy(self) -> bool:
-        """Whether the page is still drawing the last moment."""
-        return self._drawing
-
-    def drawn(self) -> None:
-        """Mark the last moment as drawn."""
-        self._drawing = False
-
-    @property
     def colours(self) -> list[Colouring]:
         """Current colourings of all meshes."""
         return self._scene_colours.shared(self._colour)
@@ -111,7 +102,7 @@ class LiveStage:
     def show(self, moment: Moment) -> None:
         """Send a moment to the page."""
         with self._lock, self._server.atomic():
-            self._drawing = True
+            self.busy = True
             self._moment = moment
             elapsed = moment.scene.elapsed(moment.frame)
             for index, (points, colours) in enumerate(zip(moment.poses, self.colours, strict=True)):

@@ -1,11 +1,7 @@
-"""The viewer: server, scene, controls, and their threads.
+"""The viewer: a guarded viser server with a scene, controls and threads, and scripts of ours in its page.
 
-Scripts in viser's page, and their messages to Python.
-
-``add_html`` does not run scripts, but the document of an ``iframe`` does, and can add them to the page. They send
-messages through a hidden text input, whose callback runs in order on viser's event loop.
-
-A guarded viser server, which prints its address with the token.
+viser's ``add_html`` does not run scripts, but the document of an ``iframe`` does, and can add them to the page. They
+send messages through a hidden text input, whose callback runs in order on viser's event loop.
 """
 
 from __future__ import annotations
@@ -40,10 +36,6 @@ def add_bridge(server: Any, heard: Callable[[Message], None]) -> None:
         if message is not None:
             heard(message)
 
-    server.gui.add_html(_frame(line._impl.uuid))
-
-
-def _frame(line: str) -> str:
     source = "\n".join([chart_scripts(), script("live_window.js"), script("live.js")])
     start = f"""<script>
 const text = {script_json(source)};
@@ -52,9 +44,9 @@ if (!parent.mixseqLive) {{
   script.textContent = text;
   parent.document.head.append(script);
 }}
-parent.mixseqLive.connect({script_json(line)});
+parent.mixseqLive.connect({script_json(line._impl.uuid)});
 </script>"""
-    return f'<iframe style="display: none" title="mixseq" srcdoc="{escape(start, quote=True)}"></iframe>'
+    server.gui.add_html(f'<iframe style="display: none" title="mixseq" srcdoc="{escape(start)}"></iframe>')
 
 
 def check_viser() -> None:
@@ -82,6 +74,8 @@ def served(host: str, wanted: int | None) -> Iterator[tuple[Any, str]]:
             server = viser.ViserServer(host, port, label="mixseq", verbose=False)
             stack.callback(_stop, server)
         guard.unhook(server)
+        server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(70, 95, 120))
+        server.gui.set_panel_label("mixseq")
         yield server, guard.access.address
 
 
@@ -96,9 +90,10 @@ FIRST_PORT, PORTS = 8080, 100
 
 def free_port(host: str, wanted: int | None) -> int:
     """Return the wanted port, or by default the first free one."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
     for port in [wanted] if wanted is not None else range(FIRST_PORT, FIRST_PORT + PORTS):
         try:
-            with socket.create_server((host, port), family=_family(host)):
+            with socket.create_server((host, port), family=family):
                 return port
         except OSError as error:
             if wanted is None and error.errno == errno.EADDRINUSE:
@@ -111,10 +106,6 @@ def free_port(host: str, wanted: int | None) -> int:
             )
             raise SettingsError(f"cannot listen at {host}:{port}: {why}; {cure}") from None
     raise SettingsError(f"the ports {FIRST_PORT} to {FIRST_PORT + PORTS - 1} are all taken; give a --port")
-
-
-def _family(host: str) -> socket.AddressFamily:
-    return socket.AF_INET6 if ":" in host else socket.AF_INET
 
 
 @dataclass(frozen=True)
@@ -148,9 +139,6 @@ class Viewer:
         self._server = server
         self._play: PlayControls | None = None  # the first frame may be there before they are
         self._editor: Editor | None = None
-        gui = server.gui
-        gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(70, 95, 120))
-        gui.set_panel_label("mixseq")
         self._stage = LiveStage(
             server,
             colours,
@@ -167,8 +155,8 @@ class Viewer:
         add_bridge(server, self._heard)
         self._play = PlayControls(server, self.playback, self._index)
         self._shown = ShowControls(server, self.playback, self._stage, colours)
-        gui.main_panel.dock_right()
-        gui.main_panel.set_width(300)
+        server.gui.main_panel.dock_right()
+        server.gui.main_panel.set_width(300)
         if self.session.editable and not settings.read_only:
             self._editor = Editor(server, self.session, self.playback, settings.folder)
         self._stage.on_click(self._clicked)
@@ -192,7 +180,7 @@ class Viewer:
         """Show an error on all pages, and draw the current model."""
         notify_all(self._server, f"{what}: not done", str(error))
         if self._editor is not None:
-            self._editor.undone()
+            self._editor.charts.draw()
 
     def saved(self, what: str) -> None:
         """Notify all pages of a saved file."""
@@ -209,7 +197,7 @@ class Viewer:
         if self._play is not None:
             self._play.show(moment, self._index)
         if self._editor is not None:
-            self._editor.show(moment)
+            self._editor.charts.show(moment)
 
     def _failed(self, error: Exception) -> None:
         if self._play is not None:
@@ -228,17 +216,17 @@ class Viewer:
 
     def _heard(self, message: Message) -> None:
         if isinstance(message, Drawn):
-            self._stage.drawn()
+            self._stage.busy = False
             self.playback.drawn()
         elif self._editor is not None:
-            self._editor.heard(message)
+            self._editor.charts.heard(message)
 
     def _clicked(self, index: int, picked: Picked) -> None:
-        name = self.playback.scene.items[index].name
+        items = self.playback.scene.items
         what = f"vertex {picked.vertex}, triangle {picked.face}"
         if self._editor is not None:
-            what = self._editor.picked(index, picked)
-        self._shown.picked(f"{name}: {what}" if len(self.playback.scene.items) > 1 else what)
+            what += self._editor.picked(index, picked)
+        self._shown.picked(f"{items[index].name}: {what}" if len(items) > 1 else what)
 
 
 @contextmanager
@@ -247,7 +235,6 @@ def viewer(colours: SceneColours, settings: ViewSettings, save: Save) -> Iterato
     with ExitStack() as stack:
         server, address = stack.enter_context(served(settings.host, settings.port))
         running = Viewer(server, address, colours, settings, save, stack)
-        stack.enter_context(
-            warnings_heard(lambda text: notify_all(server, "Please note", text))
-        )  # of threads of ours
+        # of threads of ours
+        stack.enter_context(warnings_heard(lambda text: notify_all(server, "Please note", text)))
         yield running
