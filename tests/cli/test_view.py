@@ -303,20 +303,20 @@ def test_edits_that_were_not_saved_are_kept(run: Run, room: Room, bar_model: Mod
 def test_what_was_edited_is_saved(run: Run, room: Room, bar_model: Model, folder: Path) -> None:
     run("view", "model.h5", "bar.npz", "--no-browser")
     edited = replace(bar_model)
-    room.save(folder / "edited.h5", edited, replace=False)
+    room.save(folder / "edited.h5", edited, False)
     again = mixseq.load(folder / "edited.h5")
     np.testing.assert_allclose(again(0.1), edited(0.1), atol=1e-12)
-    room.save(folder / "edited.usdc", edited, replace=False)
+    room.save(folder / "edited.usdc", edited, False)
     decoded: MeshSequence = mixseq.read(folder / "edited.usdc")
     np.testing.assert_allclose(decoded.points[2], edited(edited.times[2]), atol=1e-5)
     with pytest.raises(OutputError, match=r"edited\.usdc exists; give another name, or tick Replace"):
-        room.save(folder / "edited.usdc", edited, replace=False)
-    told = room.save(folder / "edited.usdc", edited, replace=True)
+        room.save(folder / "edited.usdc", edited, False)
+    told = room.save(folder / "edited.usdc", edited, True)
     assert told == f"edited.usdc in {folder}"
     for source in ("model.h5", "bar.npz"):
         before = (folder / source).read_bytes()
         with pytest.raises(OutputError, match="is the source itself"):
-            room.save(folder / source, edited, replace=True)
+            room.save(folder / source, edited, True)
         assert (folder / source).read_bytes() == before
 
 
