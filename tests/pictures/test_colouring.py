@@ -526,10 +526,3 @@ def test_single_precision_is_widened(name: str) -> None:
 def test_distances_are_in_diagonals() -> None:
     points = tetrahedron()[0]
     assert np.allclose(distances(points + np.array([0, 3, 4]), points, 10), 0.5)
-
-
-def test_measures_need_no_matplotlib() -> None:
-    code = (
-        "import mixseq.pictures.colours, mixseq.pictures.colours, sys; assert 'matplotlib' not in sys.modules"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)

@@ -89,8 +89,7 @@ def test_joints_tell_most_of_a_bend_however_finely_they_are_cut(sides: int, ring
 
 
 @pytest.mark.parametrize(
-    ("sides", "rings", "length"),
-    [(18, 49, 4.0), (6, 17, 4.0), (10, 33, 4.0), (18, 49, 7.0), (6, 33, 3.0)],
+    ("sides", "rings", "length"), [(18, 49, 4.0), (6, 17, 4.0), (10, 33, 4.0), (18, 49, 7.0), (6, 33, 3.0)]
 )
 @pytest.mark.parametrize("share", [0.125, 0.25])
 def test_a_tube_bends_as_much_in_all_as_its_source(

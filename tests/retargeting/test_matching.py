@@ -30,10 +30,7 @@ def surface(mesh: Mesh) -> TriangleMesh:
 
 
 def matched(
-    source: Mesh,
-    target: Mesh,
-    pairs: list[tuple[int, int]],
-    settings: MatchingSettings | None = None,
+    source: Mesh, target: Mesh, pairs: list[tuple[int, int]], settings: MatchingSettings | None = None
 ) -> Matches:
     """Match meshes that lie on each other."""
     markers = Markers.of(pairs)

@@ -96,8 +96,7 @@ def test_a_frame_that_is_none_is_refused(rest: object) -> None:
 def test_a_rest_of_another_mesh_is_refused() -> None:
     other = bar(sides=6)
     with pytest.raises(
-        InvalidSequenceError,
-        match="the mesh at rest has 152 vertices, the motion 202; give the same mesh",
+        InvalidSequenceError, match="the mesh at rest has 152 vertices, the motion 202; give the same mesh"
     ):
         source_motion(WALK, other)
     mirrored = MeshSequence.from_arrays(WALK.points, WALK.faces[:, ::-1])

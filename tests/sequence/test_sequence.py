@@ -56,10 +56,7 @@ BAD: dict[str, tuple[Callable[[], object], str]] = {
         lambda: MeshSequence.from_arrays(np.zeros((4, 3)), FACES),
         r"points have shape \(4, 3\); \(frames, vertices, 3\) is expected",
     ),
-    "plane": (
-        lambda: MeshSequence.from_arrays(np.zeros((2, 4, 2)), FACES),
-        r"points have shape \(2, 4, 2\)",
-    ),
+    "plane": (lambda: MeshSequence.from_arrays(np.zeros((2, 4, 2)), FACES), r"points have shape \(2, 4, 2\)"),
     "text": (lambda: MeshSequence.from_arrays([[["a", "b", "c"]] * 3], FACES), "points are not numbers"),
     "nan": (
         lambda: MeshSequence.from_arrays(spoilt(np.nan), FACES),
@@ -171,14 +168,7 @@ def test_points_keep_single_and_double_precision(dtype: type, kept: type) -> Non
 
 def test_polygons_are_fanned_about_their_first_corners() -> None:
     polygons = Polygons(np.array([5, 3, 4]), np.array([4, 0, 1, 2, 3, 7, 8, 9, 5, 6, 1, 0]))
-    assert polygons.triangles.tolist() == [
-        [4, 0, 1],
-        [4, 1, 2],
-        [4, 2, 3],
-        [7, 8, 9],
-        [5, 6, 1],
-        [5, 1, 0],
-    ]
+    assert polygons.triangles.tolist() == [[4, 0, 1], [4, 1, 2], [4, 2, 3], [7, 8, 9], [5, 6, 1], [5, 1, 0]]
     assert polygons.triangles.dtype == np.int32
     assert not polygons.only_triangles
     assert Polygons.from_triangles(FACES).only_triangles

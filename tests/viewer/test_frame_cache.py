@@ -216,10 +216,7 @@ NOW = 1e5
 """Seconds for which a machine may have been up."""
 
 clocks = st.builds(
-    Clock,
-    count=st.integers(1, 500),
-    fps=st.floats(1.0, 240.0),
-    speed=st.sampled_from([0.25, 0.5, 1.0, 2.0]),
+    Clock, count=st.integers(1, 500), fps=st.floats(1.0, 240.0), speed=st.sampled_from([0.25, 0.5, 1.0, 2.0])
 ).flatmap(lambda clock: st.integers(0, clock.count - 1).map(lambda frame: clock.sought(frame, NOW)))
 
 

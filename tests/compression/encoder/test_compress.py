@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -267,6 +268,11 @@ def digest(sequence: MeshSequence) -> str:
     return hashed.hexdigest()
 
 
+@cache
+def digest_here() -> str:
+    return digest(bar(sides=14, rings=25, frames=9))
+
+
 _SCRIPT = """
 from tests.compression.encoder.test_compress import digest
 from tests.meshes import bar
@@ -277,7 +283,7 @@ print(digest(bar(sides=14, rings=25, frames=9)))
 def test_bytes_are_the_same_in_every_process_on_any_number_of_threads() -> None:
     folder = Path(__file__).parents[2]
     found = []
-    for threads in ("1", "2", "3"):
+    for threads in ("1", "3"):
         names = [f"{each}_NUM_THREADS" for each in ("OMP", "OPENBLAS", "MKL", "NUMBA")] + ["MIXSEQ_THREADS"]
         environment = {**os.environ, **dict.fromkeys(names, threads), "PYTHONHASHSEED": threads}
         run = subprocess.run(
@@ -289,16 +295,15 @@ def test_bytes_are_the_same_in_every_process_on_any_number_of_threads() -> None:
             check=True,
         )
         found.append(run.stdout.strip())
-    here = digest(bar(sides=14, rings=25, frames=9))
-    assert found == [here, here, here]
+    assert found == 2 * [digest_here()]
 
 
-@pytest.mark.parametrize("threads", ["1", "2", "3"])
+@pytest.mark.parametrize("threads", ["1", "3"])
 def test_bytes_are_the_same_however_much_is_done_at_once(
     threads: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sequence = bar(sides=14, rings=25, frames=9)
-    expected = digest(sequence)
+    expected = digest_here()
     monkeypatch.setenv("MIXSEQ_THREADS", threads)
     monkeypatch.setattr(signal_coder, "_MANY", 1)
     assert digest(sequence) == expected

@@ -67,12 +67,7 @@ def test_buffers_that_are_not_there(tmp_path: Path, uri: str, message: str) -> N
         load(moving().gltf(tmp_path / "file.gltf", uri))
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("ACME_teapots", "requires the extension ACME_teapots"),
-    ],
-)
+@pytest.mark.parametrize(("name", "message"), [("ACME_teapots", "requires the extension ACME_teapots")])
 def test_extensions_that_are_not_read(made: Callable[..., MeshSequence], name: str, message: str) -> None:
     maker = moving()
     maker.json["extensionsRequired"] = [name]

@@ -50,8 +50,7 @@ def links(parts: int) -> Articulation:
 
 CHAIN = links(4)
 TWO = articulated(
-    joined(MESH, (MESH[0] + [9.0, 0, 0], MESH[1])),
-    np.concatenate([sliced(MESH, 2.0), 2 + sliced(MESH, 2.0)]),
+    joined(MESH, (MESH[0] + [9.0, 0, 0], MESH[1])), np.concatenate([sliced(MESH, 2.0), 2 + sliced(MESH, 2.0)])
 )
 
 
@@ -509,10 +508,7 @@ def predicted(
 
 @settings(max_examples=15, deadline=None)
 @given(
-    seed=seeds,
-    length=st.sampled_from(LENGTHS),
-    frames=st.sampled_from([2, 3, 12, 60]),
-    in_body=st.booleans(),
+    seed=seeds, length=st.sampled_from(LENGTHS), frames=st.sampled_from([2, 3, 12, 60]), in_body=st.booleans()
 )
 def test_frames_are_passed(seed: int, length: float, frames: int, in_body: bool) -> None:
     poses = wandering(seed, 3, frames)
