@@ -23,6 +23,7 @@ from mixseq.retargeting.matching import (
     match,
 )
 from tests.meshes import Mesh, grid, joined, pages, tetrahedron, topology_of, torus, tube
+from tests.retargeting.pairs import subdivided
 
 
 def surface(mesh: Mesh) -> TriangleMesh:
@@ -36,17 +37,6 @@ def matched(
     markers = Markers.of(pairs)
     start, goal = surface(source), surface(target)
     return match(start, goal, pair_components(start.topology, goal.topology, markers), settings)
-
-
-def subdivided(mesh: Mesh) -> Mesh:
-    """Every triangle cut into four; the points it had come first."""
-    points, faces = mesh
-    topology = topology_of(mesh)
-    middle = len(points) + topology.face_edges  # of sides 01, 12, 20
-    a, b, c = faces.T
-    ab, bc, ca = middle.T
-    cut = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=1).reshape(-1, 3)
-    return np.concatenate([points, points[topology.edges].mean(axis=1)]), cut
 
 
 def test_a_mesh_matches_itself() -> None:

@@ -8,24 +8,18 @@ from hypothesis import given, settings
 from scipy.spatial.transform import Rotation
 
 from mixseq.errors import SettingsError
-from mixseq.mesh.topology import Topology, face_patches
+from mixseq.mesh.topology import Topology
 from mixseq.segmentation import motion
 from mixseq.segmentation.motion import Moments, MotionSettings, moments, segment_by_motion, union_errors
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float, Index
 from tests.meshes import SEQUENCES, bar, bending, grid, joined, rotation, seeds, tube
+from tests.segmentation.test_methods import assert_sound
 
 
 def segmented(sequence: MeshSequence, parts: int | None = None) -> tuple[Topology, Index]:
     topology = Topology(sequence.faces, sequence.vertex_count)
     return topology, segment_by_motion(sequence.points, topology, parts)
-
-
-def assert_sound(topology: Topology, labels: Index) -> None:
-    assert labels.shape == (len(topology.faces),)
-    np.testing.assert_array_equal(np.unique(labels), np.arange(labels.max() + 1))
-    for part in range(labels.max() + 1):
-        assert face_patches(topology, labels == part).max() == 0, "a part is connected across edges"
 
 
 def test_a_bar_of_two_bones_has_two_parts() -> None:
