@@ -16,7 +16,8 @@ from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
 from tests.meshes import bar
 
-settings.register_profile("untimed", deadline=None)  # how long an example takes depends on what else runs
+# No deadline: how long an example takes depends on what else runs.
+settings.register_profile("untimed", deadline=None, max_examples=50)
 settings.register_profile("few", deadline=None, max_examples=10)
 settings.load_profile("untimed")
 

@@ -72,25 +72,28 @@ def room_of(module: str) -> str:
     return package if package == "mixseq_io" else inside.partition(".")[0]
 
 
-IMPORTS = {module: imported_modules(file.read_text(encoding="utf-8")) for module, file in MODULES.items()}
+@pytest.fixture(scope="module")
+def imports() -> dict[str, set[str]]:
+    """What each module imports of ours."""
+    return {module: imported_modules(file.read_text(encoding="utf-8")) for module, file in MODULES.items()}
 
 
 def test_every_module_is_in_a_room() -> None:
     assert {room_of(module) for module in MODULES} - {"", "version"} == set(ROOMS)
 
 
-@pytest.mark.parametrize("module", sorted(MODULES.keys() - {"mixseq"}))
-def test_rooms_import_only_those_before(module: str) -> None:
-    own = room_of(module)
-    for other in {room_of(name) for name in IMPORTS[module]} - {"version", own}:
-        if other == "":  # the lazy names of mixseq
-            assert own in ("blender", "cli", "mixseq_io", "__main__"), f"{module} imports mixseq"
-        else:
-            assert ROOMS.index(other) < ROOMS.index(own), f"{module} imports {other}"
+def test_rooms_import_only_those_before(imports: dict[str, set[str]]) -> None:
+    for module in imports.keys() - {"mixseq"}:
+        own = room_of(module)
+        for other in {room_of(name) for name in imports[module]} - {"version", own}:
+            if other == "":  # the lazy names of mixseq
+                assert own in ("blender", "cli", "mixseq_io", "__main__"), f"{module} imports mixseq"
+            else:
+                assert ROOMS.index(other) < ROOMS.index(own), f"{module} imports {other}"
 
 
-def test_no_modules_import_each_other_in_a_circle() -> None:
-    graph = {module: names - {"mixseq"} for module, names in IMPORTS.items() if module != "mixseq"}
+def test_no_modules_import_each_other_in_a_circle(imports: dict[str, set[str]]) -> None:
+    graph = {module: names - {"mixseq"} for module, names in imports.items() if module != "mixseq"}
     while leaves := {module for module, names in graph.items() if not names & graph.keys()}:
         graph = {module: names for module, names in graph.items() if module not in leaves}
     assert not graph, "these are in circles, or import some that are"

@@ -19,14 +19,7 @@ from mixseq.operations.retiming import read_retiming
 from mixseq_io.text.maps import read_map, to_correspondence
 from mixseq_io.text.markers import read_contacts, read_markers
 from scripts.fuzzing import samples
-from scripts.fuzzing.damage import (
-    Damage,
-    damage_archive,
-    damage_bytes,
-    damage_h5,
-    damage_json,
-    damage_text,
-)
+from scripts.fuzzing.damage import Damage, damage_archive, damage_bytes, damage_h5, damage_json, damage_text
 from scripts.fuzzing.samples import Sample, written
 
 OUT = "out.npz"

@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import mixseq
-from mixseq.blender.motion import Motion, Placing, fitting, part_names, part_of, seconds
-from mixseq.errors import SettingsError
+from mixseq.blender.motion import (
+    Frames,
+    MeshParts,
+    Models,
+    Motion,
+    Placing,
+    fitting,
+    part_names,
+    part_of,
+    seconds,
+)
+from mixseq.errors import FormatError, SettingsError
 from mixseq.mesh.polygons import Polygons
-from mixseq.mesh.surface import MeshObject, Surface
+from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Surface
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.model import Model
+from mixseq.types import Index, Single
 
 
 @pytest.fixture(scope="module")
@@ -87,3 +101,184 @@ def test_a_model_that_does_not_tell_more_stands_upright_in_metres(bar_model: Mod
     header = replace(bar_model.header, up_axis="Z", metres_per_unit=1)
     assert Placing.as_told(header) == Placing("Z", 1)
     assert not Placing.as_told(header).conversion(header).changes
+
+
+# What is kept: frames up to a limit, models until their files change
+
+SIZE = 12
+"""Bytes of a frame of one vertex."""
+
+
+class Counted:
+    """Frames that are made, and how often."""
+
+    def __init__(self) -> None:
+        self.made: list[int] = []
+
+    def __call__(self, number: int) -> Callable[[], Single]:
+        def make() -> Single:
+            self.made.append(number)
+            return np.full((1, 3), number, dtype=np.float32)
+
+        return make
+
+
+def test_frames_are_made_once() -> None:
+    frames, counted = Frames(), Counted()
+    for _ in range(2):
+        np.testing.assert_array_equal(frames.get("here", counted(7)), [[7, 7, 7]])
+    assert counted.made == [7]
+    assert frames.size == SIZE
+
+
+def test_those_used_last_are_kept() -> None:
+    frames, counted = Frames(2 * SIZE), Counted()
+    for number in (0, 1, 0, 2, 0, 1):
+        frames.get(number, counted(number))
+    assert counted.made == [0, 1, 2, 1]
+    assert frames.size == 2 * SIZE
+
+
+def test_one_frame_is_kept_however_large_it_is() -> None:
+    frames, counted = Frames(1), Counted()
+    for number in (0, 0, 1, 1):
+        frames.get(number, counted(number))
+    assert counted.made == [0, 1]
+
+
+def test_a_frame_cannot_be_changed() -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        Frames().get(0, Counted()(0))[0] = 1
+
+
+def test_what_is_forgotten_is_made_again() -> None:
+    frames, counted = Frames(), Counted()
+    frames.get(0, counted(0))
+    frames.clear()
+    assert frames.size == 0
+    frames.get(0, counted(0))
+    assert counted.made == [0, 0]
+
+
+def test_models_are_read_again_when_their_files_change(tmp_path: Path, bar_model: Model) -> None:
+    path, read = tmp_path / "walk.h5", []
+
+    def load(path: Path) -> Model:
+        read.append(path.read_text())
+        return bar_model
+
+    models = Models(load)
+    for text in ("one", "three"):
+        path.write_text(text)
+        assert models.get(path) is models.get(path) is bar_model
+    assert read == ["one", "three"]
+
+
+def test_damage_is_read_once_and_told_every_time(tmp_path: Path) -> None:
+    path, tries = tmp_path / "walk.h5", []
+
+    def load(path: Path) -> Model:
+        tries.append(path)
+        raise FormatError(f"{path} is damaged")
+
+    models = Models(load)
+    path.write_text("damage")
+    for _ in range(2):
+        with pytest.raises(FormatError, match="is damaged"):
+            models.get(path)
+    assert len(tries) == 1
+    os.utime(path, ns=(1, 1))
+    with pytest.raises(FormatError, match="is damaged"):
+        models.get(path)
+    assert len(tries) == 2
+
+
+def test_a_missing_file_is_told(tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match=r"none\.h5: No such file or directory; choose the file again"):
+        Models(lambda path: pytest.fail("nothing to read")).get(tmp_path / "none.h5")
+
+
+# Polygons, texture coordinates, materials and hard edges, as Blender's meshes take them
+
+ROOF = [[0, 1, 2, 3], [3, 2, 4, 5]]
+"""Two quads that share the edge from 2 to 3."""
+
+EDGES = np.array([0, 1, 2, 3, 2, 4, 5, 6])
+"""Edge from every corner of the roof to the next one; the shared one is number 2."""
+
+
+def roof(meshes: int = 1, **surface: object) -> SequenceHeader:
+    corners = np.concatenate([np.array(ROOF).reshape(-1) + 6 * mesh for mesh in range(meshes)])
+    polygons = Polygons(np.full(2 * meshes, 4), corners)
+    return SequenceHeader(
+        polygons=polygons,
+        vertex_count=6 * meshes,
+        times=np.zeros(1),
+        surface=Surface(**surface),  # type: ignore[arg-type]
+    )
+
+
+def corners(*groups: int) -> Index:
+    return np.array(groups)
+
+
+@pytest.mark.parametrize(
+    ("groups", "hard"),
+    [
+        (corners(0, 0, 0, 0, 0, 0, 0, 0), []),
+        (corners(0, 0, 0, 0, 1, 1, 1, 1), [2]),
+        (corners(0, 0, 0, 0, 0, 1, 1, 1), [2]),  # the normal is split at one end only
+        (corners(0, 1, 2, 3, 3, 2, 4, 5), []),  # every vertex has a number of its own
+    ],
+)
+def test_edges_are_hard_where_corners_beside_them_do_not_share_a_normal(
+    groups: Index, hard: list[int]
+) -> None:
+    parts = MeshParts.of(roof(hard_edges=groups), "")
+    assert np.flatnonzero(parts.sharp(EDGES)).tolist() == hard
+
+
+def test_without_hard_edges_all_are_smooth() -> None:
+    assert MeshParts.of(roof(), "").sharp(EDGES).tolist() == 7 * [False]
+
+
+def test_colours_of_corners_of_one_mesh_of_two() -> None:
+    values = np.random.default_rng(0).random((16, 4)).astype(np.float32)
+    header = roof(
+        2,
+        colours=CornerValues(values, np.arange(16)),
+        objects=(MeshObject("a", "/a", 6, 2), MeshObject("b", "/b", 6, 2)),
+    )
+    colours = MeshParts.of(header, "/b").colours
+    assert colours is not None
+    np.testing.assert_array_equal(colours, values[8:])
+    assert MeshParts.of(roof(), "").colours is None
+
+
+def test_polygons_begin_where_the_last_ended() -> None:
+    parts = MeshParts.of(roof(), "")
+    assert parts.starts.tolist() == [0, 4]
+    assert parts.corners.tolist() == np.array(ROOF).reshape(-1).tolist()
+
+
+def test_materials_are_those_of_the_face_sets() -> None:
+    sets = (FaceSet("walls", np.array([1]), "/looks/brick"), FaceSet("floor", np.array([0])))
+    parts = MeshParts.of(roof(face_sets=sets), "")
+    assert [parts.materials[number] for number in parts.material_of_polygon] == ["floor", "brick"]
+
+
+def test_polygons_in_no_face_set_have_the_material_of_none() -> None:
+    parts = MeshParts.of(roof(face_sets=(FaceSet("walls", np.array([1])),)), "")
+    assert [parts.materials[number] for number in parts.material_of_polygon] == ["", "walls"]
+
+
+def test_one_of_several_meshes() -> None:
+    objects = tuple(MeshObject(name, f"/{name}", 6, 2) for name in ("house", "barn"))
+    values = CornerValues(np.arange(32.0).reshape(16, 2), np.arange(16))
+    sets = (FaceSet("hay", np.array([3])), FaceSet("brick", np.array([0, 1])))
+    parts = MeshParts.of(roof(2, objects=objects, uvs=values, face_sets=sets), "barn")
+    assert parts.corners.tolist() == np.array(ROOF).reshape(-1).tolist()
+    assert parts.uvs is not None
+    assert parts.uvs[0].tolist() == [16, 17]
+    assert parts.materials == ("", "hay")
+    assert parts.material_of_polygon.tolist() == [0, 1]

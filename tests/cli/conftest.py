@@ -61,6 +61,28 @@ def run(folder: Path) -> Run:
     return run_it
 
 
+@pytest.fixture(scope="session")
+def files_made() -> dict[tuple[str, ...], bytes]:
+    """What commands made, see `made_once`."""
+    return {}
+
+
+@pytest.fixture
+def made_once(run: Run, folder: Path, files_made: dict[tuple[str, ...], bytes]) -> Callable[..., Path]:
+    """Run ``mixseq COMMAND SOURCE TARGET ...`` where no other test did, and return the target."""
+
+    def make(*arguments: str) -> Path:
+        target = folder / arguments[2]
+        if arguments not in files_made:
+            result = run(*arguments)
+            assert (result.exit_code, result.stderr) == (0, "")
+            files_made[arguments] = target.read_bytes()
+        target.write_bytes(files_made[arguments])
+        return target
+
+    return make
+
+
 @pytest.fixture
 def contents(folder: Path) -> Callable[[], dict[str, bytes | None]]:
     """Return the names and contents of everything in the folder."""

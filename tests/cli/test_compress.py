@@ -42,9 +42,8 @@ def rows(text: str) -> dict[str, str]:
 
 
 @pytest.fixture
-def small(run: Run, folder: Path) -> Path:
-    succeed(run("encode", "bar.npz", "small.h5", "--max-error", "0.001", "-q"))
-    return folder / "small.h5"
+def small(made_once: Callable[..., Path]) -> Path:
+    return made_once("encode", "bar.npz", "small.h5", "--max-error", "0.001", "-q")
 
 
 @pytest.mark.parametrize("before", [None, "2"])

@@ -19,9 +19,8 @@ Run = Callable[..., Result]
 
 
 @pytest.fixture
-def glb(run: Run, folder: Path) -> Path:
-    succeed(run("encode", "bar.npz", "small.glb", "--max-error", "0.001", "--still", "plain", "-q"))
-    return folder / "small.glb"
+def glb(made_once: Callable[..., Path]) -> Path:
+    return made_once("encode", "bar.npz", "small.glb", "--max-error", "0.001", "--still", "plain", "-q")
 
 
 def test_encode_to_an_error(run: Run) -> None:

@@ -87,11 +87,9 @@ def interrupt(process: subprocess.Popen[bytes]) -> tuple[int, bytes]:
 
 
 @pytest.mark.usefixtures("interruptible")
-@pytest.mark.parametrize("exists", [False, True])
-def test_interrupt_while_encoding(big: Path, tmp_path: Path, terminal: Terminal, exists: bool) -> None:
+def test_interrupt_while_encoding(big: Path, tmp_path: Path, terminal: Terminal) -> None:
     target = tmp_path / "big.h5"
-    if exists:
-        target.write_bytes(b"somebody's work")
+    target.write_bytes(b"somebody's work")
     with start(terminal, tmp_path, "encode", str(big), "big.h5") as process:
         try:
             wait_until(lambda: "finding parts" in terminal.shown(), process)
@@ -100,8 +98,8 @@ def test_interrupt_while_encoding(big: Path, tmp_path: Path, terminal: Terminal,
             process.kill()
     assert terminal.shown().rstrip().endswith("mixseq: interrupted")
     assert "Traceback" not in terminal.shown()
-    assert [path.name for path in tmp_path.iterdir()] == (["big.h5"] if exists else [])
-    assert not exists or target.read_bytes() == b"somebody's work"
+    assert list(tmp_path.iterdir()) == [target]
+    assert target.read_bytes() == b"somebody's work"
 
 
 @pytest.mark.usefixtures("interruptible")
@@ -135,7 +133,8 @@ def test_termination_while_writing(big: Path, tmp_path: Path, terminal: Terminal
 
 
 def test_progress_on_a_terminal_only(folder: Path, terminal: Terminal) -> None:
-    with start(terminal, folder, "encode", "bar.npz", "new.h5") as process:
+    command = ("encode", "bar.npz", "new.h5", "--space", "vertex")
+    with start(terminal, folder, *command) as process:
         try:
             while process.poll() is None:
                 terminal.shown()  # somebody has to read: a terminal takes a few kB, and then writing to it waits
@@ -144,14 +143,12 @@ def test_progress_on_a_terminal_only(folder: Path, terminal: Terminal) -> None:
             process.kill()
     assert process.returncode == 0
     assert "choosing modes and knots" in terminal.shown()
-    quiet = subprocess.run(
-        [MIXSEQ, "encode", "bar.npz", "new.h5"], cwd=folder, capture_output=True, timeout=PATIENCE
-    )
+    quiet = subprocess.run([MIXSEQ, *command], cwd=folder, capture_output=True, timeout=PATIENCE)
     assert (quiet.returncode, quiet.stderr) == (0, b"")
 
 
 def test_quiet_on_a_terminal(folder: Path, terminal: Terminal) -> None:
-    with start(terminal, folder, "encode", "bar.npz", "new.h5", "--quiet") as process:
+    with start(terminal, folder, "encode", "bar.npz", "new.h5", "--space", "vertex", "-q") as process:
         process.communicate(timeout=PATIENCE)
     assert process.returncode == 0
     assert terminal.shown() == ""
@@ -165,9 +162,7 @@ def test_progress_is_silent_without_a_terminal(monkeypatch: pytest.MonkeyPatch) 
         assert progress is silent
 
 
-@pytest.mark.parametrize(
-    "line", ["--help", "encode --help", "formats", "info bar.npz", "info bar.npz --json"]
-)
+@pytest.mark.parametrize("line", ["encode --help", "info bar.npz"])
 def test_a_broken_pipe_is_quiet(folder: Path, line: str) -> None:
     reader, writer = os.pipe()
     os.close(reader)

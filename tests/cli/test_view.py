@@ -358,9 +358,7 @@ def test_addresses_that_cannot_be(run: Run, folder: Path, options: str, message:
 
 
 @pytest.mark.usefixtures("interruptible")
-@pytest.mark.parametrize(
-    ("number", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, 143), (signal.SIGHUP, 129)]
-)
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, 143)])
 def test_it_runs_until_it_is_ended(folder: Path, number: signal.Signals, code: int) -> None:
     pytest.importorskip("viser", reason="the extra viewer is not installed")
     before = sorted(folder.iterdir())

@@ -31,8 +31,8 @@ FIRST_USE = """
 import mixseq
 from mixseq.creature import walk_cycle
 
-walk = walk_cycle(frames=8)
-mixseq.save("walk.h5", mixseq.compress(walk, kg=0.5))
+walk = walk_cycle(frames=4)
+mixseq.save("walk.h5", mixseq.compress(walk, kg=2.0))
 mixseq.load("walk.h5")(0.1)
 mixseq.fit(walk).sample()
 """

@@ -172,7 +172,7 @@ def rigged() -> tuple[Json, bytes]:
                 "name": "nod",
                 "channels": [{"sampler": 0, "target": {"node": 3, "path": "translation"}}],
                 "samplers": [{"input": keys, "output": lift}],
-            },
+            }
         ],
         "accessors": accessors,
         "bufferViews": views,

@@ -191,8 +191,7 @@ def test_after_an_interruption_nothing_has_changed(
     assert files() == before
 
 
-@pytest.mark.parametrize("step", ["fsync", "replace"])
-@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EACCES, errno.EIO])
+@pytest.mark.parametrize(("step", "code"), [("fsync", errno.ENOSPC), ("replace", errno.EIO)])
 def test_a_refusal_of_the_disk_at_the_end_is_explained(
     target: Any,
     plain: MeshSequence,
@@ -230,21 +229,32 @@ def test_a_folder_in_the_way(target: Any, plain: MeshSequence, tmp_path: Path, f
     assert files() == {}
 
 
+BLOCKS: dict[str, tuple[Callable[..., Any], str]] = {
+    "too few": (lambda points: [points[:3]], "3 frames of points for 5 times"),
+    "nan": (lambda points: [points[:2], np.where(points[2:] > 0, np.nan, points[2:])], "frame 2: vertex"),
+    "too many": (lambda points: [points, points], "more frames of points than 5 times"),
+    "none": (lambda points: [], "no points for the header's 5 times"),
+    "vertices": (lambda points: [points[:, :-1]], "frame 0 has 7 vertices, the mesh has 8"),
+    "dtype": (
+        lambda points: [points[:2], points[2:].astype(np.float64)],
+        "frame 2: points turn from float32",
+    ),
+}
+"""Blocks that do not fit; one function checks them for all formats, which clean up on their own."""
+
+
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("target", "what"),
     [
-        (lambda points: [points[:3]], "3 frames of points for 5 times"),
-        (lambda points: [points, points], "more frames of points than 5 times"),
-        (lambda points: [], "no points for the header's 5 times"),
-        (lambda points: [points[:, :-1]], "frame 0 has 7 vertices, the mesh has 8"),
-        (lambda points: [points[:2], points[2:].astype(np.float64)], "frame 2: points turn from float32"),
-        (lambda points: [points[:2], np.where(points[2:] > 0, np.nan, points[2:])], "frame 2: vertex"),
+        *((target, what) for target in TARGETS for what in ("too few", "nan")),
+        *((TARGETS[4], w) for w in BLOCKS),
     ],
-    ids=["too few", "too many", "none", "vertices", "dtype", "nan"],
+    ids=lambda each: each if isinstance(each, str) else each.file_name,
 )
 def test_blocks_that_do_not_fit_the_header(
-    target: Any, plain: MeshSequence, tmp_path: Path, files: Files, change: Callable[..., Any], message: str
+    target: Any, plain: MeshSequence, tmp_path: Path, files: Files, what: str
 ) -> None:
+    change, message = BLOCKS[what]
     with pytest.raises(InvalidSequenceError, match=message):
         write_blocks(tmp_path / target.file_name, plain.header, change(plain.points), **target.options)
     assert files() == {}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,23 +19,28 @@ from numpy.typing import NDArray
 import mixseq
 from mixseq.choices import OrderName
 from mixseq.compression.numbering import cheapest_numbering
-from mixseq.errors import MixseqWarning
-from mixseq.mesh.surface import CornerValues, Surface
+from mixseq.errors import InvalidSequenceError, MixseqWarning
+from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Origin, Surface
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import FloatArray, IntArray
-from mixseq_io import read, write
+from mixseq_io import read, write, write_blocks
 from mixseq_io.numbered.files import colours_of_words
 from mixseq_io.surfaces import (
+    SURFACE_ARRAYS,
+    VISIBLE,
+    Arrays,
+    Rounding,
     as_bytes,
     from_text,
     nearest_bytes,
     of_bytes,
     surface_arrays,
+    surface_of_arrays,
     with_alpha,
     within_one,
 )
-from tests.formats.conftest import painted
+from tests.formats.conftest import fan, painted, wave
 from tests.meshes import bar
 
 
@@ -322,3 +328,136 @@ def test_a_painted_character_through_all_formats(data: Path, tmp_path: Path) -> 
         assert got.surface.colours is not None
         at_vertices = got.surface.colours.at_vertices(got.polygons.indices, got.vertex_count, np.zeros(4))  # type: ignore[arg-type]
         np.testing.assert_array_equal(at_vertices, values, err_msg=name)
+
+
+# Surfaces as arrays: there and back, and what is refused
+
+
+def full() -> Surface:
+    return Surface(
+        uvs=CornerValues(np.random.default_rng(1).random((5, 2)), np.arange(7) % 5),
+        colours=CornerValues(np.random.default_rng(2).random((3, 4)), np.arange(7) % 3),
+        hard_edges=np.arange(7)[::-1],
+        face_sets=(
+            FaceSet("Hände", np.array([0, 1]), "/Looks/Haut 皮"),
+            FaceSet("empty", np.array([], dtype=int)),
+        ),
+        objects=(MeshObject("a", "/w/a", 4, 1), MeshObject("ä", "/w/ä", 3, 1, subdivision="none")),
+        subdivision="loop",
+        origin=Origin("glTF", "/tmp/走る.glb"),
+    )
+
+
+def test_there_and_back() -> None:
+    surface = full()
+    arrays = surface_arrays(surface)
+    assert set(arrays) == set(SURFACE_ARRAYS)
+    got = surface_of_arrays(arrays)
+    assert got.uvs is not None and surface.uvs is not None
+    np.testing.assert_array_equal(got.uvs.values, surface.uvs.values)
+    np.testing.assert_array_equal(got.uvs.indices, surface.uvs.indices)
+    assert got.colours is not None and surface.colours is not None
+    np.testing.assert_array_equal(got.colours.values, surface.colours.values)
+    np.testing.assert_array_equal(got.colours.indices, surface.colours.indices)
+    assert got.hard_edges is not None
+    assert got.hard_edges.tolist() == [6, 5, 4, 3, 2, 1, 0]
+    assert [(each.name, each.polygons.tolist(), each.material) for each in got.face_sets] == [
+        ("Hände", [0, 1], "/Looks/Haut 皮"),
+        ("empty", [], ""),
+    ]
+    assert got.objects == surface.objects
+    assert (got.subdivision, got.origin) == (surface.subdivision, surface.origin)
+
+
+def test_nothing_is_nothing() -> None:
+    assert surface_arrays(Surface()) == {}
+    bare = surface_of_arrays({})
+    assert bare.colours is None
+    assert (bare.uvs, bare.hard_edges, bare.face_sets, bare.objects) == (None, None, (), ())
+    assert (bare.subdivision, bare.origin) == ("none", None)
+
+
+def without(*names: str) -> Callable[[Arrays], Arrays]:
+    return lambda arrays: {name: array for name, array in arrays.items() if name not in names}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (without("uv_indices"), "uv_indices of the surface are missing"),
+        (without("colour_values"), "colour_values of the surface are missing"),
+        (
+            without("face_set_sizes", "face_set_names"),
+            "face_set_names, face_set_sizes of the surface are missing",
+        ),
+        (lambda a: a | {"face_set_sizes": np.array([1, 2])}, "do not fit each other"),
+        (lambda a: a | {"face_set_sizes": np.array([3, -1])}, "do not fit each other"),
+        (lambda a: a | {"object_sizes": np.zeros((2, 3), dtype=int)}, "do not fit each other"),
+        (lambda a: a | {"object_subdivisions": np.array(["loop"])}, "schemes of subdivision do not fit"),
+        (lambda a: a | {"creases": np.zeros(7)}, "creases of the surface are float64; integers are expected"),
+        (lambda a: a | {"origin": np.array(["USD"])}, "not a format and a path"),
+    ],
+    ids=["half", "no colours", "two", "sum", "negative", "columns", "schemes", "floats", "origin"],
+)
+def test_refusals(change: Callable[[Arrays], Arrays], message: str) -> None:
+    with pytest.raises(InvalidSequenceError, match=message):
+        surface_of_arrays(change(surface_arrays(full())))
+
+
+# Files of single precision tell when vertices are visibly off in them, and by how much
+
+CLOUD = MeshSequence.from_arrays(wave(dtype=np.float64), fan(), name="cloud")
+
+
+def error_told(path: Path, sequence: MeshSequence) -> float:
+    """Write frame by frame; return the error that a warning tells, 0 if there is none."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        write_blocks(path, sequence.header, list(sequence.blocks(1)))
+    told = [re.search(r"off by up to (\S+) of the diagonal", str(each.message)) for each in caught]
+    return max((float(found[1]) for found in told if found), default=0.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["a.usdc", "a.abc", "a.glb", "a.pc2", "a.mdd"])
+def test_the_error_that_is_told_is_that_of_the_file(name: str, tmp_path: Path) -> None:
+    for offset in (0.0, 100.0, 1e5, 1e8):
+        far = CLOUD.with_points(CLOUD.points + offset)
+        told = error_told(tmp_path / name, far)
+        apart = np.linalg.norm(read(tmp_path / name).points.astype(np.float64) - far.points, axis=2)
+        error = apart.max() / far.diagonal
+        assert told == pytest.approx(error if error > VISIBLE else 0.0, rel=0.06)
+        assert (told > 0) is (offset >= 1e5)
+
+
+@pytest.mark.parametrize("name", ["a.npz", "a_####.ply", "a_####.obj", "a_####.off"])
+def test_doubles_are_not_off(name: str, tmp_path: Path) -> None:
+    assert error_told(tmp_path / name, CLOUD.with_points(CLOUD.points + 1e8)) == 0
+
+
+def test_a_warning_says_what_would_help(tmp_path: Path) -> None:
+    far = CLOUD.with_points(CLOUD.points + np.array([0, 0, 0, 1e6, 1e4])[:, None, None])
+    message = r"a\.pc2: PC2 holds points in single precision, .* most in frame 3; write \.npz, \.h5 or \.ply"
+    with pytest.warns(MixseqWarning, match=message):
+        write(tmp_path / "a.pc2", far)
+
+
+def test_single_precision_stays_what_it_is(tmp_path: Path) -> None:
+    assert error_told(tmp_path / "a.pc2", CLOUD.with_points((CLOUD.points + 1e8).astype(np.float32))) == 0
+
+
+def test_what_is_hardly_larger_than_zero_is_off() -> None:
+    rounding = Rounding()
+    for points in (CLOUD.points, CLOUD.points * 1e-30, CLOUD.points * 1e-36):
+        list(rounding.watched([points]))
+        assert rounding.error == 0
+    list(rounding.watched([CLOUD.points * 1e-310]))
+    largest = np.linalg.norm(CLOUD.points, axis=2).max() / CLOUD.diagonal
+    assert rounding.error == pytest.approx(largest)
+
+
+def test_a_first_frame_that_is_one_point_has_the_diagonal_one() -> None:
+    rounding = Rounding()
+    list(rounding.watched([np.full((1, 4, 3), 1.0), np.full((1, 4, 3), 2.0**24 + 1)]))
+    assert rounding.error == pytest.approx(3**0.5)
+    assert rounding.frame == 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -65,7 +65,7 @@ def reading_damaged(path: Path, content: bytes) -> MeshSequence | None:
 
 def test_cut_anywhere(original: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     content = original.read_bytes()
-    ends = [len(content) * percent // 100 for percent in range(100)]
+    ends = [len(content) * part // 40 for part in range(40)]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         whole = read(original)
@@ -75,34 +75,20 @@ def test_cut_anywhere(original: Path, tmp_path: Path, capfd: pytest.CaptureFixtu
         refused += got is None
         # What is missing may be no more than a texture, or the directory of a package.
         assert got is None or np.array_equal(got.points, whole.points)
-    assert refused > 45
+    assert refused > 18
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize(
-    "damage",
-    [
-        lambda byte, bit: byte ^ (1 << bit),
-        lambda byte, bit: 255,
-        lambda byte, bit: 0,
-    ],
-    ids=["bit", "ones", "zeros"],
-)
-def test_flipped_anywhere(
-    original: Path,
-    tmp_path: Path,
-    damage: Callable[[int, int], int],
-    capfd: pytest.CaptureFixture[str],
-) -> None:
+def test_flipped_anywhere(original: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     content = original.read_bytes()
     rng = np.random.default_rng(len(content))
     # Structure is at the ends of most formats, and there is little of it among the numbers.
-    near = np.minimum(rng.integers(0, 4096, 12), len(content) - 1)
-    places = [*near, *(len(content) - 1 - near), *rng.integers(0, len(content), 6)]
-    for place in places:
+    near = np.minimum(rng.integers(0, 4096, 18), len(content) - 1)
+    places = [*near, *(len(content) - 1 - near), *rng.integers(0, len(content), 9)]
+    for number, place in enumerate(places):
         damaged = bytearray(content)
         width = int(rng.integers(1, 9))
         for at in range(place, min(place + width, len(content))):
-            damaged[at] = damage(damaged[at], int(rng.integers(8)))
+            damaged[at] = (damaged[at] ^ (1 << int(rng.integers(8))), 255, 0)[number % 3]
         reading_damaged(tmp_path / f"flipped{original.suffix}", bytes(damaged))
     assert capfd.readouterr() == ("", "")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mixseq.errors import FormatError, InvalidSequenceError, MixseqWarning, OutputError
+from mixseq.errors import FormatError, InvalidSequenceError, MixseqWarning, OutputError, SettingsError
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Surface
 from mixseq.sequence.sequence import MeshSequence
@@ -213,3 +214,139 @@ def test_a_file_that_shrinks_while_it_is_read(tmp_path: Path, kind: str) -> None
         (tmp_path / f"run.{kind}").write_bytes(b"short")
         with pytest.raises(FormatError, match="cannot be read as a point cache"):
             list(reader.blocks())
+
+
+# MDD files: times in single precision, and the frame rate that they tell
+
+
+def moving(times: np.ndarray, fps: float = 24) -> MeshSequence:
+    points = np.eye(3, dtype=np.float32) + np.arange(len(times), dtype=np.float32)[:, None, None]
+    return MeshSequence.from_arrays(points, [[0, 1, 2]], times=times, fps=fps)
+
+
+@pytest.mark.parametrize("fps", [12, 23.976, 24, 24000 / 1001, 25, 29.97, 30, 59.94, 120, 14.7])
+@pytest.mark.parametrize("start", [0, 40])
+def test_times_and_rate(tmp_path: Path, fps: float, start: float) -> None:
+    written = moving(start + np.arange(50) / fps, fps)
+    write(tmp_path / "a.mdd", written)
+    got = read(tmp_path / "a.mdd")
+    np.testing.assert_allclose(got.times, written.times, rtol=4e-7, atol=6e-7)
+    assert got.fps == pytest.approx(fps, rel=2e-4)
+    if fps == int(fps):
+        assert got.fps == fps
+        np.testing.assert_array_equal(got.times, np.rint(written.times * fps) / fps)
+
+
+def test_uneven_times_are_kept_in_single_precision_and_others_exactly(tmp_path: Path) -> None:
+    times = np.array([-1.0, 0.1, 0.1 + 1 / 24, 0.1 + 2 / 24, 7 / 3])
+    write(tmp_path / "a.mdd", moving(times))
+    got = read(tmp_path / "a.mdd")
+    assert got.fps == 24
+    assert got.times.tolist() == [*times[:-1].astype(np.float32), 56 / 24]
+
+
+def test_rates_that_times_do_not_tell(tmp_path: Path) -> None:
+    with pytest.warns(MixseqWarning, match="MDD files cannot hold 24 frames per second"):
+        write(tmp_path / "a.mdd", moving(np.arange(4) / 12))
+    assert read(tmp_path / "a.mdd").fps == 12
+
+
+def test_one_frame(tmp_path: Path) -> None:
+    write(tmp_path / "a.mdd", moving(np.array([0.5])))
+    got = read(tmp_path / "a.mdd")
+    assert (got.times.tolist(), got.fps) == ([0.5], 24)
+
+
+@pytest.mark.parametrize("last", [0.0, -1.0, float("inf"), float("nan")])
+def test_a_last_time_that_is_not_after_the_first(tmp_path: Path, last: float) -> None:
+    """Between them times increase, so that there is a rate to be looked for."""
+    write(tmp_path / "a.mdd", moving(np.arange(5) / 24))
+    content = bytearray((tmp_path / "a.mdd").read_bytes())
+    content[8 + 4 * 4 : 8 + 5 * 4] = struct.pack(">f", last)
+    (tmp_path / "a.mdd").write_bytes(content)
+    with pytest.raises(
+        InvalidSequenceError, match=r"a.mdd: frame 4(: its time is not finite| is at .* s, not after)"
+    ):
+        read(tmp_path / "a.mdd")
+
+
+def test_times_too_close_for_single_precision(tmp_path: Path) -> None:
+    with pytest.raises(
+        InvalidSequenceError, match=r"frames 1 and 2 are both at 1000 s in float32, which MDD stores"
+    ):
+        write(tmp_path / "a.mdd", moving(np.array([999.0, 1000.0, 1000.00001])))
+
+
+@pytest.mark.parametrize("last", [0.0, -1.0, float("nan"), float("inf")])
+def test_times_that_do_not_increase(tmp_path: Path, last: float) -> None:
+    write(tmp_path / "a.mdd", moving(np.arange(2) / 24))
+    content = bytearray((tmp_path / "a.mdd").read_bytes())
+    struct.pack_into(">f", content, 12, last)
+    (tmp_path / "a.mdd").write_bytes(content)
+    with pytest.raises(InvalidSequenceError, match=r"a\.mdd: frame 1.* time"):
+        read(tmp_path / "a.mdd")
+
+
+# PC2 files: the header and the times that follow from it
+
+POINTS = np.eye(3, dtype=np.float32)[None] + np.arange(4, dtype=np.float32)[:, None, None]
+
+
+def save(
+    folder: Path, start: float = 0, rate: float = 1, version: int = 1, magic: bytes = b"POINTCACHE2\0"
+) -> Path:
+    write(folder / "a.obj", MeshSequence.from_arrays(POINTS[:1], [[0, 1, 2]]))
+    header = struct.pack("<12siiffi", magic, version, 3, start, rate, 4)
+    (folder / "a.pc2").write_bytes(header + POINTS.tobytes())
+    return folder / "a.pc2"
+
+
+def test_times_are_frames_over_the_rate(tmp_path: Path) -> None:
+    path = save(tmp_path, start=10, rate=0.5)
+    for fps in (24.0, 30.0):
+        got = read(path, fps=fps)
+        np.testing.assert_allclose(got.times, np.array([10, 10.5, 11, 11.5]) / fps, rtol=1e-15)
+        assert got.fps == fps
+    np.testing.assert_array_equal(read(path).points, POINTS)
+    with pytest.raises(SettingsError, match="fps is 0"):
+        read(path, fps=0)
+
+
+@pytest.mark.parametrize(("start", "rate"), [(0, 0), (0, -1), (float("nan"), 1), (0, float("inf"))])
+def test_times_of_pc2_that_do_not_increase(tmp_path: Path, start: float, rate: float) -> None:
+    with pytest.raises(InvalidSequenceError, match=r"a\.pc2: frame \d.* time"):
+        read(save(tmp_path, start, rate))
+
+
+def test_other_versions_and_files(tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match=r"a\.pc2 cannot be read as a PC2 file.*its version is 2, not 1"):
+        read(save(tmp_path, version=2))
+    with pytest.raises(FormatError, match="does not begin with POINTCACHE2"):
+        read(save(tmp_path, magic=b"POINTCACHE1\0"))
+
+
+@pytest.mark.parametrize("times", [[0.0, 0.5, 1.0, 1.5], [-1.0, 0.0, 1.0, 2.0], [100.0, 101.0, 102.0, 103.0]])
+def test_even_times_are_kept(tmp_path: Path, times: list[float]) -> None:
+    write(tmp_path / "a.pc2", MeshSequence.from_arrays(POINTS, [[0, 1, 2]], times=times))
+    np.testing.assert_allclose(read(tmp_path / "a.pc2").times, times, rtol=1e-12)
+
+
+def test_one_frame_of_pc2(tmp_path: Path) -> None:
+    write(tmp_path / "a.pc2", MeshSequence.from_arrays(POINTS[:1], [[0, 1, 2]], times=[2.5], fps=30))
+    assert read(tmp_path / "a.pc2", fps=30).times.tolist() == [2.5]
+
+
+def test_uneven_times_and_other_rates_are_lost(tmp_path: Path) -> None:
+    uneven = MeshSequence.from_arrays(POINTS, [[0, 1, 2]], times=[0, 1, 2, 4])
+    with pytest.warns(MixseqWarning, match="PC2 files cannot hold uneven times"):
+        write(tmp_path / "a.pc2", uneven)
+    np.testing.assert_allclose(read(tmp_path / "a.pc2").times, [0, 4 / 3, 8 / 3, 4], rtol=1e-6)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        write(tmp_path / "b.pc2", MeshSequence.from_arrays(POINTS, [[0, 1, 2]], fps=29.97))
+    (warning,) = caught
+    assert "29.97 frames per second (read it with fps=29.97)" in str(warning.message)
+    assert warning.filename == __file__
+    np.testing.assert_allclose(
+        read(tmp_path / "b.pc2", fps=29.97).times, np.arange(4) * 1001 / 30000, rtol=1e-7
+    )

@@ -31,10 +31,7 @@ def pair() -> MeshSequence:
     surface = Surface(
         uvs=CornerValues(random.integers(0, 9, (corners, 2)) / 8, np.arange(corners)),
         hard_edges=np.where(random.random(corners) < 0.1, np.arange(corners) + corners, faces.reshape(-1)),
-        face_sets=(
-            FaceSet("front", np.arange(0, polygons, 2)),
-            FaceSet("back", np.arange(1, polygons, 2)),
-        ),
+        face_sets=(FaceSet("front", np.arange(0, polygons, 2)), FaceSet("back", np.arange(1, polygons, 2))),
         objects=(
             MeshObject("one", "", one.vertex_count, len(one.faces)),
             MeshObject("other", "", other.vertex_count, len(other.faces)),

@@ -9,11 +9,17 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from mixseq.mesh.measures import (
+    Diagonal,
     dihedral_angles,
     edge_lengths,
+    hard_edges_of_normals,
+    shared_normals,
     unwrap_angles,
+    vector_areas,
     wrap,
 )
+from mixseq.mesh.polygons import Polygons
+from mixseq.sequence.sequence import bounding_diagonal
 from mixseq.types import Float
 from tests.meshes import rigid_motions, tetrahedron, topology_of, tube
 from tests.shells.formulas import dihedral_gradients, length_gradients
@@ -177,3 +183,102 @@ def test_unwrapping_leaves_its_input_alone() -> None:
     unwrap_angles(angles, np.array([9.0]))
     assert angles.tolist() == [[3.0], [-3.0]]
     assert unwrap_angles(np.zeros((0, 2)), np.zeros(2)).shape == (0, 2)
+
+
+# Diagonals, and lengths in them, at any scale
+
+BOX = np.array([[0.0, 0, 0], [2, 0, 0], [0, 3, 6]])
+
+
+@pytest.mark.parametrize("exponent", [-1060, -600, -100, 0, 100, 600, 1021])
+def test_diagonals_of_any_size(exponent: int) -> None:
+    points = np.ldexp(BOX, exponent)
+    unit = Diagonal.of(points)
+    assert unit == Diagonal(7 / 8, exponent + 3)
+    assert unit.length == np.ldexp(7.0, exponent)
+    np.testing.assert_array_equal(unit.shifted(points), BOX / 8)
+
+
+def test_digits_are_those_of_the_plain_formula() -> None:
+    for points in np.random.default_rng(1).normal(size=(50, 10, 3)):
+        extent = points.max(axis=0) - points.min(axis=0)
+        assert bounding_diagonal(points) == np.linalg.norm(extent)
+        assert bounding_diagonal(points.astype(np.float32)) > 0
+
+
+def test_places_do_not_matter() -> None:
+    assert Diagonal.of(BOX + 2.0**40) == Diagonal.of(BOX)
+
+
+def test_one_point_has_none() -> None:
+    for place in (0.0, 1e300, np.finfo(np.float64).max):
+        assert Diagonal.of(np.full((3, 3), place)) == Diagonal(0.0, 0)
+
+
+def test_what_does_not_fit_into_a_double() -> None:
+    most = np.finfo(np.float64).max
+    unit = Diagonal.of(np.array([[-most, 0, 0], [most, 0, 0]]))
+    assert (round(unit.fraction, 12), unit.exponent) == (1.0, 1025)
+    assert unit.length == np.inf
+    assert Diagonal.of(BOX * 1e-300).shifted(np.array([1e300])) == np.inf
+
+
+# Normals of a cube in closed form, with its edges hard and soft
+
+CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
+SIDES = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
+CUBE = Polygons(np.full(6, 4), SIDES.reshape(-1))
+OUTWARDS = np.array([[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]])
+
+
+def test_vector_areas_of_a_cube() -> None:
+    np.testing.assert_allclose(vector_areas(CORNERS[None], CUBE)[0], 4.0 * OUTWARDS)
+
+
+def test_areas_do_not_cancel_far_away() -> None:
+    far = CORNERS[None] + 1e7
+    np.testing.assert_array_equal(vector_areas(far, CUBE)[0], 4.0 * OUTWARDS)
+
+
+def test_soft_corners_point_along_the_diagonals() -> None:
+    np.testing.assert_allclose(shared_normals(CORNERS[None], CUBE)[0], CORNERS / np.sqrt(3), atol=1e-7)
+
+
+def test_hard_edges_keep_the_normals_of_their_sides() -> None:
+    hard = np.repeat(np.arange(6), 4)
+    np.testing.assert_allclose(shared_normals(CORNERS[None], CUBE, hard)[0], OUTWARDS, atol=1e-7)
+
+
+def test_normals_turn_with_the_mesh() -> None:
+    turned = CORNERS[:, [1, 2, 0]]
+    both = shared_normals(np.stack([CORNERS, turned]), CUBE)
+    np.testing.assert_allclose(both[1], both[0][:, [1, 2, 0]], atol=1e-7)
+
+
+def test_no_area_no_direction() -> None:
+    flat = np.zeros((1, 8, 3))
+    np.testing.assert_array_equal(shared_normals(flat, CUBE)[0], np.tile([0.0, 0.0, 1.0], (8, 1)))
+
+
+def test_hard_edges_are_found_and_kept() -> None:
+    authored = np.repeat(OUTWARDS, 4, axis=0).astype(np.float32)
+    groups = hard_edges_of_normals(CUBE, authored)
+    assert groups is not None
+    assert len(np.unique(groups)) == 24
+    again = shared_normals(CORNERS[None], CUBE, groups)[0][groups]
+    np.testing.assert_allclose(again, authored, atol=1e-6)
+
+
+def test_one_normal_per_vertex_is_no_hard_edge() -> None:
+    smooth = (CORNERS / np.sqrt(3))[CUBE.indices]
+    assert hard_edges_of_normals(CUBE, smooth + 1e-5) is None
+
+
+def test_triangles_have_the_normals_of_polygons() -> None:
+    random = np.random.default_rng(0)
+    points, triangles = random.standard_normal((2, 12, 3)), random.integers(0, 12, (40, 3))
+    with_a_square = Polygons(
+        np.append(np.full(40, 3), 4), np.append(triangles, [0, 0, 0, 0])
+    )  # without an area
+    expected = shared_normals(points, with_a_square)
+    np.testing.assert_array_equal(shared_normals(points, Polygons.from_triangles(triangles)), expected)

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+from itertools import combinations
+
 import numpy as np
 import pytest
 import trimesh
+from hypothesis import given, settings
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import minimum_spanning_tree
+from scipy.spatial.distance import cdist
 from trimesh.proximity import closest_point_naive
 
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.mesh.box_tree import unit_normals
-from mixseq.mesh.nearest import Found, Nearest
+from mixseq.mesh.nearest import Attachments, Found, Nearest, attach, self_intersections
 from mixseq.types import Float, Index
-from tests.meshes import Mesh, grid, joined, rotation, tetrahedron, torus, tube
+from tests.meshes import Mesh, grid, joined, rotation, seeds, tetrahedron, torus, tube
 
 RIGHT: Mesh = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]])
 
@@ -195,3 +201,233 @@ def test_queries_that_are_refused() -> None:
         mesh.query(one, np.zeros((2, 3)))
     with pytest.raises(SettingsError, match="largest angle is 181"):
         mesh.query(one, one, 181)
+
+
+# What holds pieces of a mesh together
+
+
+def pieces_of(sizes: list[int]) -> list[Index]:
+    return np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1])
+
+
+def rows(found: Attachments) -> list[tuple[int, int, int, int]]:
+    columns = (found.pieces, found.own, found.other, found.holders)
+    return list(zip(*(column.tolist() for column in columns), strict=True))
+
+
+# Vertices on the x axis: a long body, and beads in a chain away from it.
+CHAIN = np.array([[0.0], [10.0], [13.0], [13.5], [11.0], [11.5], [15.0]]) * [1.0, 0.0, 0.0]
+
+
+def test_a_chain_is_held_one_by_one() -> None:
+    pieces = [np.array([0, 1]), np.array([2, 3]), np.array([4, 5]), np.array([6])]
+    found = attach(pieces, CHAIN, np.arange(7))
+    assert found.root == 0
+    assert rows(found) == [(2, 4, 1, 0), (1, 2, 5, 2), (3, 6, 3, 1)]
+    assert len(found) == 3
+
+
+def test_the_largest_piece_is_the_root_wherever_it_is_listed() -> None:
+    pieces = [np.array([6]), np.array([2, 3]), np.array([0, 1]), np.array([4, 5])]
+    found = attach(pieces, CHAIN, np.arange(7))
+    assert found.root == 2
+    assert rows(found) == [(3, 4, 1, 2), (1, 2, 5, 3), (0, 6, 3, 1)]
+
+
+def test_followers_are_held_by_their_leaders_and_never_the_root() -> None:
+    leaders = np.arange(7)
+    leaders[[0, 1]] = 6  # the longest piece follows the last vertex
+    leaders[[4, 5]] = 2
+    pieces = [np.array([0, 1]), np.array([2, 3]), np.array([4, 5]), np.array([6])]
+    found = attach(pieces, CHAIN, leaders)
+    assert found.root == 1
+    # By their vertices nearest to the leader; after the piece that it is on.
+    assert rows(found) == [(3, 6, 3, 1), (0, 1, 6, 3), (2, 5, 2, 1)]
+
+
+def test_a_piece_that_follows_in_part_is_free() -> None:
+    leaders = np.arange(7)
+    leaders[5] = 4
+    pieces = [np.array([0, 1]), np.array([2, 3]), np.array([4, 5]), np.array([6])]
+    assert rows(attach(pieces, CHAIN, leaders))[0] == (2, 4, 1, 0)
+
+
+def test_one_piece_needs_nothing() -> None:
+    found = attach([np.arange(7)], CHAIN, np.arange(7))
+    assert (found.root, len(found)) == (0, 0)
+    assert found.own.dtype == np.int64
+
+
+def test_pieces_that_share_a_vertex_are_held_there() -> None:
+    found = attach([np.array([0, 1, 2]), np.array([2, 3, 4])], np.eye(5)[:, :3] * 9, np.arange(5))
+    assert rows(found) == [(1, 2, 2, 0)]
+
+
+@given(seeds)
+@settings(max_examples=30, deadline=None)
+def test_attachments_are_as_short_as_can_be(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    pieces = pieces_of(rng.integers(1, 6, 8).tolist())
+    owner = np.repeat(np.arange(8), [len(each) for each in pieces])
+    points = rng.normal(size=(len(owner), 3)) + 4 * rng.normal(size=(8, 3))[owner]
+    found = attach(pieces, points, np.arange(len(points)))
+    lengths = np.linalg.norm(points[found.own] - points[found.other], axis=1)
+    apart = np.array([[cdist(points[a], points[b]).min() for a in pieces] for b in pieces])
+    np.testing.assert_allclose(lengths.sum(), minimum_spanning_tree(apart).sum())
+    assert np.array_equal(owner[found.own], found.pieces)
+    assert np.array_equal(owner[found.other], found.holders)
+    before = [found.root]
+    for piece, holder in zip(found.pieces.tolist(), found.holders.tolist(), strict=True):
+        assert holder in before
+        before.append(piece)
+    assert sorted(before) == list(range(8))
+
+
+# Meshes that go through themselves
+
+Place = tuple[Fraction, ...]
+
+FLOOR = [(0, 0, 0), (6, 0, 0), (0, 6, 0)]
+OTHERS = {
+    "pierces": ([(1, 1, -1), (1, 1, 1), (2, 1, 1)], True),
+    "cuts a side": ([(-1, 1, -1), (3, 1, 1), (-1, 1, 1)], True),
+    "one corner in the plane": ([(1, 1, 0), (3, 1, 1), (3, 1, -1)], True),
+    "wider than the floor": ([(-9, 1, -9), (20, 1, -9), (0, 1, 20)], True),
+    "stands on a corner": ([(1, 1, 0), (3, 1, 1), (1, 1, 1)], False),
+    "stands on a side": ([(1, 1, 0), (3, 1, 0), (1, 1, 1)], False),
+    "corner on a side": ([(3, 0, 0), (3, -2, 1), (3, -2, -1)], False),
+    "sides touch": ([(3, 0, -1), (3, 0, 1), (3, -2, 0)], False),
+    "in the same plane": ([(1, 1, 0), (3, 1, 0), (1, 3, 0)], False),
+    "parallel": ([(1, 1, 1), (3, 1, 1), (1, 3, 1)], False),
+    "beside it on the common line": ([(-3, 1, -1), (-1, 1, 1), (-3, 1, 1)], False),
+    "above": ([(1, 1, 1), (3, 1, 1), (1, 1, 2)], False),
+    "a segment": ([(1, 1, -1), (1, 1, 1), (1, 1, 3)], False),
+    "a point": ([(1, 1, 0), (1, 1, 0), (1, 1, 0)], False),
+    "a common corner": ([(0, 0, 0), (2, 2, 1), (2, 2, -1)], False),
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+@pytest.mark.parametrize("turn", range(3))
+@pytest.mark.parametrize("scale", [1.0, 1e-5, 1e7])
+def test_pairs(name: str, turn: int, scale: float) -> None:
+    other, cross = OTHERS[name]
+    points = scale * np.array(FLOOR + other, dtype=np.float64)
+    faces = np.array([np.roll([0, 1, 2], turn), np.roll([5, 4, 3], turn)])
+    for shown in (faces, faces[::-1], faces[:, ::-1]):
+        assert self_intersections(points, shown).tolist() == ([[0, 1]] if cross else [])
+
+
+@pytest.mark.parametrize("sides", [3, 8, 41])
+def test_a_tube_through_a_floor(sides: int) -> None:
+    floor = np.array([[-9.0, -5, 1.9], [9, -5, 1.9], [0, 9, 1.9]]), np.array([[0, 1, 2]])
+    pairs = self_intersections(*joined(floor, tube(sides, 2, closed=False)))
+    assert pairs.dtype == np.int64
+    assert pairs.tolist() == [[0, k] for k in range(1, 2 * sides + 1)]
+
+
+def crossing_tubes(sides: int) -> Mesh:
+    """A thin tube through two opposite walls, and through one triangle of each, of a wide one with four walls."""
+    turn = rotation((0, 0, np.pi / 4))  # walls face x and y
+    wide, thin = (
+        tube(4, 2, length=4, radius=2, closed=False),
+        tube(sides, 2, length=8, radius=0.1, closed=False),
+    )
+    moved = thin[0][:, [2, 0, 1]] + [-4, 0.5, 1.0]
+    return joined((wide[0] @ turn.T, wide[1]), (moved, thin[1]))
+
+
+@pytest.mark.parametrize("sides", [4, 9])
+def test_crossing_tubes(sides: int) -> None:
+    assert len(self_intersections(*crossing_tubes(sides))) == 4 * sides
+
+
+def test_more_pairs_than_triangles() -> None:
+    one = np.array([(0.0, 0, 0), (9, 0, 0), (0, 9, 0)]), np.array([[0, 1, 2]])
+    floors = [(one[0] + [0, 0, 0.01 * k], one[1]) for k in range(12)]
+    walls = [(one[0][:, [0, 2, 1]] + [0.5, 0.1 * k + 0.5, -1], one[1]) for k in range(10)]
+    pairs = self_intersections(*joined(*floors, *walls))
+    assert pairs.tolist() == [[i, 12 + j] for i in range(12) for j in range(10)]
+
+
+@pytest.mark.parametrize(
+    "mesh", [tetrahedron(), torus(20, 12), tube(9, 20), grid(9, 9)], ids=lambda _: "mesh"
+)
+def test_sound_meshes_do_not_cross_themselves(mesh: Mesh) -> None:
+    points, faces = mesh
+    assert self_intersections(points, faces).shape == (0, 2)
+    cut = points[faces].reshape(-1, 3), np.arange(faces.size).reshape(-1, 3)  # every side a seam
+    assert len(self_intersections(*cut)) == 0
+
+
+def test_motions_change_nothing() -> None:
+    points, faces = torus(24, 14)
+    both = joined((points, faces), (points @ rotation((1.0, 0.3, 0)).T + [1.5, 0, 0], faces))
+    pairs = self_intersections(*both)
+    assert len(pairs) > 30
+    moved = both[0] @ rotation((2.0, -1.0, 0.4)).T * 30 + [100, 0, -50]
+    np.testing.assert_array_equal(self_intersections(moved, both[1]), pairs)
+
+
+def exactly(points: Index, faces: Index) -> list[list[int]]:
+    """All pairs of triangles with integer corners, in exact arithmetic: where sides of one meet the other."""
+
+    def minus(p: Place, q: Place) -> Place:
+        return tuple(a - b for a, b in zip(p, q, strict=True))
+
+    def cross(p: Place, q: Place) -> Place:
+        return p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
+
+    def dot(p: Place, q: Place) -> Fraction:
+        return sum((a * b for a, b in zip(p, q, strict=True)), Fraction(0))
+
+    def meets(f: list[Place], g: list[Place]) -> set[Place] | None:
+        """Where sides of f meet g; None if f is not on both sides of g."""
+        normal = cross(minus(g[1], g[0]), minus(g[2], g[0]))
+        heights = [dot(normal, minus(p, g[0])) for p in f]
+        if not min(heights) < 0 < max(heights):
+            return None
+        found = set()
+        for k in range(3):
+            p, q, d, e = f[k], f[k - 1], heights[k], heights[k - 1]
+            if d * e <= 0:
+                x = tuple(a + (b - a) * d / (d - e) for a, b in zip(p, q, strict=True))
+                if all(dot(normal, cross(minus(g[i], g[i - 1]), minus(x, g[i - 1]))) >= 0 for i in range(3)):
+                    found.add(x)
+        return found
+
+    corners = [[tuple(Fraction(int(x)) for x in points[v]) for v in face] for face in faces]
+    pairs = []
+    for i, j in combinations(range(len(faces)), 2):
+        if not set(corners[i]) & set(corners[j]):
+            first, second = meets(corners[i], corners[j]), meets(corners[j], corners[i])
+            if first is not None and second is not None and len(first | second) > 1:
+                pairs.append([i, j])
+    return pairs
+
+
+@pytest.mark.parametrize(("size", "seed"), [(3, 0), (4, 1), (6, 2), (50, 3)])
+def test_as_in_exact_arithmetic(size: int, seed: int) -> None:
+    """On small lattices contact, common planes, common corners and flat triangles are frequent."""
+    rng = np.random.default_rng(seed)
+    points, faces = rng.integers(0, size, (120, 3)), np.arange(120).reshape(-1, 3)
+    pairs = exactly(points, faces)
+    assert len(pairs) > 20
+    assert self_intersections(points.astype(np.float64), faces).tolist() == pairs
+    places, number = np.unique(points, axis=0, return_inverse=True)
+    turned = places @ rotation((0.3, 0.7, -2.0)).T + [5, 0, 100]  # rounded, and still contact is contact
+    assert self_intersections(turned, number.reshape(-1, 3)).tolist() == pairs
+
+
+def test_an_empty_mesh() -> None:
+    nothing = self_intersections(np.empty((0, 3)), np.empty((0, 3), dtype=np.int64))
+    assert nothing.shape == (0, 2)
+    assert nothing.dtype == np.int64
+
+
+def test_meshes_without_intersections_to_look_for_are_refused() -> None:
+    points = np.zeros((3, 3))
+    with pytest.raises(InvalidSequenceError, match="triangle 1 is of vertices"):
+        self_intersections(points, np.array([[0, 1, 2], [0, 1, -1]]))
+    with pytest.raises(InvalidSequenceError, match="not finite"):
+        self_intersections(points * np.nan, np.array([[0, 1, 2]]))

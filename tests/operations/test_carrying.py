@@ -55,11 +55,7 @@ EDITS: dict[str, tuple[Edit, Source, list[tuple[float, float]]]] = {
         unchanged,
         [(0.0, END)],
     ),
-    "transition": (
-        lambda model: transition(model, cut(model, 0.3, END), 0.3, 0.2),
-        unchanged,
-        [(0.0, END)],
-    ),
+    "transition": (lambda model: transition(model, cut(model, 0.3, END), 0.3, 0.2), unchanged, [(0.0, END)]),
     "blend": (lambda model: blend(model, model, 0.4), unchanged, [(0.0, END)]),
     "retime": (
         lambda model: retime(model, [[0.0, 0.1], [1.0, 0.8], [1.5, 0.3]], smooth=False),

@@ -9,10 +9,29 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixseq.operations.sections import CurveSection, Seam, join, moved, refined, sites_of
+from mixseq.choices import SpaceName
+from mixseq.mesh.rotations import matrices, rotations_of, vectors
+from mixseq.operations.sections import (
+    ROUNDS,
+    CurveSection,
+    Seam,
+    correction_measure,
+    join,
+    mean,
+    mean_placements,
+    moved,
+    placement_measure,
+    refined,
+    sampled,
+    shape_measure,
+    sites_of,
+)
 from mixseq.signals.curve import Curve
-from tests.meshes import seeds
-from tests.operations.motions import jets, jumps
+from mixseq.signals.fitting import fit
+from mixseq.types import Float
+from tests.meshes import bar, seeds
+from tests.operations.chains import TIMES, chain
+from tests.operations.motions import bar_motion, jets, jumps, spin
 
 
 def wild(seed: int, knots: int = 9, start: float = 0.0, end: float = 2.0) -> Curve:
@@ -98,3 +117,117 @@ def test_refined_times() -> None:
 def test_moved_curves(scale: float) -> None:
     curve, times = wild(3), np.linspace(0, 2, 40)
     np.testing.assert_allclose(moved(curve, scale, 0.3)(scale * times + 0.3), curve(times), atol=1e-12)
+
+
+# Means of placements: turns in proportion
+
+COUNT = len(TIMES)
+LATER = TIMES[::-1]
+
+
+def shares(value: float) -> Float:
+    return np.full((COUNT, 1), value)
+
+
+@pytest.mark.parametrize("space", ["mixed", "gradient"])
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_all_or_nothing_gives_one_of_them(space: SpaceName, share: float) -> None:
+    """Also the length of quaternions: curves through more knots are the same curves."""
+    model = bar_motion(space)
+    both = 1.1 * model.placement(TIMES), model.placement(LATER)
+    found, expected = mean_placements(model.space, *both, shares(share)), both[int(share)]
+    turns, others = (model.space.poses(each).rotations for each in (found, expected))
+    signs = np.where(np.einsum("tgi,tgi->tg", turns, others) < 0, -1.0, 1.0)[:, :, None]
+    np.testing.assert_allclose(signs * turns, others, atol=1e-12)
+    np.testing.assert_allclose(
+        model.space.poses(found).centres, model.space.poses(expected).centres, atol=1e-12
+    )
+
+
+def test_a_body_turns_along_the_shortest_way() -> None:
+    model = chain()
+    one, other = (model.placement(times) for times in (TIMES, LATER))
+    found = model.space.poses(mean_placements(model.space, one, other, shares(0.3)))
+    turns, others = (rotations_of(model.space.poses(each).rotations[:, 0]) for each in (one, other))
+    expected = turns @ matrices(0.3 * vectors(np.swapaxes(turns, 1, 2) @ others))
+    np.testing.assert_allclose(rotations_of(found.rotations[:, 0]), expected, atol=1e-12)
+    here, there = (model.space.poses(each).centres[:, 0] for each in (one, other))
+    np.testing.assert_allclose(found.centres[:, 0], mean(here, there, shares(0.3)), atol=1e-12)
+
+
+def test_whole_turns_count() -> None:
+    model = spin()
+    times = model.placement.times
+    turning = model.placement.values
+    still = np.repeat(turning[:1], len(times), axis=0)
+    found = mean_placements(model.space, turning, still, np.full((len(times), 1), 0.5))
+    cosines = np.abs(model.space.poses(found).rotations[:, 0] @ turning[0, :4])
+    np.testing.assert_allclose(
+        cosines, np.abs(np.cos(np.pi * times / 2)), atol=1e-9
+    )  # a quarter of the angle
+
+
+# Splines through functions, and lengths of steps in pose space
+
+
+def largest(deviations: Float) -> Float:
+    return np.asarray(np.abs(deviations).max(axis=1))
+
+
+def test_a_cubic_needs_no_more_sites() -> None:
+    sites = np.array([0.0, 0.4, 1.0, 2.0])
+    curve = sampled(lambda t: t[:, None] ** 3, sites, 1e-12, largest)
+    np.testing.assert_array_equal(curve.times, sites)
+
+
+def test_sites_go_where_the_function_bends() -> None:
+    def function(times: Float) -> Float:
+        return np.asarray(np.tanh(20.0 * (times - 0.2))[:, None])
+
+    curve = sampled(function, np.linspace(0, 1, 9), 1e-4, largest)
+    dense = np.linspace(0, 1, 501)
+    assert np.abs(curve(dense) - function(dense)).max() < 3e-4
+    assert np.count_nonzero(curve.times < 0.5) > 2 * np.count_nonzero(curve.times > 0.5)
+
+
+def test_kinks_end_it() -> None:
+    curve = sampled(lambda t: np.abs(t - 0.31)[:, None], np.linspace(0, 1, 5), 1e-12, largest)
+    assert np.diff(curve.times).min() >= 0.25 / 2**ROUNDS
+
+
+def test_one_site_stays_one() -> None:
+    assert sampled(lambda t: t[:, None], np.array([2.0]), 1e-3, largest).times.tolist() == [2.0]
+
+
+def test_lengths_of_steps_are_those_of_scores() -> None:
+    """In the modes of a fit coordinates are distances; in its keys they are the same ones."""
+    sequence = bar(sides=5, rings=15, frames=6)
+    for pose in ("modes", "keys"):
+        model = fit(sequence, exact=True, pose=pose)
+        steps = np.diff(model.time(model.times), axis=0)
+        expected = np.linalg.norm(steps, axis=1) / np.sqrt(sequence.vertex_count)
+        np.testing.assert_allclose(shape_measure(model)(steps), expected, rtol=1e-9)
+
+
+def test_vertices_that_move_alike_move_by_the_length() -> None:
+    sequence = bar(sides=5, rings=15, frames=2)
+    moved = np.stack([sequence.points[0], sequence.points[0] + np.array([0.3, 0.0, 0.4])])
+    model = fit(sequence.with_points(moved), exact=True, space="vertex")
+    step = np.diff(model.time(model.times), axis=0)
+    np.testing.assert_allclose(shape_measure(model)(step), 0.5 / sequence.diagonal)
+    assert placement_measure(model)(np.zeros((3, 0))).tolist() == [0.0, 0.0, 0.0]
+
+
+def test_the_size_of_a_placement_is_its_largest_number() -> None:
+    model = fit(bar(sides=5, rings=15, frames=3), exact=True, parts=2)
+    changes = np.zeros((2, model.space.placement_dim))
+    changes[1, 4] = -0.25  # of the centre, after the quaternion
+    np.testing.assert_allclose(placement_measure(model)(changes), [0.0, 0.25])
+
+
+def test_the_size_of_a_correction_is_its_largest_number() -> None:
+    model = fit(bar(sides=5, rings=15, frames=3), exact=True, parts=2)
+    changes = np.zeros((2, model.space.correction_dim))
+    changes[1, 3 * 2] = -0.25  # of a shift, after the turns of both parts
+    np.testing.assert_allclose(correction_measure(model)(changes), [0.0, 0.25])
+    assert correction_measure(fit(bar(sides=5, rings=15, frames=2), space="lri"))(np.zeros((1, 0))) == [0.0]

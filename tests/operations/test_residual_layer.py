@@ -107,11 +107,3 @@ def test_the_table_is_true(name: str) -> None:
             np.testing.assert_allclose(edited.sample().points, model.sample().points, atol=1e-9)
         case other:
             pytest.fail(f"the table says {other!r}")
-
-
-@pytest.mark.parametrize("name", EDITS)
-def test_docstrings_say_the_same(name: str) -> None:
-    told = re.search(
-        r"The residual layer is\s+(kept|left out|retimed|encoded)", getattr(operations, name).__doc__
-    )
-    assert told is not None and told[1] == documented()[name]

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -22,26 +20,29 @@ from mixseq.signals.model import Model
 from mixseq.types import Float, FloatArray, Index
 from tests.operations.motions import fox
 
-Made = Callable[[int | None], Model]
-"""From a rank, or none for all modes, to a model."""
+Made = tuple[Model, int | None]
+"""A model, and how many modes it has, if not all."""
 
 
 @pytest.fixture(
     scope="module",
     params=[
-        "fox",
+        ("fox", None),
+        ("fox", 20),
         *(
-            pytest.param(name, marks=pytest.mark.realdata)
-            for name in ("horse_gallop", "q_man_run", "robotexpressive_dance")
+            pytest.param((name, rank), marks=pytest.mark.realdata)
+            for name, rank in (("horse_gallop", 20), ("q_man_run", None), ("robotexpressive_dance", 20))
         ),
     ],
+    ids=lambda param: f"{param[0]}-{param[1]}",
 )
 def made(request: pytest.FixtureRequest) -> Made:
-    if request.param == "fox":
-        return fox
+    name, rank = request.param
+    if name == "fox":
+        return fox(rank), rank
     folder: Path = request.getfixturevalue("data")
-    sequence = mixseq.read(folder / "npz" / f"{request.param}.npz")
-    return cache(lambda rank: fit(sequence, exact=rank is None, rank=rank))
+    sequence = mixseq.read(folder / "npz" / f"{name}.npz")
+    return fit(sequence, exact=rank is None, rank=rank), rank
 
 
 def aligned(points: FloatArray) -> Float:
@@ -61,10 +62,9 @@ def uncorrected(model: Model) -> Model:
     return replace(model, correction=Curve(ends, np.zeros((2, model.correction.dim))))
 
 
-@pytest.mark.parametrize("rank", [None, 20])
-def test_a_drag_reaches_the_farthest_frame(made: Made, rank: int | None) -> None:
+def test_a_drag_reaches_the_farthest_frame(made: Made) -> None:
     """The whole character, but for where it stands."""
-    model = made(rank)
+    model, _ = made
     places = model.embedding(model.times)
     far = int(np.linalg.norm(places - places[0], axis=1).argmax())
     pulled = drag(model, float(model.times[0]), places[far])
@@ -79,9 +79,8 @@ def test_a_drag_reaches_the_farthest_frame(made: Made, rank: int | None) -> None
     assert after < 1e-6
 
 
-@pytest.mark.parametrize("rank", [None, 20])
-def test_the_time_signal_backwards_shows_the_frames_backwards(made: Made, rank: int | None) -> None:
-    model = made(rank)
+def test_the_time_signal_backwards_shows_the_frames_backwards(made: Made) -> None:
+    model, rank = made
     backwards = replace(model, time=moved(model.time, -1.0, model.start + model.end))
     if rank is not None:  # the correction is of the pose that was there
         model, backwards = uncorrected(model), uncorrected(backwards)
@@ -89,18 +88,17 @@ def test_the_time_signal_backwards_shows_the_frames_backwards(made: Made, rank: 
     np.testing.assert_allclose(back, forth[::-1], atol=1e-6 * model.space.scale)
 
 
-@pytest.mark.parametrize(("rank", "least"), [(None, 0.95), (20, 0.9)])
-def test_a_body_that_stands_still_keeps_its_deformation(made: Made, rank: int | None, least: float) -> None:
-    model = made(rank)
+def test_a_body_that_stands_still_keeps_its_deformation(made: Made) -> None:
+    model, rank = made
     whole = aligned(np.asarray(model.sample().points, dtype=np.float64))
+    least = 0.95 if rank is None else 0.9
     for still in (standing(model), standing(uncorrected(model))):
         kept = still.sample().points
         assert np.linalg.norm(kept - kept.mean(axis=0)) > least * np.linalg.norm(whole - whole.mean(axis=0))
 
 
-@pytest.mark.parametrize("rank", [None, 20])
-def test_no_gain_freezes_the_pose_and_the_body_goes_on(made: Made, rank: int | None) -> None:
-    model = made(rank)
+def test_no_gain_freezes_the_pose_and_the_body_goes_on(made: Made) -> None:
+    model, _ = made
     frozen = exaggerate(model, 0.0)
     assert frozen.placement is model.placement
     between = np.linspace(model.start, model.end, 2 * len(model.times) - 1)
@@ -110,9 +108,8 @@ def test_no_gain_freezes_the_pose_and_the_body_goes_on(made: Made, rank: int | N
     np.testing.assert_allclose(frozen.vectors[0, : model.space.shape_dim], mean, atol=1e-9)
 
 
-@pytest.mark.parametrize("rank", [None, 20])
-def test_gain_one_changes_nothing(made: Made, rank: int | None) -> None:
-    model = made(rank)
+def test_gain_one_changes_nothing(made: Made) -> None:
+    model, _ = made
     same = exaggerate(model, 1.0)
     for before, after in zip(model.curves, same.curves, strict=True):
         np.testing.assert_array_equal(after.values, before.values)
@@ -131,7 +128,7 @@ def test_more_gain_moves_all_parts_more() -> None:
 
 @pytest.mark.parametrize("kind", ["exaggerated", "held"])
 def test_a_limb_moves_in_its_joint_and_all_else_stays(made: Made, kind: str) -> None:
-    model = made(None)
+    model, _ = made
     space, times = model.mixed, model.times
     hanging = np.flatnonzero(space.articulation.parents >= 0)
     part = int(hanging[space.articulation.masses[hanging].argmax()])
@@ -164,11 +161,10 @@ def dented(points: Float, scale: float) -> tuple[Float, Index]:
     return edited, np.setdiff1d(np.arange(len(points)), some)
 
 
-@pytest.mark.parametrize("rank", [None, 20])
 @pytest.mark.parametrize("between", [0.0, 0.5])
-def test_vertices_that_were_not_sculpted_stay(made: Made, rank: int | None, between: float) -> None:
+def test_vertices_that_were_not_sculpted_stay(made: Made, between: float) -> None:
     """In the frame that was made, at frames or between them, and in others but for joints where lengths count."""
-    model = made(rank)
+    model, _ = made
     space, times = model.mixed, model.times
     time = float(times[5] + between * (times[6] - times[5]))
     edited, others = dented(model(time), space.scale)

@@ -16,11 +16,11 @@ from tests import meshes
 pytestmark = pytest.mark.slow
 
 MESHES = {
-    "tube": meshes.tube(12, 30),
-    "open tube": meshes.tube(12, 30, closed=False),
-    "torus": meshes.torus(24, 12),
-    "sheet": meshes.grid(16, 9),
-    "book": meshes.pages(3, 12, 6),
+    "tube": meshes.tube(8, 16),
+    "open tube": meshes.tube(8, 16, closed=False),
+    "torus": meshes.torus(16, 8),
+    "sheet": meshes.grid(12, 9),
+    "book": meshes.pages(3, 8, 6),
 }
 
 
@@ -60,7 +60,7 @@ def test_patches(topology: Topology, leaf: int, group: int, strips: int) -> None
 
 
 def test_leaves_are_small() -> None:
-    topology = meshes.topology_of(meshes.grid(40, 40))
+    topology = meshes.topology_of(meshes.grid(25, 25))
     whole = divide(topology, np.arange(len(topology.faces)), 100, 6, 1)
     leaves = [region for region in regions(whole) if not region.children]
     assert len(leaves) >= len(topology.faces) / 100
@@ -102,7 +102,7 @@ def test_larger_leaves_are_fewer() -> None:
             not region.children
             for region in regions(divide(topology, np.arange(len(topology.faces)), leaf, 4, 1))
         )
-        for leaf in (10, 40, 160, 10_000)
+        for leaf in (10, 40, 100, 10_000)
     ]
     assert all(many > few for many, few in pairwise(counts))
     assert counts[-1] == 1

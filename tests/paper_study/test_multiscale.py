@@ -71,11 +71,11 @@ class Rebuilder:
 
 
 MESHES = {
-    "tube": meshes.tube(12, 30),
-    "open tube": meshes.tube(12, 30, closed=False),
-    "torus": meshes.torus(24, 12),
-    "sheet": meshes.grid(16, 9),
-    "book": meshes.pages(3, 12, 6),
+    "tube": meshes.tube(8, 16),
+    "open tube": meshes.tube(8, 16, closed=False),
+    "torus": meshes.torus(16, 8),
+    "sheet": meshes.grid(12, 9),
+    "book": meshes.pages(3, 8, 6),
     "tetrahedron": meshes.tetrahedron(),
     "triangle": (np.array([[0.0, 0, 0], [3, 0, 0], [0, 4, 0]]), np.array([[0, 1, 2]])),
 }

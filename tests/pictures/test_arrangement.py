@@ -3,15 +3,32 @@
 from __future__ import annotations
 
 from itertools import pairwise, product
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixseq.pictures.scene import FIELD, GAP, HEIGHT, MARGIN, Arrangement, Scene, SceneItem, View, arranged
+from mixseq.errors import SettingsError
+from mixseq.pictures.page import draw_mesh
+from mixseq.pictures.scene import (
+    FIELD,
+    GAP,
+    HEIGHT,
+    MARGIN,
+    Arrangement,
+    Scene,
+    SceneItem,
+    View,
+    arranged,
+    facing,
+    shared_limits,
+    three_quarter_view,
+)
 from mixseq.sequence.sequence import MeshSequence, frame_store
-from mixseq.types import Float
+from mixseq.signals.model import Model
+from mixseq.types import Float, FloatArray, IntArray
 from tests.meshes import bar, tetrahedron, tube
 
 
@@ -194,3 +211,171 @@ def test_what_is_looked_at_stays() -> None:
         assert np.abs(found.offsets[1 - index] - before.offsets[1 - index]).max() > 0.1
     found = before.turned(before.view.azimuth + 70.0, before.middles[0], 10.0)
     np.testing.assert_allclose(found.middles.mean(axis=0), before.middles.mean(axis=0), atol=1e-12)
+
+
+# The camera: where it stands and what it frames
+
+
+@pytest.mark.parametrize("view", [View(), View(120, 40), View(-30, 0)])
+def test_camera_is_a_rotation(view: View) -> None:
+    assert np.allclose(view.rows @ view.rows.T, np.eye(3))
+    assert np.linalg.det(view.rows) == pytest.approx(1)
+    assert view.rows[1, 1] > 0
+
+
+def test_camera_of_zero_degrees_looks_along_minus_z() -> None:
+    assert np.allclose(View(0, 0).rows, np.eye(3))
+
+
+@pytest.mark.parametrize("order", [[0, 1, 2], [2, 1, 0]])
+def test_broadside_sees_the_longer_side(gem: MeshSequence, order: list[int]) -> None:
+    points = gem.points[0][:, order]
+    left, right, *_ = shared_limits(points, "Y", three_quarter_view(points))
+    assert right - left > 3
+
+
+@pytest.mark.parametrize(("up", "order"), [("X", [1, 2, 0]), ("Z", [2, 0, 1])])
+def test_up_axis_only_renames(up: str, order: list[int]) -> None:
+    points = np.random.default_rng(1).normal(size=(20, 3)) * [3, 2, 1]
+    assert np.allclose(shared_limits(points, "Y", View()), shared_limits(points[:, order], up, View()))
+
+
+def test_who_stays_faces_as_formats_do() -> None:
+    """Towards +z with Y up, towards -y with Z up: the nose is nearer to the camera than the neck."""
+    neck, nose = np.zeros(3), {"Y": [0.0, 0, 1], "Z": [0.0, -1, 0]}
+    for up, tip in nose.items():
+        body = np.array([neck, tip, [0.4, 0, 0], [-0.4, 0, 0]])
+        near = (body[:, [0, 1, 2] if up == "Y" else [1, 2, 0]] @ View(facing(body[None], up), 0).rows.T)[:, 2]
+        assert near[1] - near[0] == pytest.approx(1)
+
+
+@pytest.mark.parametrize("heading", [0, 35, 90, 180, -90, -145])
+def test_who_travels_is_seen_from_the_front_and_the_longer_side(heading: float) -> None:
+    a = np.radians(heading)
+    forwards = np.array([np.sin(a), 0, np.cos(a)])
+    body = np.multiply.outer([-1.0, 1.0], forwards)
+    view = three_quarter_view(np.stack([body, body + 3 * forwards]))
+    _, _, towards = view.rows @ forwards
+    assert 0.4 < towards < 0.5  # the cosine of 60 degrees, from a little above
+
+
+def test_a_step_is_no_travel() -> None:
+    body = np.array([[0.0, 0, 0], [0, 2, 0], [0, 0, 1]])
+    assert facing(np.stack([body, body + np.array([0.3, 0, 0])])) == 0
+
+
+def test_shared_limits_hold_every_pose(gem: MeshSequence) -> None:
+    left, right, bottom, top = shared_limits(gem.points, view=View())
+    for pose in gem.points:
+        one = shared_limits(pose, view=View(), margin=0)
+        assert left <= one[0] and right >= one[1] and bottom <= one[2] and top >= one[3]
+
+
+def test_limits_of_a_single_point_are_not_empty() -> None:
+    left, right, bottom, top = shared_limits(np.zeros((3, 3)))
+    assert left < right and bottom < top
+
+
+# A drawn mesh: which faces, in which order, in which light
+
+
+def draw(ax: Any, points: FloatArray, faces: IntArray, **options: Any) -> Any:
+    """Draw a mesh and return its polygons."""
+    draw_mesh(ax, points, faces, **options)
+    (collection,) = ax.collections
+    return collection
+
+
+@pytest.mark.parametrize("corners", [[0, 1, 2], [2, 1, 0]])
+def test_back_faces_of_a_closed_mesh_are_left_out(ax: Any, gem: MeshSequence, corners: list[int]) -> None:
+    polygons = draw(ax, gem.points[0], gem.faces[:, corners]).get_paths()
+    assert 0 < len(polygons) < len(gem.faces)
+
+
+def test_an_open_mesh_shows_both_sides(ax: Any, gem: MeshSequence) -> None:
+    assert len(draw(ax, gem.points[0], gem.faces[:6]).get_paths()) == 6
+
+
+@pytest.mark.parametrize("order", [[0, 1], [1, 0]])
+def test_near_faces_are_drawn_last(ax: Any, order: list[int]) -> None:
+    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1.0]])
+    faces, colours = np.array([[0, 1, 2], [3, 4, 5]])[order], np.array([[1, 0, 0], [0, 0, 1.0]])[order]
+    last = draw(ax, points, faces, colours=colours, view=View(0, 0), contrast=0).get_facecolor()[-1]
+    assert np.allclose(last[:3], [0, 0, 1])
+
+
+def test_flat_colours_stay_as_given(ax: Any, gem: MeshSequence) -> None:
+    collection = draw(ax, gem.points[0], gem.faces, colours=(0.2, 0.4, 0.6), contrast=0)
+    assert np.allclose(collection.get_facecolor()[:, :3], [0.2, 0.4, 0.6])
+
+
+def test_faces_above_are_brighter_than_below(ax: Any, gem: MeshSequence) -> None:
+    collection = draw(ax, gem.points[0] * [1, 0.2, 1], gem.faces, view=View(0, 0))
+    heights = np.array([path.vertices[:3, 1].mean() for path in collection.get_paths()])
+    light = collection.get_facecolor()[:, :3].sum(axis=1)
+    assert light[heights > 0].min() > light[heights < 0].max()
+
+
+def test_degenerate_triangles_are_survived(ax: Any) -> None:
+    draw(ax, np.zeros((3, 3)), np.array([[0, 1, 2]]))
+
+
+def test_a_flat_mesh_seen_from_its_edge_is_survived(ax: Any) -> None:
+    square = np.array([[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1.0]])
+    draw(ax, square, np.array([[0, 2, 1], [0, 3, 2]]), view=View(0, 0))
+
+
+# What is shown when
+
+
+@pytest.fixture(scope="module")
+def sequence() -> MeshSequence:
+    return bar(sides=3, rings=5, frames=5)  # at 10 frames per second
+
+
+def test_poses_of_a_sequence_are_its_nearest_frames(sequence: MeshSequence) -> None:
+    item = SceneItem("bar", frame_store(sequence))
+    for elapsed, frame in ((0.0, 0), (0.04, 0), (0.06, 1), (0.4, 4), (9.0, 4)):
+        pose = item.pose(elapsed)
+        assert pose.dtype == np.float32
+        np.testing.assert_array_equal(pose, sequence.points[frame].astype(np.float32))
+
+
+def test_poses_of_a_model_are_at_any_time(bar_model: Model) -> None:
+    item = SceneItem("bar", bar_model)
+    for elapsed, time in ((0.0, 0.0), (0.123, 0.123), (0.3, 0.3), (9.0, 0.3)):
+        np.testing.assert_array_equal(item.pose(elapsed), bar_model(time).astype(np.float32))
+
+
+def test_frames_of_the_longest(sequence: MeshSequence) -> None:
+    short = SceneItem("short", frame_store(bar(sides=3, rings=5, frames=2)))
+    scene = Scene((short, SceneItem("long", frame_store(sequence))))
+    assert (scene.count, scene.fps) == (5, 10)
+    assert [scene.elapsed(frame) for frame in range(5)] == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
+
+
+def test_at_another_rate(sequence: MeshSequence) -> None:
+    scene = Scene((SceneItem("bar", frame_store(sequence)),), rate=30)
+    assert (scene.count, scene.fps) == (15, 30)
+    with pytest.raises(SettingsError, match="frames per second"):
+        _ = Scene(scene.items, rate=1).count
+
+
+@pytest.mark.parametrize(
+    ("elapsed", "frame"), [(0.0, 0), (0.26, 3), (0.24, 2), (-1.0, 0), (7.0, 4), (1e308, 4), (-1e308, 0)]
+)
+def test_the_frame_at_a_time(sequence: MeshSequence, elapsed: float, frame: int) -> None:
+    assert Scene((SceneItem("bar", frame_store(sequence)),)).frame_at(elapsed) == frame
+
+
+def test_another_motion_of_one_of_the_meshes(sequence: MeshSequence, bar_model: Model) -> None:
+    scene = Scene((SceneItem("a", frame_store(sequence)), SceneItem("b", frame_store(sequence))), rate=20)
+    other = scene.with_item(1, bar_model)
+    assert other.items[0] is scene.items[0]
+    assert (other.items[1].name, other.items[1].motion, other.rate) == ("b", bar_model, 20)
+    assert scene.items[1].motion is not bar_model
+
+
+@pytest.mark.parametrize(("most", "frames"), [(1, [0]), (2, [0, 4]), (3, [0, 2, 4]), (99, [0, 1, 2, 3, 4])])
+def test_frames_spread_over_a_shot(sequence: MeshSequence, most: int, frames: list[int]) -> None:
+    assert list(Scene((SceneItem("bar", frame_store(sequence)),)).samples(most)) == frames

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import colorsys
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -14,23 +15,36 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
+from mixseq.mesh.measures import dihedral_angles, wrap
+from mixseq.mesh.surface import CornerValues, Surface
 from mixseq.mesh.topology import Topology
 from mixseq.pictures.colours import (
     CLAY,
+    ENTRIES,
     JOINT,
     JOINT_RED,
     LEAST,
+    MEASURES,
     SHARE,
     Colouring,
     Curvature,
     Strain,
+    colouring_of,
     colourings_of,
+    distances,
+    own_colours,
     part_colours,
+    segmentation_colours,
     two_digits,
+    viridis,
 )
+from mixseq.pictures.film import FilmSettings, film
+from mixseq.pictures.raster import shade
+from mixseq.pictures.scene import SceneItem
 from mixseq.segmentation.joints import Decomposition, decompose
 from mixseq.sequence.sequence import MeshSequence
-from tests.meshes import bar, grid, rotation
+from mixseq.types import Float, FloatArray
+from tests.meshes import Mesh, bar, flipped, grid, joined, pages, rotation, tetrahedron, torus, tube
 
 BAR = bar(frames=4)
 REST = BAR.points[0]
@@ -222,3 +236,288 @@ def test_other_meshes_are_refused() -> None:
 def test_they_need_no_matplotlib() -> None:
     code = "import mixseq.pictures.colours, sys; assert not {'matplotlib', 'viser'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+# Colours that meshes bring along: exact where a palette can hold them, near where it cannot
+
+
+def painted(sequence: MeshSequence, values: FloatArray) -> MeshSequence:
+    """The sequence with linear colours ``(V, 4)`` of its vertices."""
+    return replace(
+        sequence, surface=Surface(colours=CornerValues(values, np.asarray(sequence.polygons.indices)))
+    )
+
+
+def by_place(sequence: MeshSequence) -> MeshSequence:
+    """The sequence painted by where its vertices are in the first frame."""
+    low, size = sequence.points[0].min(axis=0), np.ptp(sequence.points[0], axis=0)
+    return painted(
+        sequence, np.hstack([(sequence.points[0] - low) / size, np.ones((sequence.vertex_count, 1))])
+    )
+
+
+def shown(sequence: MeshSequence) -> NDArray[np.uint8]:
+    palette, entries = own_colours(sequence.header)
+    assert len(palette) <= ENTRIES
+    return palette[entries]
+
+
+def srgb(linear: FloatArray) -> FloatArray:
+    return np.where(
+        linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055
+    )
+
+
+def test_linear_colours_are_shown_in_srgb() -> None:
+    points, faces = tetrahedron()
+    values = np.array([[1, 0, 0, 1], [0.5, 0.5, 0.5, 0.1], [-1, 2, np.nan, 1], [0.2159, 0.002, 1, 1]])
+    sequence = painted(MeshSequence.from_arrays(points[None], faces), values)
+    assert shown(sequence).tolist() == [[255, 0, 0], [188, 188, 188], [0, 255, 0], [128, 7, 255]]
+
+
+def test_up_to_256_colours_are_exact() -> None:
+    sequence = bar(sides=16, rings=40, frames=1)
+    values = np.ones((sequence.vertex_count, 4))
+    values[:, 0] = (np.arange(sequence.vertex_count) % 256) / 255
+    expected = np.rint(255 * srgb(values[:, :3]))
+    np.testing.assert_array_equal(shown(painted(sequence, values)), expected)
+
+
+def test_more_colours_are_near() -> None:
+    """Of a bar that is painted by place, thousands of colours, as 256."""
+    sequence = by_place(bar(sides=30, rings=200, frames=1))
+    assert sequence.surface.colours is not None
+    exact = 255 * srgb(sequence.surface.colours.values[:, :3].astype(np.float64))
+    assert len(np.unique(np.rint(exact), axis=0)) > 1000
+    apart = np.linalg.norm(shown(sequence) - exact, axis=1)
+    assert np.sqrt(np.square(apart).mean()) < 12
+    np.testing.assert_array_equal(shown(sequence), shown(sequence))
+
+
+def test_vertices_have_the_colour_of_their_first_corner_and_white_without_one() -> None:
+    points, _ = tetrahedron()
+    sequence = MeshSequence.from_arrays(np.vstack([points, [[9, 9, 9]]])[None], [[0, 1, 2], [2, 1, 3]])
+    values = np.array([[1, 0, 0, 1], [0, 0, 1, 1]], np.float32)
+    two = replace(sequence, surface=Surface(colours=CornerValues(values, np.array([0, 0, 0, 1, 1, 1]))))
+    red, blue, white = [255, 0, 0], [0, 0, 255], [255, 255, 255]
+    assert shown(two).tolist() == [red, red, red, blue, white]
+
+
+def test_faces_of_films_have_the_mean_of_their_vertices() -> None:
+    points, faces = tetrahedron()
+    values = np.ones((4, 4))
+    values[0, 1:3] = 0
+    sequence = painted(MeshSequence.from_arrays(points[None], faces), values)
+    colouring = colouring_of("own", sequence.header, points)
+    expected = np.where((sequence.faces == 0).any(axis=1)[:, None], [1, 2 / 3, 2 / 3], [1.0, 1, 1])
+    np.testing.assert_allclose(np.asarray(colouring.of_faces), expected, atol=1e-6)
+    assert colouring.constant
+
+
+def test_films_of_meshes_without_colours_are_refused(tmp_path: object) -> None:
+    sequence = bar(sides=5, rings=5, frames=2)
+    with pytest.raises(SettingsError, match="bar has no colours of its own; choose another colour"):
+        film(f"{tmp_path}/a.gif", [SceneItem("bar", sequence)], FilmSettings(colour="own"))
+
+
+# Colours: parts differ from each other and, in any light, from the joints
+
+
+def test_part_colours_are_colours_and_do_not_depend_on_their_number() -> None:
+    colours = part_colours(24)
+    assert colours.shape == (24, 3)
+    assert colours.min() >= 0 and colours.max() <= 1
+    assert np.array_equal(colours[:7], part_colours(7))
+
+
+def test_part_colours_differ() -> None:
+    colours = part_colours(20)
+    distances = np.linalg.norm(colours[:, None] - colours, axis=2)
+    assert distances[np.triu_indices(20, 1)].min() > 0.06
+    assert np.diag(distances, 1).min() > 0.2
+
+
+def test_no_part_looks_like_a_joint_in_any_light() -> None:
+    normals = np.random.default_rng(1).normal(size=(200, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+
+    def lit(colour: object) -> NDArray[np.float64]:
+        return shade(np.broadcast_to(np.asarray(colour, dtype=np.float64), normals.shape), normals, 1.0)
+
+    def hues(colours: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.array([360 * colorsys.rgb_to_hsv(*colour)[0] for colour in colours])
+
+    reds = lit(JOINT_RED)
+    for colour in part_colours(50):
+        lights = lit(colour)
+        turn = np.abs((hues(lights)[:, None] - hues(reds) + 180) % 360 - 180)
+        assert turn.min() > 30
+        assert np.linalg.norm(lights[:, None] - reds, axis=2).min() > 0.1
+
+
+def test_segmentation_colours() -> None:
+    parts, joints = np.array([0, 0, 1, 1, 0, 0, 1, 1]), np.array([0, -1, -1, 0, -1, -1, -1, -1])
+    colours = segmentation_colours(parts, joints)
+    assert np.allclose(colours[joints >= 0], JOINT_RED)
+    assert np.allclose(colours[1], part_colours(2)[0])
+    assert np.allclose(colours[2], part_colours(2)[1])
+
+
+def test_viridis_is_that_of_matplotlib() -> None:
+    maps = pytest.importorskip("matplotlib").colormaps
+    assert viridis().shape == (256, 3)
+    assert np.abs(viridis() - maps["viridis"](np.arange(256))[:, :3]).max() < 1.4 / 255
+
+
+# Measures of poses: known numbers on bent strips, none for rigid motions, and nothing without lengths or angles
+
+
+def rolled(columns: int, degrees: float) -> Float:
+    """The strip `grid(1, columns)`, bent by some degrees in each of the lines between its squares."""
+    directions = np.radians(degrees) * np.arange(columns)
+    x = np.concatenate([[0], np.cumsum(np.cos(directions))])
+    z = np.concatenate([[0], np.cumsum(np.sin(directions))])
+    return np.concatenate([np.stack([x, np.full_like(x, y), z], axis=1) for y in (0.0, 1.0)])
+
+
+def folded(degrees: float) -> Float:
+    """Two triangles that share the edge from vertex 0 to vertex 1, with some degrees between their planes."""
+    angle = np.radians(degrees)
+    return np.array([[0, 0, 0], [1, 0, 0], [0.5, 1, 0], [0.5, -np.cos(angle), -np.sin(angle)]])
+
+
+BOOK = np.array([[0, 1, 2], [1, 0, 3]])
+
+AWKWARD: dict[str, Mesh] = {
+    "closed": tetrahedron(),
+    "torus": torus(12, 8),
+    "open": grid(3, 4),
+    "not a manifold": pages(),
+    "orientations": (tube(6, 5)[0], flipped(tube(6, 5)[1])),
+    "pieces": joined(tetrahedron(), grid(2, 2)),
+}
+
+
+# Strain
+
+
+def test_strain_is_the_mean_of_the_edges() -> None:
+    rest = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]])
+    longer = np.array([[0, 0, 0], [2, 0, 0], [0, 1, 0.0]])
+    strain = Strain.of(rest, np.array([[0, 1, 2]]))
+    hypotenuse = np.sqrt(5 / 2) - 1
+    assert np.allclose(strain(longer), [0.5, (1 + hypotenuse) / 2, hypotenuse / 2])
+    assert np.allclose(strain(rest), 0)
+
+
+def test_edges_without_length_are_not_strained() -> None:
+    rest = np.array([[0, 0, 0], [0, 0, 0], [0, 1, 0.0]])
+    longer = np.array([[0, 0, 0], [2, 0, 0], [0, 1, 0.0]])
+    opposite = np.sqrt(5) - 1
+    assert np.allclose(Strain.of(rest, np.array([[0, 1, 2]]))(longer), [0, opposite / 2, opposite / 2])
+
+
+# Curvature
+
+
+@pytest.mark.parametrize("degrees", [10, -35, 90])
+def test_a_strip_bends_between_its_squares(degrees: float) -> None:
+    columns = 5
+    flat, faces = grid(1, columns)
+    change = Curvature.of(flat, faces)(rolled(columns, degrees)).reshape(2, -1)
+    # every vertex inside has one line between squares, that bends, and one diagonal, that does not
+    assert np.allclose(change[:, 1:-1], abs(degrees) / 2)
+    assert np.allclose(change[:, [0, -1]], 0)
+
+
+def test_it_is_the_change_that_counts() -> None:
+    _, faces = grid(1, 4)
+    change = Curvature.of(rolled(4, 20), faces)
+    assert np.allclose(change(rolled(4, 50)), change(rolled(4, -10)))
+    assert np.allclose(change(rolled(4, 50)).max(), 15)
+
+
+def test_angles_change_the_shorter_way_round() -> None:
+    change = Curvature.of(folded(170), BOOK)
+    assert np.allclose(change(folded(-170)), [20, 20, 0, 0])
+    assert np.allclose(change(folded(-10)), [180, 180, 0, 0])
+
+
+@pytest.mark.parametrize("name", AWKWARD)
+def test_angles_are_those_of_the_signals(name: str) -> None:
+    rest, faces = AWKWARD[name]
+    now = rest + 0.3 * np.sin(5 * rest[:, [1, 2, 0]] + [0, 1, 2])
+    topology = Topology(faces, len(rest))
+    change = np.degrees(
+        np.abs(wrap(dihedral_angles(now, topology.hinges) - dihedral_angles(rest, topology.hinges)))
+    )
+    of_vertex: list[list[float]] = [[] for _ in rest]
+    for (a, b, _, _), value in zip(topology.hinges, change, strict=True):
+        of_vertex[a].append(value)
+        of_vertex[b].append(value)
+    expected = [sum(values) / max(len(values), 1) for values in of_vertex]
+    assert max(expected) > 1
+    assert np.allclose(Curvature.of(rest, faces)(now), expected, atol=1e-9)
+
+
+def test_hinges_of_faces_without_area_do_not_bend() -> None:
+    flat, faces = grid(1, 2)
+    collapsed = flat.copy()
+    collapsed[3] = flat[0]  # only of the triangle 0 4 3, whose diagonal is its one hinge
+    turned = rolled(2, 40)
+    for rest, now in ((collapsed, turned), (turned, collapsed)):
+        assert np.allclose(Curvature.of(rest, faces)(now), [0, 20, 0, 0, 20, 0])
+    nothing = np.zeros_like(flat)
+    assert np.array_equal(Curvature.of(nothing, faces)(turned), np.zeros(6))
+    assert np.array_equal(Curvature.of(turned, faces)(nothing), np.zeros(6))
+
+
+def test_slivers_do_not_bend() -> None:
+    book = folded(0)
+    for height in (1e-5, -1e-5):  # below and above its edge: half a turn, if it had an area
+        book[3] = [50, height, 0]
+        assert np.array_equal(Curvature.of(folded(0), BOOK)(book), np.zeros(4))
+
+
+# Both
+
+
+@pytest.mark.parametrize("name", MEASURES)
+@given(
+    st.tuples(*3 * [st.floats(-3, 3)]), st.tuples(*3 * [st.floats(-10, 10)]), st.sampled_from(sorted(AWKWARD))
+)
+def test_rigid_motions_change_nothing(
+    name: str, turn: tuple[float, float, float], move: tuple[float, float, float], mesh: str
+) -> None:
+    rest, faces = AWKWARD[mesh]
+    assert MEASURES[name].of(rest, faces)(rest @ rotation(turn).T + np.array(move)).max() < 1e-9
+
+
+@given(st.floats(0.01, 100), st.sampled_from(sorted(AWKWARD)))
+def test_scaling_is_strain_and_no_bend(scale: float, mesh: str) -> None:
+    rest, faces = AWKWARD[mesh]
+    assert np.allclose(Strain.of(rest, faces)(scale * rest), abs(scale - 1), atol=1e-9)
+    assert Curvature.of(rest, faces)(scale * rest).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", MEASURES)
+def test_vertices_without_edges_or_hinges_have_nothing(name: str) -> None:
+    rest = np.concatenate([folded(30), [[5.0, 5, 5]]])
+    now = np.concatenate([2 * folded(60), [[9.0, 5, 5]]])
+    assert MEASURES[name].of(rest, BOOK)(now)[4] == 0
+    assert Curvature.of(rest, BOOK[:1])(now).tolist() == [0] * 5  # a triangle alone
+
+
+@pytest.mark.parametrize("name", MEASURES)
+def test_single_precision_is_widened(name: str) -> None:
+    rest, faces = torus(9, 7)
+    now = (1.1 * rest).astype(np.float32)
+    single = rest.astype(np.float32)
+    found = MEASURES[name].of(single, faces)(now)
+    assert found.dtype == np.float64
+    assert np.array_equal(found, MEASURES[name].of(single.astype(float), faces)(now.astype(float)))
+
+
+def test_distances_are_in_diagonals() -> None:
+    points = tetrahedron()[0]
+    assert np.allclose(distances(points + np.array([0, 3, 4]), points, 10), 0.5)

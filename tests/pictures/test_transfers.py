@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import struct
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from mixseq.retargeting.transfer import Transfer, plan
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import FloatArray
 from tests.meshes import bar, rotation, tetrahedron
+from tests.pictures.test_sheets import png_size
 
 pytestmark = pytest.mark.slow
 
@@ -39,12 +39,6 @@ def sheet(made: Transfer, frames: tuple[int, ...] = (1, 3)) -> bytes:
     points = np.concatenate(list(made.blocks()))
     transfer_sheet(file, made, frames, points[list(frames)])
     return file.getvalue()
-
-
-def png_size(data: bytes) -> tuple[int, int]:
-    assert data.startswith(b"\x89PNG")
-    width, height = struct.unpack(">II", data[16:24])
-    return width, height
 
 
 @pytest.mark.parametrize("method", ["mixed", "gradients"])

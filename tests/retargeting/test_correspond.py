@@ -14,7 +14,8 @@ from mixseq.retargeting.correspond import correspond, correspond_and_assess
 from mixseq.retargeting.markers import Markers
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float, Index
-from tests.meshes import Mesh, grid, joined, rotation, topology_of, tube
+from tests.meshes import grid, joined, rotation, tube
+from tests.retargeting.pairs import subdivided
 
 pytestmark = pytest.mark.slow
 
@@ -32,15 +33,6 @@ def warp(points: Float) -> Float:
     result = points * (1 + 0.1 * z * [1, 1, 0])
     result = result + 0.3 * np.sin(z) * [1.0, 0.0, 0.0]
     return np.asarray(3.0 * result @ rotation((0.4, 1.0, -0.3)).T + [7.0, 0.0, 2.0])
-
-
-def subdivided(mesh: Mesh) -> Mesh:
-    points, faces = mesh
-    topology = topology_of(mesh)
-    a, b, c = faces.T
-    ab, bc, ca = (len(points) + topology.face_edges).T
-    cut = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=1).reshape(-1, 3)
-    return np.concatenate([points, points[topology.edges].mean(axis=1)]), cut
 
 
 def error(carried: Float, truth: Float) -> Float:

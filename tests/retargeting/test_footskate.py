@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from mixseq.errors import MixseqWarning, SettingsError
-from mixseq.mesh.rotations import matrices
+from mixseq.mesh.rotations import matrices, vectors
 from mixseq.retargeting.contacts import remove_footskate
-from mixseq.retargeting.limbs import ArticulatedBody, Contact, leg_ratio
-from tests.retargeting.walkers import CYCLE, Walk, hung, walk
+from mixseq.retargeting.limbs import ArticulatedBody, Contact, leg_length, leg_ratio, turn_limbs
+from tests.retargeting.walkers import BONES, CYCLE, Walk, body, hung, walk
 
 ACCELERATION = 1.05
 """Feet, joints and centres accelerate by at most so many times the largest acceleration there was before."""
@@ -318,3 +318,181 @@ def test_a_fox_on_long_legs() -> None:
     before, after = (scene.rotations, scene.centres), (result.rotations, result.centres)
     assert bends(scene.feet(*after)) < ACCELERATION * bends(scene.feet(*before))
     assert bends(result.centres) < ACCELERATION * bends(scene.centres)
+
+
+# Parts that hang on each other
+
+
+def contact(parts: list[int], name: str = "sole") -> Contact:
+    return Contact(name, np.zeros((len(parts), 3)), np.array(parts, dtype=np.int64))
+
+
+def test_limbs_lead_from_the_root_to_the_ground() -> None:
+    walker, (left, right) = body(1.0)
+    assert walker.limb(left) == (1, 2, 3)
+    assert walker.limb(right) == (4, 5, 6)
+    assert replace(walker, root=3).limb(right) == (2, 1, 0, 4, 5, 6)
+
+
+def test_vertices_on_several_parts_belong_to_the_first_that_carries_all() -> None:
+    walker, _ = body(1.0)
+    assert walker.limb(contact([3, 2, 3])) == (1, 2)
+    assert walker.limb(contact([0, 0])) == ()
+
+
+def test_pivots_may_form_loops() -> None:
+    walker, (left, _) = body(1.0)
+    loop = replace(walker, pairs=np.concatenate([walker.pairs, [[1, 3]]]), pivots=np.zeros((7, 3)))
+    assert loop.limb(left) == (1, 3)  # the shorter way
+
+
+def test_legs_are_as_long_as_their_bones() -> None:
+    walker, (left, _) = body(1.4)
+    middle = np.hypot(1.4 * BONES["foot"], left.points.mean(axis=0)[0])
+    assert leg_length(walker, left) == pytest.approx(1.4 * (BONES["thigh"] + BONES["shank"]) + middle)
+    assert leg_length(walker, contact([0])) == pytest.approx(np.linalg.norm(walker.centres[0]))
+
+
+def test_ratio_of_legs() -> None:
+    source, target = body(1.0), body(1.0)
+    grown = replace(target[0], pivots=3 * target[0].pivots, centres=3 * target[0].centres)
+    contacts = [replace(each, points=3 * each.points) for each in target[1]]
+    assert leg_ratio(source[0], grown, source[1], contacts) == pytest.approx(3.0)
+
+
+def test_placed_points_follow_their_parts() -> None:
+    walker = ArticulatedBody(
+        np.array([[1.0, 0, 0], [3, 0, 0]]), np.array([[0, 1]]), np.array([[2.0, 0, 0]]), 0
+    )
+    quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    rotations, centres = np.stack([np.eye(3), quarter])[None], np.array([[[1.0, 0, 0], [2, 1, 0]]])
+    both = walker.placed(np.array([[2.0, 0, 0], [2, 0, 0]]), [0, 1], rotations, centres)
+    np.testing.assert_allclose(both, [[[2, 0, 0], [2, 0, 0]]], atol=1e-15)
+
+
+def test_refuses_vertices_that_follow_nothing() -> None:
+    walker, _ = body(1.0)
+    with pytest.raises(SettingsError, match="contact 'sole' follow no part"):
+        walker.limb(contact([3, -1]))
+    loose = replace(walker, pairs=walker.pairs[1:], pivots=walker.pivots[1:])
+    with pytest.raises(SettingsError, match="follow part 3, which nothing links to the root"):
+        loose.limb(contact([3]))
+    with pytest.raises(SettingsError, match="contact 'sole' has 0 vertices"):
+        walker.limb(contact([]))
+
+
+def test_refuses_a_contact_on_several_limbs() -> None:
+    with pytest.raises(SettingsError, match=r"'sole' are on several limbs \(parts 3, 6\); name one contact"):
+        body(1.0)[0].limb(contact([3, 6]))
+
+
+def test_refuses_legs_that_cannot_be_compared() -> None:
+    walker, contacts = body(1.0)
+    with pytest.raises(SettingsError, match="2 contacts of the source and 1 of the target"):
+        leg_ratio(walker, walker, contacts, contacts[:1])
+    with pytest.raises(SettingsError, match="at least one"):
+        leg_ratio(walker, walker, [], [])
+    point = replace(walker, centres=np.zeros((7, 3)))
+    with pytest.raises(SettingsError, match="legs of the source have no length"):
+        leg_ratio(point, walker, [contact([0])], [contact([0])])
+
+
+# Limbs that reach for a point
+
+FADE = np.sin(np.linspace(0.0, np.pi, 81)) ** 2
+
+
+def leg(bend: float, frames: int = 1) -> np.ndarray:
+    """Levers (frames, 1, 3, 3) of a leg of length 1 with a foot; thigh and shank are off the vertical by `bend`."""
+    s, c = 0.5 * np.sin(bend), 0.5 * np.cos(bend)
+    return np.tile(np.array([[s, -c, 0], [-s, -c, 0], [0.1, -0.05, 0]]), (frames, 1, 1, 1))
+
+
+def ends(levers: np.ndarray, turns: np.ndarray) -> np.ndarray:
+    return np.asarray(np.einsum("nkij,ngkj->ngi", turns, levers))
+
+
+ANKLE = np.array([1.0, 1.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    "move", [[0.1, 0, 0], [0, 0.05, 0], [0, -0.05, 0], [0, 0, 0.1], [0.05, 0.02, 0.05]], ids=str
+)
+def test_a_bent_leg_reaches_its_goal(move: list[float]) -> None:
+    levers = leg(0.6)
+    turns, left = turn_limbs(levers, np.array([[move]]), ANKLE)
+    np.testing.assert_allclose(left, 0.0, atol=1e-12)
+    np.testing.assert_allclose(ends(levers, turns) - levers.sum(axis=2), [[move]], atol=1e-12)
+    np.testing.assert_array_equal(turns[:, 2], np.eye(3)[None])  # the sole stays level
+    np.testing.assert_allclose(
+        turns @ np.swapaxes(turns, -1, -2), np.tile(np.eye(3), (1, 3, 1, 1)), atol=1e-14
+    )
+
+
+def test_one_bone_swings_like_a_pendulum() -> None:
+    angle = 0.3
+    levers = np.array([[[[0.0, -2.0, 0.0]]]])
+    swung = 2.0 * np.array([np.sin(angle), -np.cos(angle), 0.0])
+    turns, left = turn_limbs(levers, (swung - levers[0, 0])[None], np.ones(1))
+    direction = ends(levers, turns)[0, 0] / 2.0
+    # The move along the bone is not made by turning it; across it, all is.
+    assert np.degrees(np.arccos(direction @ swung / 2.0)) < 3.0
+    np.testing.assert_allclose(
+        ends(levers, turns) - levers[:, :, 0] + left, (swung - levers[0, 0])[None], atol=1e-15
+    )
+
+
+def test_nothing_turns_for_nothing() -> None:
+    turns, left = turn_limbs(leg(0.3), np.zeros((1, 1, 3)), ANKLE)
+    np.testing.assert_array_equal(turns, np.tile(np.eye(3), (1, 3, 1, 1)))
+    np.testing.assert_array_equal(left, 0.0)
+
+
+def test_a_contact_without_a_limb_stays() -> None:
+    moves = np.array([[[1.0, 2, 3]]])
+    np.testing.assert_array_equal(turn_limbs(np.zeros((1, 1, 2, 3)), moves, np.ones(2))[1], moves)
+
+
+def test_turns_with_the_world() -> None:
+    rng = np.random.default_rng(0)
+    levers, moves, world = leg(0.4, 5), 0.05 * rng.normal(size=(5, 1, 3)), matrices(rng.normal(size=3))
+    turns, left = turn_limbs(levers, moves, ANKLE)
+    turned, other = turn_limbs(levers @ world.T, moves @ world.T, ANKLE)
+    np.testing.assert_allclose(other, left @ world.T, atol=1e-12)
+    np.testing.assert_allclose(turned, world @ turns @ world.T, atol=1e-11)
+
+
+def test_two_limbs_share_a_part() -> None:
+    """A trunk with two legs: one foot moves, the other keeps its place."""
+    levers = np.zeros((1, 2, 5, 3))
+    levers[0, :, 0] = [0.4, 0.0, 0.0]
+    levers[0, 0, 1:3] = levers[0, 1, 3:5] = leg(0.5)[0, 0, :2]
+    moves = np.array([[[0.05, 0.03, 0.02], [0, 0, 0]]])
+    turns, left = turn_limbs(levers, moves, np.array([0.25, 1, 1, 1, 1]))
+    np.testing.assert_allclose(left, 0.0, atol=1e-12)
+    np.testing.assert_allclose(ends(levers, turns) - levers.sum(axis=2), moves, atol=1e-12)
+    bent = np.linalg.norm(vectors(turns[0]), axis=1)
+    assert bent[0] < bent[1:3].max()  # the leg rather than the trunk
+
+
+@pytest.mark.parametrize("bend", [0.0, 1e-6, 1e-3, 0.03, 0.1, 0.2, 0.3, 0.5])
+@pytest.mark.parametrize(
+    "move", [[0, 0.1, 0], [0, -0.1, 0], [0, 0.03, 0], [0, -0.03, 0], [0.2, 0, 0]], ids=str
+)
+def test_knees_do_not_pop(bend: float, move: list[float]) -> None:
+    """However straight the leg is: the knee accelerates at most four times as much as the foot is asked to."""
+    levers, moves = leg(bend, len(FADE)), FADE[:, None, None] * np.array(move)
+    turns, left = turn_limbs(levers, moves, ANKLE)
+    knees = np.einsum("nij,nj->ni", turns[:, 0], levers[:, 0, 0])
+    asked = np.linalg.norm(np.diff(moves[:, 0], 2, axis=0), axis=1).max()
+    assert np.linalg.norm(np.diff(knees, 2, axis=0), axis=1).max() < 4.0 * asked
+    assert np.linalg.norm(np.diff(left[:, 0], 2, axis=0), axis=1).max() < 4.0 * asked
+
+
+def test_legs_that_are_too_short_stretch_out() -> None:
+    levers = leg(0.6)
+    turns, left = turn_limbs(levers, np.array([[[0.0, -3.0, 0.0]]]), ANKLE)
+    assert np.isfinite(turns).all()
+    np.testing.assert_allclose(
+        ends(levers, turns) - levers.sum(axis=2) + left, [[[0.0, -3.0, 0.0]]], atol=1e-12
+    )

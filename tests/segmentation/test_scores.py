@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 
 from mixseq.errors import SegmentationError
-from mixseq.segmentation.methods import adjusted_rand_index
-from tests.meshes import seeds
+from mixseq.segmentation.methods import adjusted_rand_index, near_rigid_errors, segment_by_labels
+from tests.meshes import grid, joined, seeds, tetrahedron, topology_of
 
 
 def by_pairs(a: list[int], b: list[int], w: list[float]) -> float:
@@ -91,3 +92,63 @@ def test_chance_agrees_with_nothing() -> None:
 def test_refusals(a: list[int], b: list[int], weights: list[float] | None, message: str) -> None:
     with pytest.raises(SegmentationError, match=message):
         adjusted_rand_index(a, b, weights)
+
+
+def test_labels_are_numbered_densely() -> None:
+    topology = topology_of(tetrahedron())
+    assert segment_by_labels([9, 9, -4, 9], topology).tolist() == [1, 1, 0, 1]
+    assert segment_by_labels(np.array([9, 9, 200, 9], dtype=np.uint8), topology).tolist() == [0, 0, 1, 0]
+
+
+def test_equal_labels_that_are_not_connected_are_several_parts() -> None:
+    topology = topology_of(joined(grid(1, 3), tetrahedron()))
+    # Six triangles in a row: the two ends have the same label, the tetrahedron has it, too.
+    assert segment_by_labels([1, 1, 2, 2, 1, 1, 1, 1, 1, 1], topology).tolist() == [
+        0,
+        0,
+        3,
+        3,
+        1,
+        1,
+        2,
+        2,
+        2,
+        2,
+    ]
+
+
+def test_parts_that_touch_in_a_vertex_only_are_not_connected() -> None:
+    topology = topology_of(grid(2, 2))
+    checkers = np.array([0, 0, 1, 1, 1, 1, 0, 0])
+    assert segment_by_labels(checkers, topology).max() == 3
+
+
+@pytest.mark.parametrize(
+    "labels", [[0, 1, 2], [0.0, 1.0, 2.0, 3.0], [[0, 1, 2, 3]], [True, False, True, True], 3, ["a"] * 4]
+)
+def test_what_is_not_one_whole_number_per_face_is_refused(labels: Any) -> None:
+    with pytest.raises(SegmentationError, match="one whole number for each of the 4 triangles is expected"):
+        segment_by_labels(labels, topology_of(tetrahedron()))
+
+
+# How near-rigid parts are
+
+
+def test_near_rigid_errors() -> None:
+    """Two triangles turn as a book's pages: each alone is rigid, together they are not; one that stretches is soft."""
+    angle = np.linspace(0, 1, 4)
+    points = np.zeros((4, 6, 3))
+    points[:, 1, 0], points[:, 2, 1] = 1, 1
+    points[:, 3] = points[:, 0] + [0, 0, 5]
+    points[:, 4] = points[:, 3] + np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    points[:, 5] = points[:, 3] + np.stack([-np.sin(angle), np.cos(angle), 0 * angle], axis=1)
+    faces = np.array([[0, 1, 2], [3, 4, 5]])
+    parts, whole = near_rigid_errors(points, faces, np.array([0, 1]))
+    np.testing.assert_allclose(parts, 0, atol=1e-5)
+    assert whole < 1e-5
+    parts, whole = near_rigid_errors(points, faces, np.array([0, 0]))
+    assert parts[0] == pytest.approx(whole)
+    assert whole > 1
+    points[1:, 1, 0] = 1.3
+    parts, _ = near_rigid_errors(points, faces, np.array([0, 1]))
+    assert parts[0] > 5 > 1e-5 > parts[1]

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import mixseq
+from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.operations import resample
 from mixseq.pictures.scene import Scene, SceneItem
-from mixseq.sequence.frame_rates import exact_rate, rate_text
+from mixseq.sequence.frame_rates import exact_rate, frame_text, number_at, rate_text, seconds_meant, time_of
 from mixseq.sequence.sequence import MeshSequence
 from tests.meshes import bar
 
@@ -62,3 +63,63 @@ def test_sampled_motions() -> None:
         assert made.fps == 60000 / 1001
         np.testing.assert_allclose(np.diff(made.times), 1001 / 60000)
     assert Scene((SceneItem("bar", model),), 23.976).fps == 24000 / 1001
+
+
+# Frame numbers and times: one rule, a number is a time by the rate
+
+RATES = (24.0, 24000 / 1001, 25.0, 30000 / 1001, 120.0)
+
+
+@pytest.mark.parametrize("fps", RATES)
+def test_numbers_and_times_are_inverse(fps: float) -> None:
+    for number in (-5, 0, 1, 1001, 9_999):
+        assert number_at(time_of(number, fps), fps) == number
+        assert frame_text(float(np.float32(time_of(number, fps))), fps) == f"{number}"  # as MDD holds times
+
+
+def test_what_is_no_frame_keeps_its_fraction() -> None:
+    assert number_at(10.5 / 24, 24) == 10.5
+    assert frame_text(10.25 / 24, 24) == "10.25"
+
+
+@pytest.mark.parametrize("fps", RATES)
+def test_a_shot_begins_at_another_number(fps: float) -> None:
+    header = bar().header.with_times(0.7 + np.arange(96) / fps, fps).numbered_from(1001)
+    np.testing.assert_array_equal(header.times, np.arange(1001, 1097) / fps)
+    assert header.index_of(1005) == 4
+
+
+def test_uneven_times_keep_their_distances() -> None:
+    times = np.array([0.0, 0.1, 0.35])
+    moved = bar().header.with_times(times, 24).numbered_from(1001).times
+    np.testing.assert_allclose(moved - 1001 / 24, times, atol=1e-12)
+
+
+def test_seconds_that_are_frames() -> None:
+    shot = (1001 / 24, 1096 / 24, 24.0)
+    assert seconds_meant(1096, *shot) == "; frame 1096 is at 45.6667 s"
+    assert seconds_meant(1097, *shot) == seconds_meant(50.0, *shot) == ""
+
+
+def shot(first: int = 1001) -> MeshSequence:
+    bending = bar(frames=5)
+    return MeshSequence.from_header(bending.header.numbered_from(first), bending.points)
+
+
+def test_headers_know_their_frames() -> None:
+    header = shot().header
+    assert (header.frame_numbers, header.index_of(1003)) == ("1001 to 1005", 2)
+    assert header.with_times(header.times[:1]).frame_numbers == "1001"
+    assert header.frame_name(2) == "frame 1003 (index 2)"
+    assert shot(0).header.frame_name(2) == header.frame_name(99).replace("99", "2") == "frame 2"
+    with pytest.raises(SettingsError, match="there is no frame 2; frames are 1001 to 1005"):
+        header.index_of(2)
+    with pytest.raises(SettingsError, match="start_frame is nan"):
+        header.numbered_from(float("nan"))
+
+
+def test_errors_name_the_number() -> None:
+    points = shot().points.copy()
+    points[3, 1] = np.nan
+    with pytest.raises(InvalidSequenceError, match=r"frame 1004 \(index 3\): vertex 1 is"):
+        MeshSequence.from_header(shot().header, points)

@@ -2,18 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import FrozenInstanceError
+from collections.abc import Callable, Iterator
+from dataclasses import FrozenInstanceError, dataclass, replace
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mixseq.errors import InvalidSequenceError
+import mixseq
+from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.mesh.polygons import Polygons
+from mixseq.mesh.surface import Origin, Surface
+from mixseq.runtime import low_memory
+from mixseq.runtime.low_memory import DiskArray
 from mixseq.sequence.header import SequenceHeader, header_fields
-from mixseq.sequence.sequence import MeshSequence, bounding_diagonal, check_block, check_frames, collect
+from mixseq.sequence.sequence import (
+    UNITS,
+    MeshSequence,
+    UnitConversion,
+    block_size,
+    blocks_of,
+    bounding_diagonal,
+    check_block,
+    check_frames,
+    collect,
+    convert_units,
+    digits_end,
+    farthest,
+    frame_store,
+    largest_coordinate,
+    metres_of,
+)
+from mixseq.types import FloatArray
+from tests.meshes import bar
 
 
 def points(frames: int = 3, vertices: int = 4) -> Any:
@@ -34,10 +56,7 @@ BAD: dict[str, tuple[Callable[[], object], str]] = {
         lambda: MeshSequence.from_arrays(np.zeros((4, 3)), FACES),
         r"points have shape \(4, 3\); \(frames, vertices, 3\) is expected",
     ),
-    "plane": (
-        lambda: MeshSequence.from_arrays(np.zeros((2, 4, 2)), FACES),
-        r"points have shape \(2, 4, 2\)",
-    ),
+    "plane": (lambda: MeshSequence.from_arrays(np.zeros((2, 4, 2)), FACES), r"points have shape \(2, 4, 2\)"),
     "text": (lambda: MeshSequence.from_arrays([[["a", "b", "c"]] * 3], FACES), "points are not numbers"),
     "nan": (
         lambda: MeshSequence.from_arrays(spoilt(np.nan), FACES),
@@ -149,14 +168,7 @@ def test_points_keep_single_and_double_precision(dtype: type, kept: type) -> Non
 
 def test_polygons_are_fanned_about_their_first_corners() -> None:
     polygons = Polygons(np.array([5, 3, 4]), np.array([4, 0, 1, 2, 3, 7, 8, 9, 5, 6, 1, 0]))
-    assert polygons.triangles.tolist() == [
-        [4, 0, 1],
-        [4, 1, 2],
-        [4, 2, 3],
-        [7, 8, 9],
-        [5, 6, 1],
-        [5, 1, 0],
-    ]
+    assert polygons.triangles.tolist() == [[4, 0, 1], [4, 1, 2], [4, 2, 3], [7, 8, 9], [5, 6, 1], [5, 1, 0]]
     assert polygons.triangles.dtype == np.int32
     assert not polygons.only_triangles
     assert Polygons.from_triangles(FACES).only_triangles
@@ -268,3 +280,176 @@ def test_blocks_are_checked_by_the_frames_they_hold() -> None:
 def test_what_is_no_sequence_is_refused(wrong: object) -> None:
     with pytest.raises(InvalidSequenceError, match="a MeshSequence or an open sequence is expected, not"):
         check_frames(wrong)
+
+
+# Sequences in other units: what they are in the world stays
+
+CORNER = [[[0.0, 0, 0], [1, 2, 3], [4, 0, 0]]]
+
+
+def sequence(dtype: type = np.float64, **header: object) -> MeshSequence:
+    made = MeshSequence.from_arrays(np.array(CORNER, dtype), [[0, 1, 2]], **header)  # type: ignore[arg-type]
+    return replace(made, velocities=np.array(CORNER, dtype) * 10)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("Y", "Z", [1, -3, 2]),
+        ("Z", "Y", [1, 3, -2]),
+        ("X", "Y", [-2, 1, 3]),
+        ("Y", "X", [2, -1, 3]),
+        ("X", "Z", [-3, 2, 1]),
+        ("Z", "X", [3, 2, -1]),
+        ("Y", "Y", [1, 2, 3]),
+    ],
+)
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_turned(old: str, new: str, expected: list[float], dtype: type) -> None:
+    turned = convert_units(sequence(dtype, up_axis=old), up_axis=new)
+    assert turned.up_axis == new
+    assert turned.points.dtype == dtype
+    assert turned.points[0, 1].tolist() == expected
+    assert turned.velocities is not None
+    np.testing.assert_array_equal(turned.velocities, 10 * turned.points)
+    assert "XYZ"[int(np.argmax(turned.points[0, 1] == [1, 2, 3]["XYZ".index(old)]))] == new
+
+
+def test_faces_keep_their_side() -> None:
+    """A rotation turns no mesh inside out."""
+    for old in "XYZ":
+        for new in "XYZ":
+            assert np.linalg.det(UnitConversion.of(sequence(up_axis=old), new).turn) == pytest.approx(1)
+
+
+def test_scaled() -> None:
+    small = convert_units(sequence(metres_per_unit=0.01), units="m")
+    assert small.metres_per_unit == 1
+    np.testing.assert_array_equal(small.points, 0.01 * np.array(CORNER))
+    assert convert_units(sequence(), units="ft").points[0, 2, 0] == pytest.approx(4 / 0.3048)
+
+
+@pytest.mark.parametrize("units", [*UNITS, 0.5])
+def test_there_and_back(units: str | float) -> None:
+    once = convert_units(sequence(np.float32), up_axis="Z", units=units)
+    back = convert_units(once, up_axis="Y", units="m")
+    np.testing.assert_allclose(back.points, np.array(CORNER), rtol=1e-6)
+    assert (back.up_axis, back.metres_per_unit) == ("Y", 1)
+
+
+def test_nothing_to_do_changes_no_bit() -> None:
+    before = sequence(np.float32, up_axis="Z", metres_per_unit=0.01)
+    after = mixseq.convert_units(before, up_axis="Z", units="cm")
+    assert not UnitConversion.of(before.header, "Z", 0.01).changes
+    assert after.points.tobytes() == before.points.tobytes()
+    assert after.header.surface is before.header.surface
+
+
+@pytest.mark.parametrize(("form", "kept"), [("USD", True), ("Alembic", False)])
+def test_files_that_do_not_tell_their_units_are_forgotten(form: str, kept: bool) -> None:
+    origin = Origin(form, "/shot")
+    before = replace(sequence(), surface=Surface(origin=origin))
+    assert (convert_units(before, units="cm").surface.origin == origin) is kept
+    assert convert_units(before, units="m").surface.origin == origin
+
+
+def test_refusals() -> None:
+    with pytest.raises(SettingsError, match="up_axis is 'W'; one of X, Y, Z"):
+        convert_units(sequence(), up_axis="W")
+    for units in ("parsec", 0, -1, "nan", "inf"):
+        with pytest.raises(SettingsError, match=f"the unit is {units!r}; one of mm, cm, m"):
+            metres_of(units)
+
+
+# What streams is copied once, and checked on the way
+
+BAR = bar(sides=4, rings=5, frames=7)
+
+
+@dataclass
+class Streamed:
+    """A sequence that is given in blocks, and counts how often."""
+
+    header: SequenceHeader
+    given: list[FloatArray]
+    times: int = 0
+
+    def blocks(self, size: int = 16) -> Iterator[FloatArray]:
+        self.times += 1
+        yield from self.given
+
+
+def test_what_is_in_memory_stays_there() -> None:
+    assert frame_store(BAR).points is BAR.points
+    assert [len(block) for block in BAR.blocks(3)] == [3, 3, 1]
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("limit", [0, 1 << 30])
+def test_what_streams_is_read_once(dtype: type, limit: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(low_memory, "IN_MEMORY", limit)
+    points: FloatArray = BAR.points.astype(dtype)
+    source = Streamed(BAR.header, [points[:2], points[2:3], points[3:]])
+    told: list[tuple[int, int, str]] = []
+    copy = frame_store(source, lambda *step: told.append(step))
+    assert isinstance(copy.points, DiskArray) == (limit == 0)
+    assert copy.points.dtype == dtype
+    for _ in range(2):
+        np.testing.assert_array_equal(np.concatenate(list(blocks_of(copy.points))), points)
+    assert source.times == 1
+    assert [done for done, _, _ in told] == [2, 3, 7]
+
+
+@pytest.mark.parametrize(
+    ("frames", "message"),
+    [
+        ([BAR.points[:5]], "5 frames of points but 7 times"),
+        ([], "0 frames of points but 7 times"),
+        ([BAR.points, BAR.points], "more frames than the 7 times"),
+        ([BAR.points[:, 1:]], "frame 0 has 21 vertices, the mesh has 22"),
+        ([BAR.points[:3], np.full((4, 22, 3), np.nan)], r"frame 3: vertex 0 .* must be finite"),
+    ],
+)
+def test_unsound_streams_are_refused(frames: list[FloatArray], message: str) -> None:
+    with pytest.raises(InvalidSequenceError, match=message):
+        frame_store(Streamed(BAR.header, frames))
+
+
+@pytest.mark.parametrize(
+    ("factor", "offset", "message"),
+    [
+        (1e-310, 0.0, "e-310 units across in its first frame, .* from 1e-60 to 1e.60 is expected"),
+        (1e-61, 0.0, "e-61 units across"),
+        (1e61, 0.0, r"e\+61 units across"),
+        (1e307, 0.0, "units across"),
+        (1.0, 1e200, r"coordinates are up to 1e\+200 units"),
+    ],
+)
+@pytest.mark.parametrize("streams", [False, True])
+def test_lengths_whose_squares_do_not_fit_are_refused(
+    factor: float, offset: float, message: str, streams: bool
+) -> None:
+    points = BAR.points.copy()
+    points[3] += offset
+    far = BAR.with_points(points * factor)
+    with pytest.raises(InvalidSequenceError, match=f"^{far.header.name!r}: .*{message}"):
+        frame_store(Streamed(far.header, [far.points]) if streams else far)
+
+
+def test_a_first_frame_that_is_one_point_may_be_anywhere() -> None:
+    point = BAR.with_points(np.full_like(BAR.points, 1e59))
+    assert frame_store(point).points is point.points
+    assert digits_end(largest_coordinate(point.points)) == 1e59 * 2.0**-40
+
+
+def test_how_far_vertices_get_does_not_depend_on_the_origin() -> None:
+    triangle = np.array([[0.0, 0, 0], [2, 0, 0], [0, 4, 0]])
+    points = np.stack([triangle, 10 * triangle]) + np.array([100.0, -1000, 0])
+    assert farthest(points) == 38.0
+    assert largest_coordinate(points) == 1000.0
+
+
+def test_blocks_depend_on_the_mesh_only() -> None:
+    assert [block_size(count) for count in (3, 100_000, 169_000, 1 << 20, 1 << 24)] == [8, 8, 6, 1, 1]
+    long = MeshSequence.from_arrays(np.zeros((20, 3, 3)), [[0, 1, 2]])
+    assert [len(block) for block in blocks_of(long.points)] == [8, 8, 4]

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import mixseq
 from mixseq.choices import SPACES, SpaceName
@@ -16,13 +18,26 @@ from mixseq.mesh.rigid import kabsch
 from mixseq.mesh.rotations import rotations_of
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.curve import Curve
-from mixseq.signals.detail import EXACT_STEP, STEPS, Detail, Encoded, build, encode
+from mixseq.signals.detail import (
+    EXACT_STEP,
+    STEPS,
+    Detail,
+    Encoded,
+    build,
+    choose_keys,
+    encode,
+    fit_curve,
+    key_map,
+    least_squares_curve,
+)
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
+from mixseq.signals.modes import principal_modes
 from mixseq.spaces.making import make_space
 from mixseq.spaces.temporal import with_middles
 from mixseq.types import Float, FloatArray
 from tests.meshes import bar
+from tests.signals.test_pose import METRIC, vectors
 
 LONG = bar(sides=5, rings=13, frames=12)
 
@@ -182,3 +197,80 @@ def test_without_correction_few_modes_carry_most_of_the_walk() -> None:
     model = fit(walk(), rank=10)
     whole, plain = deformation(walk().points), deformation(without_correction(model).sample().points)
     assert np.linalg.norm(plain - whole) < 0.2 * np.linalg.norm(whole)
+
+
+# Curves that stay near values with few knots
+
+
+def wave(times: Float) -> Float:
+    return np.stack([np.sin(2 * times), np.cos(3 * times), times**2], axis=1)
+
+
+def largest(deviations: Float) -> Float:
+    return np.asarray(np.abs(deviations).max(axis=1, initial=0.0))
+
+
+def test_no_coordinates_are_fine() -> None:
+    assert fit_curve(np.arange(7.0), np.zeros((7, 0)), 0.1, largest)([0.3]).shape == (1, 0)
+
+
+def test_a_cubic_needs_no_inner_knots() -> None:
+    t = np.linspace(0, 1, 30)
+    values = np.stack([t**3 - t, 2 * t**2], axis=1)
+    curve = fit_curve(t, values, 1e-9, largest)
+    assert len(curve.times) == 4
+    np.testing.assert_allclose(curve(t), values, atol=1e-12)
+
+
+@pytest.mark.parametrize("tolerance", [0.1, 1e-2, 1e-3, 1e-5])
+def test_the_tolerance_is_kept_with_few_knots(tolerance: float) -> None:
+    t = np.linspace(0, 2, 120)
+    curve = fit_curve(t, wave(t), tolerance, largest)
+    assert largest(curve(t) - wave(t)).max() <= tolerance
+    assert len(curve.times) < 60
+
+
+def test_knots_go_where_they_are_needed() -> None:
+    t = np.linspace(0, 1, 101)
+    step = np.tanh(40 * (t - 0.7))[:, None]
+    knots = fit_curve(t, step, 1e-3, largest).times
+    assert np.count_nonzero(np.abs(knots - 0.7) < 0.2) > 0.6 * len(knots)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 9])
+def test_without_tolerance_all_values_are_met(count: int) -> None:
+    noise = np.random.default_rng(count).standard_normal((count, 2))
+    times = np.cumsum(np.linspace(1, 2, count))
+    curve = fit_curve(times, noise, 0.0, largest)
+    np.testing.assert_array_equal(curve(times), noise)
+
+
+def test_least_squares_lets_the_noise_go() -> None:
+    t = np.linspace(0, 2, 200)
+    noisy = wave(t) + 0.01 * np.random.default_rng(0).standard_normal((200, 3))
+    curve = least_squares_curve(t, noisy, np.linspace(0, 2, 8)[1:-1])
+    assert np.sqrt(np.square(curve(t) - wave(t)).mean()) < 0.004
+
+
+# Frames that stand for all others
+
+
+@given(count=st.integers(1, 7), rank=st.integers(0, 4), seed=st.integers(0, 50))
+def test_weights_add_up_to_one(count: int, rank: int, seed: int) -> None:
+    modes = principal_modes(vectors(count, rank, seed=seed), METRIC)
+    points = modes.sizes * np.random.default_rng(seed).standard_normal((5, len(modes.sizes)))
+    frames = choose_keys(modes.scores)
+    weights = key_map(modes.scores[frames]).weights(points)
+    assert weights.shape[1] == len(frames) <= min(count, len(modes.sizes) + 1)
+    np.testing.assert_allclose(weights.sum(axis=1), 1, atol=1e-9)
+
+
+def test_key_frames_stand_for_all_others() -> None:
+    given_ = vectors(count=8, rank=3)
+    modes = principal_modes(given_, METRIC).first(3)
+    frames = choose_keys(modes.scores)
+    assert len(frames) == 4
+    weights = key_map(modes.scores[frames]).weights(modes.scores)
+    np.testing.assert_allclose(weights @ given_[frames], given_, atol=1e-10)
+    np.testing.assert_allclose(weights[frames], np.eye(4), atol=1e-9)
+    assert np.abs(weights).max() < 4, "key frames are spread widely"

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mixseq.errors import SettingsError
 from mixseq.mesh.topology import Topology
-from mixseq.spaces.pieces import Pieces
+from mixseq.spaces.pieces import Pieces, PosedSpace
+from mixseq.spaces.temporal import Operator
 from mixseq.types import Float
-from tests.meshes import SEQUENCES, grid, joined, rigid_motions, tetrahedron, topology_of, tube
+from tests.meshes import SEQUENCES, grid, joined, rigid_motions, rotation, tetrahedron, topology_of, tube
 
 
 def two_and_a_point() -> tuple[Topology, Float]:
@@ -114,3 +119,98 @@ def test_lines_point_where_they_are_moved(motion: tuple[Float, Float]) -> None:
     rotations, _ = pieces.poses(line @ turn.T + shift)
     np.testing.assert_allclose(rotations[0] @ [1, 2, 2], turn @ [1, 2, 2], atol=1e-5)
     np.testing.assert_allclose(pieces.poses(line)[0][0], np.eye(3), atol=1e-5)
+
+
+# Spaces whose vectors end with poses, seen in the smallest one: corners of a tetrahedron about their centre
+
+
+@dataclass(frozen=True, eq=False)
+class Sizes(PosedSpace):
+    """Regular tetrahedra: the shape is the distance of the corners from the centre."""
+
+    name = "sizes"
+    shape_dim = 1
+    shape_metric = np.ones(1)
+
+    def shape_of(self, x: Float) -> Float:
+        return np.array([np.linalg.norm(x - x.mean(axis=0), axis=1).mean()])
+
+    def rebuilt(self, shape: Float) -> Float:
+        # Anywhere: neither upright nor at the origin.
+        rows = shape * (tetrahedron()[0] / np.sqrt(3)) @ rotation((1.0, 2.0, 3.0)).T + 5.0
+        return np.asarray(rows)
+
+
+POINTS, FACES = tetrahedron()
+SPACE = Sizes(Topology(FACES, 4), 2.0, POINTS / 2.0)
+
+
+def test_a_vector_is_shape_rotation_and_centre() -> None:
+    axis, angle = np.array([1.0, -2, 2]) / 3, 0.6
+    vector = SPACE.encode((1.5 * POINTS @ rotation(axis * angle).T + [2.0, 4, 6])[None])
+    quaternion = [np.cos(0.3), *np.sin(0.3) * axis]
+    np.testing.assert_allclose(vector, [[1.5 * np.sqrt(3) / 2, *quaternion, 1, 2, 3]], atol=1e-12)
+    assert SPACE.dim == 8
+    assert (SPACE.rotation_count, SPACE.centre_count, SPACE.placement_dim) == (1, 1, 7)
+    np.testing.assert_allclose(SPACE.weights, [1, *[np.sqrt(3)] * 4, 1, 1, 1])
+
+
+def test_placements_are_poses() -> None:
+    placements = np.random.default_rng(0).normal(size=(5, SPACE.placement_dim))
+    poses = SPACE.poses(placements)
+    assert poses.rotations.shape == (5, 1, 4)
+    assert poses.centres.shape == (5, 1, 3)
+    np.testing.assert_array_equal(SPACE.placements(poses), placements)
+
+
+def test_between_frames_a_body_turns_as_evenly_as_at_them() -> None:
+    """By 150 degrees a frame; centres are the operator's."""
+    angles, times = np.radians(150.0) * np.arange(6), np.arange(6) / 24
+    path = np.random.default_rng(1).normal(size=(6, 3))
+    points = np.stack([POINTS @ rotation((0.0, a, 0.0)).T + p for a, p in zip(angles, path, strict=True)])
+    vectors = SPACE.encode(points)
+    operator, at = Operator(times), np.array([0.0, 0.01, 0.1, 0.2])
+    _, placements = SPACE.predicted_poses(
+        operator, vectors[:, :0], vectors[:, SPACE.shape_dim :], at, in_body=False
+    )
+    found = SPACE.decode(
+        np.concatenate([np.repeat(vectors[:1, : SPACE.shape_dim], 4, axis=0), placements], axis=1)
+    )
+    centres = operator.at(at).of(path)
+    expected = [POINTS @ rotation((0.0, np.radians(150.0) * 24 * t, 0.0)).T for t in at]
+    np.testing.assert_allclose(found, np.stack(expected) + centres[:, None], atol=1e-12)
+
+
+@settings(max_examples=30, deadline=None)
+@given(motion=rigid_motions)
+def test_rigid_motions_change_poses_only_and_come_back(motion: tuple[Float, Float]) -> None:
+    turn, shift = motion
+    points = (POINTS @ turn.T + shift)[None]
+    vector = SPACE.encode(points)
+    assert vector[0, 0] == pytest.approx(np.sqrt(3) / 2, abs=1e-12)
+    np.testing.assert_allclose(SPACE.decode(vector), points, atol=1e-10)
+
+
+def test_half_way_is_half_a_turn() -> None:
+    axis, angle = np.array([1.0, 2, -2]) / 3, 3.0
+    vectors = SPACE.encode(np.stack([POINTS, 3 * POINTS @ rotation(axis * angle).T + [1.0, 0, 0]]))
+    half = SPACE.decode(vectors.mean(axis=0, keepdims=True))[0]
+    np.testing.assert_allclose(half, 2 * POINTS @ rotation(axis * angle / 2).T + [0.5, 0, 0], atol=1e-12)
+
+
+def test_a_body_that_turns_twice_goes_on_block_by_block() -> None:
+    angles = np.linspace(0, 4 * np.pi, 13)
+    points = np.stack([POINTS @ rotation((0.0, 0, angle)).T for angle in angles])
+    vectors = SPACE.encode(points)
+    expected = np.stack([np.cos(angles / 2), 0 * angles, 0 * angles, np.sin(angles / 2)], axis=1)
+    np.testing.assert_allclose(vectors[:, 1:5], expected, atol=1e-12)
+    assert (SPACE.encode_apart(points)[:, 1] >= 0).all()
+    np.testing.assert_allclose(SPACE.encode(points[6:], vectors[5]), vectors[6:], atol=1e-13)
+    np.testing.assert_array_equal(SPACE.unwrap(SPACE.encode_apart(points)), vectors)
+
+
+def test_vectors_of_other_spaces_are_refused() -> None:
+    with pytest.raises(SettingsError, match=r"vectors have shape \(2, 6\); \(T, 8\) is expected"):
+        SPACE.decode(np.zeros((2, 6)))
+    with pytest.raises(SettingsError, match=r"\(8,\)"):
+        SPACE.decode(np.zeros(8))

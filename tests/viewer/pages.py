@@ -1,10 +1,12 @@
-"""Pages taken apart: what is in them, decoded by Python."""
+"""Pages taken apart: what is in them, decoded by Python; and waiting for those that are alive."""
 
 from __future__ import annotations
 
 import json
 import re
+import time
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +20,16 @@ from mixseq.signals.model import Model
 from mixseq.types import Float
 from mixseq.viewer.export_data import BYTE_ORDER_MARK, ENCODING, ESCAPE
 from mixseq_io.coded.streams import Container, sequence_of
+
+
+def eventually(holds: Callable[[], Any], seconds: float = 60.0) -> Any:
+    """Wait until something holds, and return it."""
+    until = time.monotonic() + seconds
+    while not (found := holds()):
+        assert time.monotonic() < until, "it never came"
+        time.sleep(0.02)
+    return found
+
 
 _ELEMENT = re.compile(r'<script type="text/plain" data-size="(\d+)">([^<]*)</script>')
 

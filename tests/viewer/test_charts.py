@@ -434,13 +434,7 @@ COLOURS = """(frames) => {
     ids=["narrow, light", "wide, dark"],
 )
 def test_pictures(
-    new_page: NewPage,
-    signals: dict[str, Any],
-    keep: Keep,
-    width: int,
-    height: int,
-    scale: int,
-    dark: bool,
+    new_page: NewPage, signals: dict[str, Any], keep: Keep, width: int, height: int, scale: int, dark: bool
 ) -> None:
     page = new_page(width, height, scale)
     page.set_content(PAGE)

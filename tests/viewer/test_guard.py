@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from http.client import HTTPConnection, HTTPResponse
 from pathlib import Path
@@ -17,6 +17,7 @@ from mixseq.creature import walk_cycle
 from mixseq.pictures.colours import SceneColours
 from mixseq.pictures.scene import Scene, SceneItem
 from mixseq.signals.model import Model
+from tests.viewer.pages import eventually
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 
@@ -113,14 +114,6 @@ def packed(type_: str, **fields: Any) -> bytes:
 
 def change(control: Any, **updates: Any) -> bytes:
     return packed("GuiUpdateMessage", uuid=control._impl.uuid, updates=updates)
-
-
-def eventually(holds: Callable[[], Any], seconds: float = 30.0) -> Any:
-    until = time.monotonic() + seconds
-    while not (found := holds()):
-        assert time.monotonic() < until, "it never came"
-        time.sleep(0.02)
-    return found
 
 
 def check_it_hears(page: Page, line: Connection) -> None:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -19,6 +18,7 @@ from mixseq.pictures.colours import SceneColours
 from mixseq.pictures.scene import Scene, SceneItem
 from mixseq.signals.model import Model
 from tests.viewer.conftest import NewPage, own_port
+from tests.viewer.pages import eventually
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -59,15 +59,6 @@ def running(model: Model, tmp_path: Path) -> Iterator[Viewer]:
     settings = ViewSettings(port=own_port(), folder=tmp_path, threads=1, material="toon5")
     with viewer(SceneColours(scene), settings, save) as started:
         yield started
-
-
-def eventually(holds: Callable[[], Any], seconds: float = 30.0) -> Any:
-    """Wait until something holds, and return it."""
-    until = time.monotonic() + seconds
-    while not (found := holds()):
-        assert time.monotonic() < until, "it never came"
-        time.sleep(0.05)
-    return found
 
 
 MIDDLE = """() => {

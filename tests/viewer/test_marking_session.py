@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -13,6 +11,7 @@ from mixseq.retargeting.markers import Markers
 from mixseq.viewer.marking import SOURCE, TARGET, MarkingSession
 from tests.retargeting.foxes import on_bones, short, tall
 from tests.retargeting.test_examination import MARKED, set_markers
+from tests.viewer.pages import eventually
 
 pytestmark = pytest.mark.slow
 
@@ -31,14 +30,6 @@ class Listener:
 
     def failed(self, what: str, error: Exception) -> None:
         self.failures.append(error)
-
-
-def eventually(holds: Callable[[], Any], seconds: float = 60.0) -> Any:
-    until = time.monotonic() + seconds
-    while not (found := holds()):
-        assert time.monotonic() < until, "it never came"
-        time.sleep(0.01)
-    return found
 
 
 @pytest.fixture

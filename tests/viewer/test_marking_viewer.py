@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -16,6 +15,7 @@ from mixseq.types import Float
 from mixseq_io.text.markers import write_markers
 from tests.retargeting.foxes import seen_from_left, short, tall
 from tests.viewer.conftest import Keep, NewPage, own_port
+from tests.viewer.pages import eventually
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -40,14 +40,6 @@ PLACE = """([side, vertex]) => {
   return [x + (1 + place.x) / 2 * width, y + (1 - place.y) / 2 * height];
 }"""
 """Where a vertex is on the page."""
-
-
-def eventually(holds: Callable[[], Any], seconds: float = 60.0) -> Any:
-    until = time.monotonic() + seconds
-    while not (found := holds()):
-        assert time.monotonic() < until, "it never came"
-        time.sleep(0.05)
-    return found
 
 
 class Hand:

@@ -2,22 +2,48 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from threading import Event
 from threading import enumerate as all_threads
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
 from mixseq.operations import repeat
 from mixseq.pictures.scene import Scene, SceneItem
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
 from mixseq.viewer import session as module
 from mixseq.viewer.playback import Playback
-from mixseq.viewer.session import MOST_WRITTEN, Session
+from mixseq.viewer.session import (
+    FRAMES,
+    HANDLES,
+    LARGEST,
+    MOST_POINTS,
+    MOST_WRITTEN,
+    POINTS,
+    Drag,
+    Drawn,
+    History,
+    Message,
+    Retime,
+    Seek,
+    Session,
+    Sketch,
+    message_of,
+    pick,
+    signals_of,
+)
+from tests.meshes import grid, joined, rigid_motions, seeds, tetrahedron, torus
 from tests.viewer.staged import PATIENCE, Stage, eventually, watched
 
 
@@ -429,3 +455,376 @@ def test_no_thread_is_left(bar_model: Model) -> None:
     with room.session, room.playback:
         pass
     assert not set(all_threads()) - before
+
+
+# What is under the pointer
+
+TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]])
+
+
+@pytest.mark.parametrize(("place", "vertex"), [((0.1, 0.1), 0), ((0.8, 0.1), 1), ((0.1, 0.8), 2)])
+@pytest.mark.parametrize("side", [3.0, -3.0])
+def test_a_triangle_from_both_sides(place: tuple[float, float], vertex: int, side: float) -> None:
+    found = pick(*TRIANGLE, origin=[*place, side], direction=[0, 0, -np.sign(side)])
+    assert found == (0, vertex, 3.0)
+
+
+def test_the_distance_is_in_lengths_of_the_direction() -> None:
+    found = pick(*TRIANGLE, origin=[0.2, 0.2, 3], direction=[0, 0, -0.5])
+    assert found is not None
+    assert found.distance == pytest.approx(6.0)
+
+
+@pytest.mark.parametrize(
+    ("origin", "direction"),
+    [
+        ([0.6, 0.6, 3], [0, 0, -1]),  # next to it
+        ([-0.1, 0.5, 3], [0, 0, -1]),
+        ([0.2, 0.2, 3], [0, 0, 1]),  # away from it
+        ([0.2, 0.2, 3], [1, 0, 0]),  # along it
+        ([-1.0, 0.2, 0], [1, 0, 0]),  # in its plane
+        ([0.2, 0.2, 3], [0, 0, 0]),
+        ([0.2, 0.2, 3], [0, 0, -1e-310]),  # farther away than numbers go
+        ([0.2, 0.2, 3], [np.nan, 0, 0]),
+    ],
+)
+def test_misses(origin: list[float], direction: list[float]) -> None:
+    assert pick(*TRIANGLE, origin=origin, direction=direction) is None
+
+
+def test_the_first_of_several() -> None:
+    sheet = grid(2, 2)
+    stack = joined(sheet, (sheet[0] + [0, 0, 5.0], sheet[1]), (sheet[0] - [0, 0, 5.0], sheet[1]))
+    above = pick(*stack, origin=[0.7, 0.2, 9], direction=[0, 0, -1])
+    below = pick(*stack, origin=[0.7, 0.2, -9], direction=[0, 0, 1])
+    between = pick(*stack, origin=[0.7, 0.2, 1], direction=[0, 0, -1])
+    assert above is not None
+    assert below is not None
+    assert between is not None
+    count = len(sheet[1])
+    assert [found.face // count for found in (above, below, between)] == [1, 2, 0]
+    assert [found.distance for found in (above, below, between)] == pytest.approx([4, 4, 1])
+    assert stack[0][above.vertex].tolist() == [1, 0, 5]
+
+
+@pytest.mark.parametrize("corners", [[0, 0, 0], [0, 0, 1], [0, 1, 3]], ids=["point", "edge", "line"])
+def test_triangles_without_area_are_not_met(corners: list[int]) -> None:
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0]])
+    for origin in ([0.5, 0, 3], [0.0, 0, 3], [0.25, 0.25, 3]):
+        assert pick(points, np.array([corners]), origin, [0, 0, -1]) is None
+    found = pick(points, np.array([corners, [0, 1, 2]]), [0.25, 0.25, 3], [0, 0, -1])
+    assert found is not None
+    assert found.face == 1
+
+
+def test_single_precision_and_numbers_of_any_kind() -> None:
+    points, faces = TRIANGLE
+    found = pick(points.astype(np.float32), faces.astype(np.uint32), (0.2, 0.2, 3), (0, 0, -1))
+    assert found == (0, 0, 3.0)
+    assert type(found.face) is type(found.vertex) is int
+
+
+@given(seeds, rigid_motions)
+def test_a_point_on_a_face_is_found_from_outside(
+    seed: int, motion: tuple[NDArray[np.float64], NDArray[np.float64]]
+) -> None:
+    rng = np.random.default_rng(seed)
+    points, faces = tetrahedron()
+    points = points @ motion[0].T + motion[1]
+    face = int(rng.integers(len(faces)))
+    weights = rng.dirichlet([2, 2, 2])
+    assume(weights.min() > 1e-3)
+    a, b, c = points[faces[face]]
+    place = weights @ points[faces[face]]
+    normal = np.cross(b - a, c - a)
+    found = pick(points, faces, place + 2 * normal, -normal)
+    assert found is not None
+    assert (found.face, found.vertex) == (
+        face,
+        faces[face][np.linalg.norm(points[faces[face]] - place, axis=1).argmin()],
+    )
+    assert found.distance == pytest.approx(2.0)
+
+
+def test_against_every_triangle_one_by_one() -> None:
+    points, faces = torus(12, 7)
+    rng = np.random.default_rng(5)
+    hits = 0
+    for origin, target in zip(6 * rng.normal(size=(60, 3)), rng.normal(size=(60, 3)), strict=True):
+        along = target - origin
+        distances = []
+        for face in faces:
+            a, b, c = points[face]
+            # o + t d = a + u (b - a) + v (c - a)
+            t, u, v = np.linalg.solve(np.stack([-along, b - a, c - a], axis=1), origin - a)
+            distances.append(t if min(u, v, t) >= 0 and u + v <= 1 else np.inf)
+        found = pick(points, faces, origin, along)
+        assert (found is None) == np.isinf(min(distances))
+        if found is not None:
+            hits += 1
+            assert found.face == int(np.argmin(distances))
+            assert found.distance == pytest.approx(min(distances))
+    assert 10 < hits < 60
+
+
+# What was done, undone, and done again
+
+
+def test_a_model_to_which_nothing_was_done(bar_model: Model) -> None:
+    history = History.of(bar_model)
+    assert history.model is bar_model
+    assert (history.changed, history.undoes, history.redoes) == (False, None, None)
+    assert history.undone().model is bar_model
+    assert history.redone().model is bar_model
+
+
+def test_an_edit_is_undone_and_done_again(bar_model: Model) -> None:
+    once, twice = replace(bar_model), replace(bar_model)
+    history = History.of(bar_model).done("cut", once).done("loop", twice)
+    assert (history.model, history.undoes, history.redoes) == (twice, "loop", None)
+    back = history.undone()
+    assert (back.model, back.undoes, back.redoes, back.changed) == (once, "cut", "loop", True)
+    assert back.redone().model is twice
+    assert history.model is twice  # it is what it was
+    assert not back.undone().changed
+
+
+def test_what_was_undone_is_gone_after_another_edit(bar_model: Model) -> None:
+    other = replace(bar_model)
+    history = History.of(bar_model).done("cut", replace(bar_model)).undone().done("loop", other)
+    assert (history.model, history.undoes, history.redoes) == (other, "loop", None)
+    assert [step.name for step in history.steps] == ["", "loop"]
+
+
+@given(st.lists(st.sampled_from(["do", "undo", "redo"]), max_size=30))
+def test_as_two_stacks(bar_model: Model, actions: list[str]) -> None:
+    history, done, undone = History.of(bar_model), [bar_model], list[Model]()
+    for action in actions:
+        if action == "do":
+            done.append(replace(bar_model))
+            undone.clear()
+            history = history.done("edit", done[-1])
+        elif action == "undo":
+            if len(done) > 1:
+                undone.append(done.pop())
+            history = history.undone()
+        else:
+            if undone:
+                done.append(undone.pop())
+            history = history.redone()
+        assert history.model is done[-1]
+        assert history.changed == (len(done) > 1)
+        assert (history.undoes is None, history.redoes is None) == (len(done) == 1, not undone)
+
+
+# What charts draw of a model
+
+
+@pytest.fixture(scope="module")
+def line() -> MeshSequence:
+    """A triangle whose tip moves by 0, 2, 4, 6 fifths of its diagonal, at 2 frames per second from 1 s on."""
+    points = np.repeat([[[0, 0, 0], [3, 0, 0], [0, 4, 0.0]]], 4, axis=0)
+    points[:, 2, 2] = [0, 2, 4, 6]
+    return MeshSequence.from_arrays(points, [[0, 1, 2]], times=np.array([1, 1.5, 2, 2.5]), fps=2)
+
+
+@pytest.fixture(scope="module")
+def still(line: MeshSequence) -> Model:
+    return fit(line.with_points(np.repeat(line.points[:1], 4, axis=0)), exact=True, space="vertex")
+
+
+def test_a_line(line: MeshSequence) -> None:
+    signals = signals_of(fit(line, exact=True, space="vertex"))
+    assert json.loads(json.dumps(signals)) == signals
+    assert (signals["start"], signals["end"]) == (1.0, 2.5)
+    path, times = np.array(signals["path"]), np.array(signals["times"])
+    assert times[0] == 1.0 and times[-1] == 2.5 and len(times) == len(path)
+    speed = 6 / 1.5 / line.diagonal
+    np.testing.assert_allclose(np.abs(path[:, 0] - path[0, 0]), speed * (times - 1), atol=1e-4)
+    np.testing.assert_allclose(path[:, 1], 0, atol=1e-12)
+    assert signals["frameTimes"] == [1, 1.5, 2, 2.5]
+    np.testing.assert_allclose(
+        np.array(signals["frames"])[:, 0], np.linspace(path[0, 0], path[-1, 0], 4), atol=1e-4
+    )
+
+
+def test_handles_are_on_the_path(line: MeshSequence) -> None:
+    model = fit(line, exact=True, space="vertex")
+    handles = signals_of(model)["handles"]
+    times = [handle["time"] for handle in handles]
+    np.testing.assert_allclose(times, np.linspace(1, 2.5, HANDLES))
+    np.testing.assert_allclose([handle["at"] for handle in handles], model.embedding(times), atol=1e-5)
+
+
+def test_coefficients_are_in_diagonals(line: MeshSequence) -> None:
+    (only,) = signals_of(fit(line, exact=True, space="vertex"))["coefficients"]
+    assert only["name"] == "coordinate 1"
+    assert abs(only["values"][-1] - only["values"][0]) == pytest.approx(6 / line.diagonal, rel=1e-4)
+
+
+def test_the_largest_coefficients(bar_model: Model) -> None:
+    coefficients = signals_of(bar_model)["coefficients"]
+    numbers = [int(each["name"].removeprefix("coordinate ")) for each in coefficients]
+    assert numbers == sorted(numbers) and 1 in numbers and len(numbers) <= 5
+
+
+def test_keys_leave_all_as_it_is(bar_model: Model) -> None:
+    keys = signals_of(bar_model)["keys"]
+    assert len(keys) == 5 and all(output == source for output, source in keys)
+    assert keys[0][0] == bar_model.start and keys[-1][0] == bar_model.end
+
+
+def test_a_model_that_does_not_move(still: Model) -> None:
+    signals = signals_of(still)
+    assert signals["coefficients"] == signals["handles"] == []
+    assert not np.any(signals["path"]) and len(signals["keys"]) == 5
+
+
+def test_a_single_frame(line: MeshSequence) -> None:
+    single = MeshSequence.from_arrays(line.points[:1], line.faces, times=line.times[:1], fps=2)
+    signals = signals_of(fit(single, exact=True, space="vertex"))
+    assert signals["start"] == signals["end"] == 1.0 and signals["times"] == signals["frameTimes"] == [1.0]
+    assert signals["path"] == signals["frames"] == [[0, 0]]
+    assert signals["handles"] == signals["keys"] == []
+
+
+def test_long_models_are_thinned(line: MeshSequence) -> None:
+    count = 1001
+    points = np.repeat(line.points[:1], count, axis=0).astype(np.float64)
+    points[:, 2, 2] = np.sin(np.arange(count) / 40)
+    long = MeshSequence.from_arrays(points, line.faces, fps=25)
+    signals = signals_of(fit(long, knots=20, rank=1, space="vertex"))
+    assert len(signals["times"]) == len(signals["path"]) <= POINTS
+    assert len(signals["frames"]) == FRAMES and signals["frameTimes"][-1] == 40.0
+    assert len(json.dumps(signals)) < 60_000
+
+
+def test_numbers_are_no_longer_than_a_screen_needs(bar_model: Model) -> None:
+    signals = signals_of(replace(bar_model))
+    assert max(len(str(abs(value))) for point in signals["path"] for value in point) <= 8
+
+
+# What pages say is believed where it makes sense, and harmless where it does not
+
+numbers = st.floats(-LARGEST, LARGEST) | st.integers(-int(LARGEST), int(LARGEST))
+pairs = st.tuples(numbers, numbers).map(list)
+scalars = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5)
+values = st.recursive(
+    scalars,
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner, max_size=4),
+    max_leaves=12,
+)
+names = ("time", "to", "done", "points", "keys", "frame", "from")
+nearly = st.fixed_dictionaries(
+    {"kind": st.sampled_from(["drawn", "seek", "drag", "sketch", "retime"]) | scalars},
+    optional={name: values | pairs | st.lists(pairs, max_size=3) for name in names},
+)
+"""Objects that may, or may not, be messages."""
+
+
+def arrays(message: Message) -> list[Any]:
+    """Every number of a message."""
+    return [np.asarray(value) for value in vars(message).values()]
+
+
+@given(numbers)
+def test_seek(time: float) -> None:
+    said = message_of(json.dumps({"kind": "seek", "time": time}))
+    assert isinstance(said, Seek)
+    assert said.time == time
+
+
+@pytest.mark.parametrize("time", [1.001 * LARGEST, -1e308, 10**400])
+def test_nothing_is_so_far_away(time: float) -> None:
+    assert message_of(json.dumps({"kind": "seek", "time": time})) is None
+
+
+@given(numbers, pairs, st.booleans())
+def test_drag(time: float, to: list[float], done: bool) -> None:
+    said = message_of(json.dumps({"kind": "drag", "time": time, "to": to, "done": done}))
+    assert isinstance(said, Drag)
+    assert (said.time, said.to.tolist(), said.done) == (time, to, done)
+
+
+@given(st.lists(pairs, min_size=1))
+def test_sketch(points: list[list[float]]) -> None:
+    said = message_of(json.dumps({"kind": "sketch", "points": points}))
+    assert isinstance(said, Sketch)
+    assert said.points.tolist() == points
+
+
+@given(st.lists(pairs, min_size=1), st.booleans())
+def test_retime(keys: list[list[float]], done: bool) -> None:
+    said = message_of(json.dumps({"kind": "retime", "keys": keys, "done": done}))
+    assert isinstance(said, Retime)
+    assert (said.keys.tolist(), said.done) == (keys, done)
+
+
+def test_drawn_and_what_else_the_page_adds() -> None:
+    assert message_of('{"kind": "drawn", "frame": 3}') == Drawn()
+    assert message_of('{"kind": "seek", "time": 2, "from": "ab12", "number": 7}') == Seek(2.0)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "drawn",
+        "null",
+        "[]",
+        "7",
+        '"drawn"',
+        "{}",
+        '{"kind": "explode"}',
+        '{"kind": ["drawn"]}',
+        '{"kind": "seek"}',
+        '{"kind": "seek", "time": null}',
+        '{"kind": "seek", "time": true}',
+        '{"kind": "seek", "time": "1"}',
+        '{"kind": "seek", "time": NaN}',
+        '{"kind": "seek", "time": -Infinity}',
+        '{"kind": "seek", "time": 1e999}',
+        f'{{"kind": "seek", "time": {10**400}}}',
+        f'{{"kind": "seek", "time": {"1" * 10_000}}}',
+        '{"kind": "drag", "time": 1, "to": [1, 2]}',
+        '{"kind": "drag", "time": 1, "to": [1, 2], "done": 1}',
+        '{"kind": "drag", "time": 1, "to": [1, 2, 3], "done": true}',
+        '{"kind": "drag", "time": 1, "to": [[1, 2]], "done": true}',
+        '{"kind": "drag", "time": 1, "to": [1, NaN], "done": true}',
+        '{"kind": "drag", "time": NaN, "to": [1, 2], "done": true}',
+        '{"kind": "drag", "time": 1, "to": {"0": 1, "1": 2}, "done": true}',
+        '{"kind": "sketch", "points": []}',
+        '{"kind": "sketch", "points": [1, 2]}',
+        '{"kind": "sketch", "points": [[1, 2], [3]]}',
+        '{"kind": "sketch", "points": [[1, 2], [3, false]]}',
+        '{"kind": "sketch", "points": "12"}',
+        '{"kind": "retime", "keys": [[1, 2]], "done": null}',
+        '{"kind": "retime", "keys": [[1, Infinity]], "done": true}',
+        "[" * 100_000,
+        '{"kind": ' * 50_000,
+    ],
+    ids=lambda text: text[:40],
+)
+def test_nonsense(text: str) -> None:
+    assert message_of(text) is None
+
+
+@pytest.mark.parametrize("value", [None, 7, ["drawn"], b"\xff"])
+def test_no_text_at_all(value: Any) -> None:
+    assert message_of(value) is None
+
+
+@pytest.mark.parametrize(("kind", "name"), [("sketch", "points"), ("retime", "keys")])
+def test_limits(kind: str, name: str) -> None:
+    said = {"kind": kind, "done": True}
+    assert message_of(json.dumps({**said, name: MOST_POINTS * [[1, 2]]})) is not None
+    assert message_of(json.dumps({**said, name: (MOST_POINTS + 1) * [[1, 2]]})) is None
+
+
+@given(st.text() | values.map(json.dumps) | nearly.map(json.dumps))
+def test_whatever_is_said(text: str) -> None:
+    said = message_of(text)
+    assert said is None or isinstance(said, Message)
+    for numbers in arrays(said) if said is not None else []:
+        assert numbers.dtype.kind in "fb"
+        assert np.isfinite(numbers).all()

@@ -12,6 +12,8 @@ import pytest
 
 from mixseq.compression.bitstream.connectivity import decode_polygons, encode_polygons
 from mixseq.mesh.polygons import Polygons
+from tests.compression.bitstream.test_connectivity import polygons_of
+from tests.compression.bitstream.test_polygon_walk import quads
 from tests.meshes import flipped, grid, joined, pages, tetrahedron, torus, tube
 from tests.web.conftest import Node
 
@@ -35,16 +37,6 @@ for (const [bytes, ...counts] of JSON.parse(readFileSync(process.argv[2]))) {
 }
 console.log(JSON.stringify(told));
 """
-
-
-def polygons_of(*faces: list[int]) -> Polygons:
-    return Polygons(np.array([len(face) for face in faces]), np.concatenate(faces))
-
-
-def quads(rows: int, columns: int) -> Polygons:
-    number = np.arange(rows * columns).reshape(rows, columns)
-    corners = [number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]]
-    return Polygons(np.full((rows - 1) * (columns - 1), 4), np.stack(corners, axis=-1).reshape(-1))
 
 
 def shuffled(polygons: Polygons, seed: int) -> Polygons:

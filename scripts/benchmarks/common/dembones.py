@@ -68,10 +68,7 @@ def _solve(
     points: Float, faces: Any, bones: int, start: Float | None, most: int
 ) -> tuple[Timing, tuple[Float, Float]]:
     """Weights and transforms; only the solver is timed, up to `most` times."""
-    from py_dem_bones.portable import (
-        _prepare_solver,
-        _read_skinning_result,
-    )
+    from py_dem_bones.portable import _prepare_solver, _read_skinning_result
 
     runs: list[float] = []
     while not runs or (len(runs) < most and sum(runs) < 30.0):

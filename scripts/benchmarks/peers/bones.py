@@ -60,10 +60,7 @@ class Bones:
         range_ = np.stack([places.min(axis=(0, 1)), places.max(axis=(0, 1))]).astype(np.float32)
         turns = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat(canonical=True)
         motion = np.concatenate(
-            [
-                np.rint(TURN * turns[:, :3]).astype(np.int64).reshape(places.shape),
-                _onto(places, range_),
-            ],
+            [np.rint(TURN * turns[:, :3]).astype(np.int64).reshape(places.shape), _onto(places, range_)],
             axis=2,
         ).reshape(len(points), -1)
         parts = (

@@ -30,10 +30,7 @@ PAIRS = (
 )
 """Animation, its two frames, how many times faster MixIT should be. The second pair of each is the farthest."""
 
-SPACES: dict[str, dict[str, Any]] = {
-    "MixIT": {},
-    "MixIT, free": {"placement": "free"},
-}
+SPACES: dict[str, dict[str, Any]] = {"MixIT": {}, "MixIT, free": {"placement": "free"}}
 """What `mixseq.interpolate` is told."""
 
 WEIGHTS = (0.25, 0.5, 0.75)
@@ -80,13 +77,7 @@ def measure(say: Say) -> Section:
 
 
 def _measure_pair(
-    section: Section,
-    rows: list[tuple[str, ...]],
-    name: str,
-    first: int,
-    second: int,
-    factor: float,
-    say: Say,
+    section: Section, rows: list[tuple[str, ...]], name: str, first: int, second: int, factor: float, say: Say
 ) -> None:
     sequence = animation(name)
     pair = f"{name} {first}-{second}"

@@ -48,9 +48,7 @@ MESHES = {
 """The four meshes of the paper that there are data of, and a second pair of its horse. Which frames the paper blends
 is not told. Those of the gallops and of the horse are the farthest; `Poses.rank` tells of all."""
 
-FINE = {
-    "elephant_fine": Source("elephant_gallop", (0, 5), (0, 4, 8, 12, 16, 20), 8, "armadillo", fine=True),
-}
+FINE = {"elephant_fine": Source("elephant_gallop", (0, 5), (0, 4, 8, 12, 16, 20), 8, "armadillo", fine=True)}
 """As large as the paper's largest mesh, for times."""
 
 ALL = MESHES | FINE

@@ -102,9 +102,7 @@ class Leaf(PickledWithoutCaches):
     ) -> tuple[Float, ShellReport]:
         """Return points ``(n, 3)`` from the lengths and angles of the mesh, and how it went."""
         settings = replace(
-            settings,
-            iterations=min(settings.iterations, STEPS),
-            tolerance=max(settings.tolerance, GAIN),
+            settings, iterations=min(settings.iterations, STEPS), tolerance=max(settings.tolerance, GAIN)
         )
         nowhere = np.zeros((len(self.vertices), 3))
         own = lengths[self.edges], angles[self.hinges], weights[self.edges]

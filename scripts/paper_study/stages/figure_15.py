@@ -64,7 +64,7 @@ def page(results: Results) -> list[str]:
         "animation, parts and joints (red) of *MixIT, free* in the first row, blends at w = 0.5 with strips as "
         "joints and of *MixIT, free* below. The paper shows silhouettes, spanning tree, and parts drawn by hand, "
         f"which we have not; ours by motion is in their place. It prints {FIGURE_15['silhouettes']}, "
-        f"{FIGURE_15['spanning-tree']} and {FIGURE_15['manual']} ms.",
+        f"{FIGURE_15['spanning-tree']} and {FIGURE_15['manual']} ms."
     ]
     for mesh, result in results.items():
         rows = []

@@ -69,7 +69,7 @@ def energy(poses: Poses, points: Float) -> float:
 def page(results: Results) -> list[str]:
     blocks = [
         "Half way between two poses. The energy is what discrete shells lower, here of the whole mesh for every "
-        f"method. In the lowest row errors of lengths, from violet (0) to yellow ({MOST:.0%} and more).",
+        f"method. In the lowest row errors of lengths, from violet (0) to yellow ({MOST:.0%} and more)."
     ]
     for mesh, result in results.items():
         blocks += [

@@ -73,7 +73,7 @@ def page(results: Results) -> list[str]:
         "Difference between lengths and angles of the blend and the blended lengths and angles, relative for "
         "lengths and in degrees, over the weight. A band holds all edges, or the 99.9 % or 99 % with the "
         "smallest errors (for angles 99.99 % as well, as the paper draws it). The axes show square roots, so "
-        "that the inner bands can be seen.",
+        "that the inner bands can be seen."
     ]
     for mesh, result in results.items():
         rows = [

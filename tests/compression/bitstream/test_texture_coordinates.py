@@ -20,15 +20,12 @@ from mixseq.compression.bitstream.uv_values import LARGEST
 from mixseq.compression.encoder.uvs import encode_uvs
 from mixseq.errors import FormatError
 from mixseq.mesh.polygons import Polygons
+from tests.compression.bitstream.test_connectivity import polygons_of
 from tests.meshes import flipped, grid, joined, pages, tetrahedron, torus, tube
 
 pytestmark = pytest.mark.slow
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "uvs.npz"
-
-
-def polygons_of(*faces: list[int]) -> Polygons:
-    return Polygons(np.array([len(face) for face in faces]), np.concatenate(faces))
 
 
 def there_and_back(polygons: Polygons, numbers: NDArray[np.int64], steps: int = 1000) -> tuple[int, int]:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 
+from mixseq.compression.bitstream import signal_coder
 from mixseq.compression.bitstream.signal_coder import MARGINS
 from mixseq.compression.bitstream.signal_graph import mesh_graph
 from mixseq.compression.bitstream.spatial_basis import (
@@ -14,9 +18,18 @@ from mixseq.compression.bitstream.spatial_basis import (
     groups,
     read_coefficients,
 )
-from mixseq.compression.encoder.components import PrincipalComponents
+from mixseq.compression.encoder.components import PrincipalComponents, trajectories
 from mixseq.compression.encoder.search import KINDS
-from mixseq.compression.encoder.trial import CHUNK, chunks, code_coefficients, round_coefficients
+from mixseq.compression.encoder.trial import (
+    CHUNK,
+    Candidate,
+    Trial,
+    chunks,
+    code_coefficients,
+    round_coefficients,
+    try_step,
+    with_residuals,
+)
 from mixseq.sequence.sequence import frame_store
 from mixseq.types import Float
 from tests.compression.one_part import basis_of, least_squares, principal_components, read_basis, write_basis
@@ -124,3 +137,49 @@ def test_coefficients_are_rounded_by_what_they_move(kind: BasisKind) -> None:
     errors = np.abs(decoded - coefficients) * basis.norms[basis.varying][:, None]
     assert errors.max() <= (1 - MARGINS.min() + 1e-9) * STEP
     assert (errors.max(axis=(0, 2)) > 0.3 * STEP).all()
+
+
+# Trials: the error is known at once, bytes when they are asked for
+
+SEQUENCE = frame_store(bar(sides=4, rings=12, frames=40))
+FACES, COUNT = SEQUENCE.header.faces, SEQUENCE.header.vertex_count
+
+
+def trial() -> Trial:
+    """Two parts, several chunks."""
+    components, labels = trajectories(SEQUENCE, 1e-6), (np.arange(COUNT) >= COUNT // 2).astype(np.int64)
+    return try_step(
+        SEQUENCE, Candidate.of(components, labels, FACES, mesh_graph(FACES, COUNT)), 1e-3, chunk=16
+    )
+
+
+def test_nothing_is_coded_before_bytes_are_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    coded, code_numbers = list[int](), signal_coder.code_numbers
+
+    def counted(*given: Any) -> None:
+        coded.append(1)
+        code_numbers(*given)
+
+    monkeypatch.setattr(signal_coder, "code_numbers", counted)
+    one = trial()
+    assert one.error > 0
+    assert not coded
+    assert one.size == sum(map(len, (*one.coding.streams.basis, *one.coding.streams.coefficients)))
+    once = len(coded)
+    assert once > 0
+    bounded = with_residuals(SEQUENCE, one, one.error / 1000)
+    assert bounded.signals == one.size < bounded.size
+    assert bounded.chunks == tuple(
+        replace(chunk, residuals=some) for chunk, some in zip(one.chunks, bounded.residuals, strict=True)
+    )
+    assert len(coded) == once, "streams were coded once more"
+
+
+def test_streams_are_the_same_on_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = []
+    for threads in ("1", "2", "3"):
+        monkeypatch.setenv("MIXSEQ_THREADS", threads)
+        one = trial()
+        found.append((one.coding.streams, one.error, one.coefficients.tobytes()))
+    assert len(found[0][0].coefficients) > 1
+    assert found[1:] == found[:1] * 2

@@ -10,11 +10,7 @@ import pytest
 imath = pytest.importorskip("imath")
 from alembic3d import Abc, AbcGeom  # noqa: E402
 
-from mixseq.errors import (  # noqa: E402
-    AmbiguousError,
-    FormatError,
-    MixseqWarning,
-)
+from mixseq.errors import AmbiguousError, FormatError, MixseqWarning  # noqa: E402
 from tests.formats.alembic.alembic_maker import (  # noqa: E402
     SQUARE,
     TRIANGLES,

@@ -13,10 +13,7 @@ from numpy.typing import ArrayLike
 imath = pytest.importorskip("imath")
 from alembic3d import Abc, AbcCoreAbstract, AbcGeom  # noqa: E402
 
-from mixseq.errors import (  # noqa: E402
-    InvalidSequenceError,
-    MixseqWarning,
-)
+from mixseq.errors import InvalidSequenceError, MixseqWarning  # noqa: E402
 from mixseq.mesh.measures import shared_normals  # noqa: E402
 from mixseq.mesh.rotations import matrices  # noqa: E402
 from mixseq.mesh.surface import MeshObject  # noqa: E402

@@ -13,18 +13,11 @@ imath = pytest.importorskip("imath")
 from alembic3d import Abc, AbcCoreAbstract, AbcGeom, Util  # noqa: E402
 
 import mixseq  # noqa: E402
-from mixseq.errors import (  # noqa: E402
-    MixseqWarning,
-    OutputError,
-    SettingsError,
-)
+from mixseq.errors import MixseqWarning, OutputError, SettingsError  # noqa: E402
 from mixseq.mesh.polygons import Polygons  # noqa: E402
 from mixseq.mesh.surface import Surface  # noqa: E402
 from mixseq.sequence.sequence import MeshSequence  # noqa: E402
-from mixseq_io.alembic.library import (  # noqa: E402
-    selector,
-    stored_array,
-)
+from mixseq_io.alembic.library import selector, stored_array  # noqa: E402
 from mixseq_io.alembic.samples import sample_times  # noqa: E402
 from tests.formats.alembic.alembic_maker import (  # noqa: E402
     SQUARE,
@@ -125,11 +118,7 @@ def test_everything_else_is_copied(shot: Path, body: MeshSequence, path: Path) -
     assert {name: after.get(name) for name in kept} == kept
     assert "/rig/hair..geom.strands" in kept and kept["/ghost/body"][1] == ["/rig/body/body"]
     assert after["/rig/hair.nine"][1] == ["0 [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0]"]
-    assert set(after.keys() - kept.keys()) == {
-        *of_points[:1],
-        of_points[3],
-        *normals_of(of_points[1]),
-    }
+    assert set(after.keys() - kept.keys()) == {*of_points[:1], of_points[3], *normals_of(of_points[1])}
 
 
 def normals_of(path: str) -> list[str]:

@@ -11,11 +11,7 @@ import pytest
 imath = pytest.importorskip("imath")
 from alembic3d import Abc, AbcGeom  # noqa: E402
 
-from mixseq.errors import (  # noqa: E402
-    FormatError,
-    InvalidSequenceError,
-    MissingExtraError,
-)
+from mixseq.errors import FormatError, InvalidSequenceError, MissingExtraError  # noqa: E402
 from mixseq_io.alembic.reader import open_alembic  # noqa: E402
 from tests.formats.alembic.alembic_maker import (  # noqa: E402
     SQUARE,

@@ -13,18 +13,9 @@ import pytest
 imath = pytest.importorskip("imath")
 from alembic3d import Abc, AbcGeom  # noqa: E402
 
-from mixseq.errors import (  # noqa: E402
-    InvalidSequenceError,
-    MixseqWarning,
-    OutputError,
-)
+from mixseq.errors import InvalidSequenceError, MixseqWarning, OutputError  # noqa: E402
 from mixseq.mesh.polygons import Polygons  # noqa: E402
-from mixseq.mesh.surface import (  # noqa: E402
-    CornerValues,
-    FaceSet,
-    MeshObject,
-    Surface,
-)
+from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Surface  # noqa: E402
 from mixseq.sequence.sequence import MeshSequence  # noqa: E402
 from mixseq_io.alembic.writer import write_alembic  # noqa: E402
 from tests.formats.alembic.alembic_maker import SQUARE, TRIANGLES, Scope, load, moving, rising, save  # noqa: E402

@@ -40,9 +40,7 @@ def tube() -> Maker:
     image = np.frombuffer(_png(), np.uint8)
     maker.json["images"] = [{"mimeType": "image/png", "bufferView": maker.view(image)}]
     maker.json["textures"] = [{"source": 0}]
-    maker.json["materials"] = [
-        {"name": "skin", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}},
-    ]
+    maker.json["materials"] = [{"name": "skin", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]
     on = {
         "NORMAL": maker.add(normals),
         "TEXCOORD_0": maker.add(np.stack([3 * side / _SIDES, height], axis=2).reshape(-1, 2)),

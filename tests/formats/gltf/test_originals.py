@@ -50,10 +50,7 @@ def test_a_file_that_is_gone_or_another_is_done_without(
             lambda document: document["nodes"][1].update(name="torso", mesh=1),
             "has no mesh with the faces of 'rig/body'",
         ),
-        (
-            lambda document: twin(document),
-            "has 2 meshes with the faces of 'rig/body', 'rig/torso', 'twin'",
-        ),
+        (lambda document: twin(document), "has 2 meshes with the faces of 'rig/body', 'rig/torso', 'twin'"),
         (
             lambda document: document["nodes"][1].update(mesh=1),
             "no mesh with the faces of 'rig/body': it has",

@@ -216,13 +216,7 @@ def test_datasets_of_another_size_or_type_are_refused_or_do_no_harm(
         (name, value)
         for name in sorted(DATASETS["mixed"])
         if name.startswith(
-            (
-                "polygons",
-                "segmentation",
-                "space/joint_faces",
-                "space/skinning/sizes",
-                "space/skinning/parts",
-            )
+            ("polygons", "segmentation", "space/joint_faces", "space/skinning/sizes", "space/skinning/parts")
         )
         for value in (-1, 10**6)
         if (name, value) != ("segmentation/widths", 10**6)

@@ -24,14 +24,7 @@ from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.edge import EdgeSpace
 from mixseq.spaces.mixed.mixed_space import MixedSpace
 from mixseq_io.surfaces import surface_arrays
-from tests.formats.models.model_cases import (
-    ATTRIBUTES,
-    DATASETS,
-    POSES,
-    SETTINGS,
-    SHAPES,
-    assert_equal,
-)
+from tests.formats.models.model_cases import ATTRIBUTES, DATASETS, POSES, SETTINGS, SHAPES, assert_equal
 from tests.meshes import SEQUENCES, bar
 
 

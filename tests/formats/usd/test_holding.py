@@ -14,14 +14,7 @@ from mixseq.errors import MixseqWarning, OutputError
 from mixseq.sequence.sequence import MeshSequence, collect
 from mixseq.types import FloatArray
 from mixseq_io.usd.reader import open_usd
-from tests.formats.usd_maker import (
-    Asset,
-    character,
-    load,
-    problems,
-    save,
-    world_points,
-)
+from tests.formats.usd_maker import Asset, character, load, problems, save, world_points
 
 Ts: Any = import_module("pxr.Ts")  # not in the type stubs yet
 

@@ -17,18 +17,7 @@ from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import Origin, Surface
 from mixseq.sequence.header import header_fields
 from mixseq.sequence.sequence import MeshSequence
-from tests.formats.usd_maker import (
-    CORNERS,
-    FACES,
-    Asset,
-    lift,
-    load,
-    mesh_at,
-    paint,
-    points_at,
-    save,
-    shot,
-)
+from tests.formats.usd_maker import CORNERS, FACES, Asset, lift, load, mesh_at, paint, points_at, save, shot
 
 
 @pytest.fixture

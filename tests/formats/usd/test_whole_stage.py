@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,9 +12,10 @@ import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdVol
 
-from mixseq.errors import MixseqWarning, OutputError, SettingsError
+from mixseq.errors import MixseqError, MixseqWarning, OutputError, SettingsError
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import FloatArray
+from tests.formats.usd.stage_maker import read
 from tests.formats.usd_maker import Asset, character, lift, load, paint, problems, save, shot, world_points
 
 CODES = np.array([0.0, 1, 2, 3, 4])
@@ -190,3 +192,26 @@ def test_as_many_sources_as_frames(asset: Asset, path: Path) -> None:
 def test_nothing_to_retime(path: Path) -> None:
     with pytest.raises(OutputError, match="stands alone, without a stage"):
         save(path, shot(lift()), sources=[0, 0, 0], whole_stage=True)
+
+
+# USD of other programs
+
+
+@pytest.mark.realdata
+def test_a_real_cache_is_as_its_npz(data: Path) -> None:
+    sequence = read(data / "usd" / "q_man_run_blender50.usdc")
+    archive = np.load(data / "npz" / "q_man_run.npz")
+    np.testing.assert_array_equal(sequence.faces, archive["faces"])
+    np.testing.assert_allclose(sequence.points, archive["points"], rtol=0, atol=2.4e-7)
+    assert len(sequence.polygons.counts) == 3966
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("name", ["CesiumMan.usdz", "RiggedSimple.usdz", "q_man_run_blender50.usdc"])
+def test_truncated_files(data: Path, tmp_path: Path, name: str) -> None:
+    whole = (data / "usd" / name).read_bytes()
+    expected = read(data / "usd" / name).points
+    for part in range(1, 10):
+        (tmp_path / name).write_bytes(whole[: len(whole) * part // 10])
+        with contextlib.suppress(MixseqError):  # packages end with textures, which are not needed
+            np.testing.assert_array_equal(read(tmp_path / name).points, expected)

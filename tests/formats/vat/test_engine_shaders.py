@@ -15,10 +15,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mixseq.creature import walk_cycle
 from mixseq.sequence.sequence import MeshSequence, bounding_diagonal
 from mixseq_io.vat.textures import Texels
-from mixseq_io.vat.writer import VatReport, write_vat
+from mixseq_io.vat.writer import VatReport
 from tests.formats.vat.test_images import unpacked
 from tests.viewer.conftest import browser, new_page, page
 
@@ -29,7 +28,6 @@ pytestmark = pytest.mark.slow
 
 __all__ = ["browser", "new_page", "page"]
 
-KINDS = {"plain": None, "low rank": 1e-3}
 NEARLY = 1e-4
 FRAMES = [*range(7), 7 - NEARLY, 3.5, 6.25]  # at the last one shaders begin again
 
@@ -193,19 +191,6 @@ ENGINES = {
     "unity.shader": Engine(unity, lambda points: points * [-1, 1, 1], turned=True),
     "unreal.hlsl": Engine(unreal, lambda points: 100 * points[:, [0, 2, 1]], scale=100.0),
 }
-
-
-@pytest.fixture(scope="module")
-def fox() -> MeshSequence:
-    return walk_cycle(frames=8)
-
-
-@pytest.fixture(scope="module", params=KINDS)
-def written(
-    fox: MeshSequence, request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[Path, VatReport]:
-    folder = tmp_path_factory.mktemp("textures") / "fox.vat"
-    return folder, write_vat(folder, fox, KINDS[request.param])
 
 
 def images(folder: Path, shader: str, turned: bool) -> list[dict[str, object]]:

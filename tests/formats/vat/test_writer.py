@@ -12,7 +12,6 @@ import pytest
 from numpy.typing import NDArray
 
 import mixseq
-from mixseq.creature import walk_cycle
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
 from mixseq.sequence.sequence import MeshSequence, bounding_diagonal
 from mixseq_io.vat.textures import Texels
@@ -30,20 +29,6 @@ pytestmark = pytest.mark.slow
 __all__ = ["browser", "new_page", "page"]
 
 Json = dict[str, Any]
-KINDS = {"plain": None, "low rank": 1e-3}
-
-
-@pytest.fixture(scope="module")
-def fox() -> MeshSequence:
-    return walk_cycle(frames=8)
-
-
-@pytest.fixture(scope="module", params=KINDS)
-def written(
-    fox: MeshSequence, request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[Path, VatReport]:
-    folder = tmp_path_factory.mktemp("textures") / "fox.vat"
-    return folder, write_vat(folder, fox, KINDS[request.param])
 
 
 def told(folder: Path) -> Json:
