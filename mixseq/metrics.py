@@ -54,7 +54,7 @@ class VolumeError:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """What `compare` finds; formulas are at the head of this module.
+    """Result of `compare`; formulas are at the head of this module.
 
     Errors relative to zero, such as the KG error of a mesh whose vertices coincide, are 0 if nothing differs, else
     infinite.

@@ -77,7 +77,7 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Verification:
-    """What `verify` finds in a file that is not damaged; formulas are at the head of this module.
+    """Result of `verify` for an undamaged file; formulas are at the head of this module.
 
     Attributes
     ----------

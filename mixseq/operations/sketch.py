@@ -78,7 +78,7 @@ ACCURACY = 1e-4
 
 @public
 def sketch(model: Model, curve: ArrayLike, duration: Seconds, plane: Plane | None = None) -> Model:
-    """Return the motion that a curve in the embedding of a model tells.
+    """Return the motion along a curve in the embedding of a model.
 
     The motion starts at 0 s and runs along the curve at constant speed. Where the curve passes through the place of a
     frame, it shows this frame. The residual layer is left out.

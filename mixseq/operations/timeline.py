@@ -271,7 +271,7 @@ def loop(model: Model, fade: Seconds | None = None, travel: bool = False) -> Mod
 
 @public
 def shift(model: Model, seconds: Seconds) -> Model:
-    """Return the model with everything later by so many seconds, or earlier where they are negative.
+    """Return the model shifted in time by a number of seconds, earlier if it is negative.
 
     The residual layer is left out.
 
@@ -287,7 +287,7 @@ def shift(model: Model, seconds: Seconds) -> Model:
 
 @public
 def speed(model: Model, factor: float) -> Model:
-    """Return the model so many times faster, from its start on.
+    """Return the model played faster by a factor, from its start on.
 
     The frames stay the same; `Model.sample` and `mixseq.operations.resampling` make new ones. The residual layer is
     left out.

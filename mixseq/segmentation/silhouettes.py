@@ -214,7 +214,7 @@ def _factored(matrix: sparse.sparray) -> SuperLU:
 
 @dataclass(frozen=True)
 class SilhouetteSettings:
-    """Settings of `segment_by_silhouettes`. The quantities N, K and K' are the paper's, all values are ours.
+    """Settings of `segment_by_silhouettes`. N, K and K' are the paper's quantities, with values chosen empirically.
 
     Attributes
     ----------
@@ -351,7 +351,7 @@ def _signed_distance(surface: Diffusion, significant: Mask, settings: Silhouette
 
 @dataclass(frozen=True)
 class SpanningTreeSettings:
-    """Settings of `segment_by_spanning_tree`. The values are ours; the paper gives none.
+    """Settings of `segment_by_spanning_tree`. The values were chosen empirically; the paper gives none.
 
     Attributes
     ----------
