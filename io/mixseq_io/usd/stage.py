@@ -122,7 +122,7 @@ def identifier(name: str) -> str:
 
 
 class Identifiers:
-    """Unique valid prim names of siblings: a second "leg" becomes "leg_2"."""
+    """Unique valid prim names of siblings: a second "leg" becomes "leg_1"."""
 
     def __init__(self, *taken: str) -> None:
         self._taken = set(taken)
