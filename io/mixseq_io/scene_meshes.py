@@ -17,8 +17,8 @@ import numpy as np
 
 from mixseq.compression.numbering import numbering_of
 from mixseq.errors import AmbiguousError, FormatError
-from mixseq.mesh.polygons import PolygonMatch, Polygons, matched
-from mixseq.mesh.surface import NO_UV, WHITE, CornerValues, FaceSet, MeshObject, Origin, Surface
+from mixseq.mesh.polygons import PolygonMatch, Polygons, match_polygons
+from mixseq.mesh.surface import DEFAULT_COLOUR, DEFAULT_UV, CornerValues, FaceSet, MeshObject, Origin, Surface
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, Index, IntArray
 from mixseq_io.reader import warn
@@ -198,7 +198,7 @@ class SceneMesh:
         """
         read = stored if order is None else Polygons(stored.counts, stored.indices[order])
         ours = self.as_numbered(read)
-        match = None if ours is None else matched(read, ours.polygons)
+        match = None if ours is None else match_polygons(read, ours.polygons)
         if ours is None or match is None:
             return None
         # Turning corners around twice changes nothing.
@@ -217,8 +217,8 @@ def join(meshes: Sequence[SceneMesh], origin: Origin | None) -> tuple[Polygons, 
     first_polygon = np.cumsum([0, *(len(mesh.polygons.counts) for mesh in meshes)])
     usual = Counter(mesh.subdivision for mesh in meshes).most_common(1)[0][0]
     surface = Surface(
-        uvs=_joined_values(meshes, [mesh.uvs for mesh in meshes], NO_UV),
-        colours=_joined_values(meshes, [mesh.colours for mesh in meshes], WHITE),
+        uvs=_joined_values(meshes, [mesh.uvs for mesh in meshes], DEFAULT_UV),
+        colours=_joined_values(meshes, [mesh.colours for mesh in meshes], DEFAULT_COLOUR),
         hard_edges=_joined_hard_edges(meshes),
         face_sets=tuple(
             FaceSet(each.name, each.polygons + first, each.material)
@@ -250,7 +250,7 @@ def _joined_values(
     values, indices, count = [], [], 0
     for mesh, own in zip(meshes, on, strict=True):
         there = own or CornerValues(np.array([default]), np.zeros(mesh.polygons.indices.size, dtype=np.int32))
-        welded = there.welded(mesh.polygons.indices)
+        welded = there.weld(mesh.polygons.indices)
         values.append(welded.values)
         indices.append(welded.indices + count)
         count += len(welded.values)
@@ -296,8 +296,8 @@ def split(header: SequenceHeader) -> list[SceneMesh]:
                 path=each.path,
                 vertices=slice(vertex, vertex + each.vertex_count),
                 polygons=own,
-                uvs=_own_values(surface.uvs, inside, NO_UV if several else ()),
-                colours=_own_values(surface.colours, inside, WHITE if several else ()),
+                uvs=_own_values(surface.uvs, inside, DEFAULT_UV if several else ()),
+                colours=_own_values(surface.colours, inside, DEFAULT_COLOUR if several else ()),
                 hard_edges=hard_edges,
                 face_sets=tuple(_inside(surface.face_sets, polygon, end)),
                 subdivision=scheme,

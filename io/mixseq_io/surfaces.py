@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 
 from mixseq.errors import InvalidSequenceError
 from mixseq.mesh.measures import Diagonal
-from mixseq.mesh.surface import WHITE, CornerValues, FaceSet, MeshObject, Origin, Surface
+from mixseq.mesh.surface import DEFAULT_COLOUR, CornerValues, FaceSet, MeshObject, Origin, Surface
 from mixseq.sequence.frame_rates import NEAR
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import Float, FloatArray, IntArray
@@ -66,7 +66,7 @@ class Rounding:
             points = np.asarray(block)
             if points.dtype == np.float32 or not points.size:
                 continue
-            unit = unit or Diagonal.of(points[0])
+            unit = unit or Diagonal.from_points(points[0])
             for start in range(0, len(points), _FRAMES):
                 self._measure(points[start : start + _FRAMES], first + start, unit)
             first += len(points)
@@ -77,7 +77,7 @@ class Rounding:
         if 2 * max(relative * largest, least) < VISIBLE * unit.length:
             return  # the usual case: nothing can be that far off
         with np.errstate(over="ignore", under="ignore"):
-            apart: Float = unit.shifted(points - points.astype(np.float32))
+            apart: Float = unit.rescale(points - points.astype(np.float32))
             errors = np.sqrt(np.square(apart).sum(axis=2).max(axis=1)) / (unit.fraction or 1.0)
         if errors.max() > self.error:
             self.error, self.frame = float(errors.max()), first + int(errors.argmax())
@@ -137,7 +137,7 @@ def colours_of_vertices(header: SequenceHeader, channels: int) -> list[str]:
     colours, vertices = header.surface.colours, header.polygons.indices
     if colours is None:
         return []
-    values = within_one(colours.at_vertices(vertices, header.vertex_count, WHITE)[:, :channels])
+    values = within_one(colours.at_vertices(vertices, header.vertex_count, DEFAULT_COLOUR)[:, :channels])
     return ["".join(f" {number!s}".removesuffix(".0") for number in row) for row in values]
 
 

@@ -18,7 +18,7 @@ from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
 from mixseq.compression.numbering import Renumbering
 from mixseq.errors import FormatError
 from mixseq.mesh.measures import Diagonal
-from mixseq.mesh.polygons import matched
+from mixseq.mesh.polygons import match_polygons
 from mixseq.metrics import comparable, paired_blocks
 from mixseq.runtime.progress import Progress, silent
 from mixseq.runtime.public import public
@@ -199,11 +199,11 @@ def _errors(original: Frames, frames: _Checked, renumbering: Renumbering) -> dic
     unit = Diagonal(0.0, 0)
     for x, y in paired_blocks(original, frames, FRAMES):
         if first == 0:
-            unit = Diagonal.of(x[0])
+            unit = Diagonal.from_points(x[0])
         with np.errstate(over="ignore"):  # overflow counts as an infinite distance
-            distances = np.square(unit.shifted(x - y)).sum(axis=2)
+            distances = np.square(unit.rescale(x - y)).sum(axis=2)
             squares += float(distances.sum())
-            variation += float(np.square(unit.shifted(x - x.mean(axis=1, keepdims=True))).sum())
+            variation += float(np.square(unit.rescale(x - x.mean(axis=1, keepdims=True))).sum())
         if distances.max() > worst:
             worst = float(distances.max())
             frame, vertex = np.unravel_index(distances.argmax(), distances.shape)
@@ -220,7 +220,7 @@ def _errors(original: Frames, frames: _Checked, renumbering: Renumbering) -> dic
 def _uv_error(original: SequenceHeader, header: SequenceHeader) -> float | None:
     """Return the largest difference of texture coordinates at corners, None if they cannot be compared."""
     uvs, ours = original.surface.uvs, header.surface.uvs
-    match = matched(original.polygons, header.polygons)
+    match = match_polygons(original.polygons, header.polygons)
     if uvs is None or ours is None or match is None:
         return None
     apart = uvs.at_corners.astype(np.float64) - ours.at_corners[match.corners]

@@ -119,7 +119,7 @@ class Placing:
     def conversion(self, header: SequenceHeader) -> UnitConversion:
         """Return the rotation and scale of points."""
         placed = replace(header, up_axis=self.up_axis, metres_per_unit=self.scale)
-        return UnitConversion.of(placed, BLENDERS_UP, 1.0)
+        return UnitConversion.from_header(placed, BLENDERS_UP, 1.0)
 
 
 @dataclass(frozen=True)

@@ -94,11 +94,11 @@ def command(
     if drawn is not None:
         check_picture(drawn)
     with progress_bar(quiet) as progress, mixseq.open_sequence(path, **reading) as reader:
-        from mixseq.segmentation.joints import frames_to_look_at
+        from mixseq.segmentation.joints import sample_frame_ids
         from mixseq.sequence.sequence import frame_store
 
         frames = frame_store(reader, progress)
-        some = frames.points[frames_to_look_at(len(frames.points))]
+        some = frames.points[sample_frame_ids(len(frames.points))]
         if how in _GIVEN:
             wanted = replace(labels, label_source="skeleton") if how == "skeleton" else labels
             given = connected(reader.header, wanted.read(reader, reading))

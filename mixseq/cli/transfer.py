@@ -189,10 +189,10 @@ def _percent(share: float) -> str:
 
 def _frames_to_draw(made: Transfer, frame: int, rest_file: Path | None) -> list[int]:
     """Choose frames for the picture, without the rest, which is always drawn."""
-    from mixseq.types import evenly
+    from mixseq.types import evenly_spaced
 
     count = made.header.frame_count
-    chosen = [int(each) for each in evenly(count, COLUMNS)]
+    chosen = [int(each) for each in evenly_spaced(count, COLUMNS)]
     return [each for each in chosen if rest_file is not None or each != frame % count] or chosen
 
 

@@ -29,7 +29,14 @@ import numpy as np
 from scipy.interpolate import make_smoothing_spline
 
 from mixseq.errors import SettingsError
-from mixseq.mesh.rotations import exponentials, inverse, normalised, product, rotations_of, vectors
+from mixseq.mesh.rotations import (
+    matrix_to_rotvec,
+    normalise_quat,
+    quat_conjugate,
+    quat_multiply,
+    quat_to_matrix,
+    rotvec_to_quat,
+)
 from mixseq.operations.sections import between, sites_of
 from mixseq.runtime.public import public
 from mixseq.sequence.frame_rates import Seconds
@@ -137,16 +144,16 @@ class SteadyTurn:
     @classmethod
     def of(cls, space: ShapeSpace, placement: Curve) -> SteadyTurn:
         """Fit the mean angular velocity to a placement, from knot to knot."""
-        turns = normalised(space.poses(placement.values).rotations)
-        steps = vectors(rotations_of(product(turns[1:], inverse(turns[:-1]))))
+        turns = normalise_quat(space.poses(placement.values).rotations)
+        steps = matrix_to_rotvec(quat_to_matrix(quat_multiply(turns[1:], quat_conjugate(turns[:-1]))))
         lasting = placement.end - placement.start
         return cls(space, steps.sum(axis=0) / (lasting if lasting > 0 else 1.0))
 
     def turned(self, times: Float, placements: Float, sign: float) -> Float:
         """Add the steady turn to placements ``(N, P)`` at times ``(N,)``, or remove it with the sign -1."""
         turns, centres = self.space.poses(placements)
-        steady = exponentials(sign * times[:, None, None] * self.rates)
-        return self.space.placements(Poses(product(steady, turns), centres))
+        steady = rotvec_to_quat(sign * times[:, None, None] * self.rates)
+        return self.space.placements(Poses(quat_multiply(steady, turns), centres))
 
 
 def smoothed(curve: Curve, frames: Float, seconds: float, steady: SteadyTurn | None = None) -> Curve:

@@ -34,14 +34,14 @@ from scipy.sparse import csgraph
 
 from mixseq.errors import SettingsError
 from mixseq.mesh.rotations import (
-    continuous_vectors,
-    exponentials,
-    inverse,
-    normalised,
-    product,
-    rotations_of,
-    turned,
-    unwrap,
+    continuous_rotvec,
+    normalise_quat,
+    quat_conjugate,
+    quat_multiply,
+    quat_to_matrix,
+    rotate_vectors,
+    rotvec_to_quat,
+    unwrap_rotvec,
 )
 from mixseq.operations.filters import check_gain
 from mixseq.operations.sections import (
@@ -99,11 +99,11 @@ class Limb:
         known, asked = np.unique(np.concatenate([knots, times]), return_inverse=True)
         poses = part_poses(model, known)
         near, far = self._pivots
-        rotations = rotations_of(poses.rotations)
+        rotations = quat_to_matrix(poses.rotations)
         back = np.swapaxes(rotations[:, self.parent], -1, -2)
-        turns = continuous_vectors(back @ rotations[:, self.part])
+        turns = continuous_rotvec(back @ rotations[:, self.part])
         pivots = rotations[:, self.part] @ far + poses.centres[:, self.part]
-        gaps = turned(back, pivots - poses.centres[:, self.parent]) - near
+        gaps = rotate_vectors(back, pivots - poses.centres[:, self.parent]) - near
         return np.concatenate([turns, gaps], axis=1)[asked[len(knots) :]]
 
     def corrections(self, model: Model, times: Float, stance: Float) -> Float:
@@ -113,21 +113,21 @@ class Limb:
         """
         before, poses = self.stance(model, times), part_poses(model, times)
         near, far = self._pivots
-        base = normalised(poses.rotations[:, self.parent])
-        change = product(exponentials(stance[:, :3]), inverse(exponentials(before[:, :3])))
-        turn = product(product(base, change), inverse(base))
+        base = normalise_quat(poses.rotations[:, self.parent])
+        change = quat_multiply(rotvec_to_quat(stance[:, :3]), quat_conjugate(rotvec_to_quat(before[:, :3])))
+        turn = quat_multiply(quat_multiply(base, change), quat_conjugate(base))
         rotations, centres = poses.rotations.copy(), poses.centres.copy()
-        rotations[:, self.parts] = product(turn[:, None], rotations[:, self.parts])
-        parent, part = (rotations_of(rotations[:, which]) for which in (self.parent, self.part))
-        place = turned(parent, near + stance[:, 3:]) + centres[:, self.parent] - part @ far
+        rotations[:, self.parts] = quat_multiply(turn[:, None], rotations[:, self.parts])
+        parent, part = (quat_to_matrix(rotations[:, which]) for which in (self.parent, self.part))
+        place = rotate_vectors(parent, near + stance[:, 3:]) + centres[:, self.parent] - part @ far
         away = centres[:, self.parts] - centres[:, [self.part]]
-        centres[:, self.parts] = turned(rotations_of(turn)[:, None], away) + place[:, None]
+        centres[:, self.parts] = rotate_vectors(quat_to_matrix(turn)[:, None], away) + place[:, None]
         targets = np.concatenate([each.reshape(len(times), -1) for each in (rotations, centres)], axis=1)
         corrections = self.space.corrections(blended_poses(model, times), targets)
         spins, before = (
             each.reshape(len(each), 2, -1, 3)[:, 0] for each in (corrections, model.correction(times[:1]))
         )
-        spins[:] = unwrap(spins, before[0])
+        spins[:] = unwrap_rotvec(spins, before[0])
         return corrections
 
     def joint(self) -> Float:

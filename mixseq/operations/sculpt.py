@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mixseq.errors import InvalidSequenceError, MixseqWarning, SettingsError
-from mixseq.mesh.polygons import Polygons, difference
+from mixseq.mesh.polygons import Polygons, describe_difference
 from mixseq.operations.sections import (
     breakpoints,
     refined,
@@ -102,7 +102,7 @@ def checked_points(points: ArrayLike | MeshSequence, header: SequenceHeader) -> 
         if points.frame_count != 1:
             raise SettingsError(f"the edited mesh has {points.frame_count} frames; one is expected")
         if points.vertex_count == header.vertex_count and not _same_surface(points.polygons, header.polygons):
-            what = difference(points.polygons, header.polygons, ("the edited mesh", "the model"))
+            what = describe_difference(points.polygons, header.polygons, ("the edited mesh", "the model"))
             raise InvalidSequenceError(
                 f"the edited mesh has other edges than the model, {what}: vertices must keep their order; look for "
                 "such a setting in the program that wrote it"

@@ -27,7 +27,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import SettingsError
-from mixseq.mesh.rotations import continuous_vectors, exponentials, inverse, normalised, product, rotations_of
+from mixseq.mesh.rotations import (
+    continuous_rotvec,
+    normalise_quat,
+    quat_conjugate,
+    quat_multiply,
+    quat_to_matrix,
+    rotvec_to_quat,
+)
 from mixseq.sequence.frame_rates import seconds_meant, span_text
 from mixseq.signals.curve import Curve
 from mixseq.signals.detail import Measure, largest
@@ -62,11 +69,11 @@ def mean_placements(space: ShapeSpace, one: Float, other: Float, share: Float) -
     """Return means ``(N, P)`` of placements with the weight `share` ``(N, 1)`` of `other`."""
     first, second = space.poses(one), space.poses(other)
     length, longer = (np.linalg.norm(poses.rotations, axis=2, keepdims=True) for poses in (first, second))
-    a, b = (Poses(normalised(poses.rotations), poses.centres) for poses in (first, second))
+    a, b = (Poses(normalise_quat(poses.rotations), poses.centres) for poses in (first, second))
     share = share[:, :, None]
     # the shorter way at first
-    ways = continuous_vectors(rotations_of(product(inverse(a.rotations), b.rotations)))
-    turns = product(a.rotations, exponentials(share * ways)) * mean(length, longer, share)
+    ways = continuous_rotvec(quat_to_matrix(quat_multiply(quat_conjugate(a.rotations), b.rotations)))
+    turns = quat_multiply(a.rotations, rotvec_to_quat(share * ways)) * mean(length, longer, share)
     return space.placements(Poses(turns, mean(a.centres, b.centres, share)))
 
 

@@ -35,8 +35,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from mixseq.choices import COLOURS, Colour
 from mixseq.errors import SettingsError
-from mixseq.mesh.measures import edge_lengths, wrap
-from mixseq.mesh.surface import WHITE
+from mixseq.mesh.measures import edge_lengths, wrap_angles
+from mixseq.mesh.surface import DEFAULT_COLOUR
 from mixseq.mesh.topology import Topology
 from mixseq.pictures.scene import Scene, SceneItem, check_starts, same_mesh
 from mixseq.segmentation.joints import Decomposition
@@ -170,7 +170,7 @@ class Curvature:
     def __call__(self, points: FloatArray) -> Float:
         """Return changes ``(V,)`` in degrees, 0 to 180, of points ``(V, 3)``."""
         now, known = _angles(points, self.faces, self.hinges, self.sides, self.signs)
-        change = np.where(known & self.known, np.abs(wrap(now - self.angles)), 0.0)
+        change = np.where(known & self.known, np.abs(wrap_angles(now - self.angles)), 0.0)
         return np.degrees(_means(change, self.hinges, len(points)))
 
 
@@ -235,7 +235,9 @@ ENTRIES = 256
 def own_colours(header: SequenceHeader) -> tuple[Bytes, Index]:
     """Return a palette ``(n, 3)`` and entries ``(V,)`` of vertices, those of their first corners."""
     assert header.surface.colours is not None
-    linear = header.surface.colours.at_vertices(header.polygons.indices, header.vertex_count, WHITE)[:, :3]
+    linear = header.surface.colours.at_vertices(header.polygons.indices, header.vertex_count, DEFAULT_COLOUR)[
+        :, :3
+    ]
     shown = np.rint(255 * srgb(np.clip(np.nan_to_num(linear), 0, 1))).astype(np.uint8)
     kinds, entries, counts = np.unique(shown, axis=0, return_inverse=True, return_counts=True)
     if len(kinds) <= ENTRIES:

@@ -24,7 +24,7 @@ from mixseq.sequence.frame_rates import exact_rate
 from mixseq.sequence.header import UP_AXES, SequenceHeader
 from mixseq.sequence.sequence import Frames, FrameStore, block_size, frame_store
 from mixseq.signals.model import Model
-from mixseq.types import Float, FloatArray, Index, Single, evenly
+from mixseq.types import Float, FloatArray, Index, Single, evenly_spaced
 
 Limits = tuple[float, float, float, float]
 """Left, right, bottom and top of a screen rectangle, in units of the points."""
@@ -334,7 +334,7 @@ class Scene:
 
     def samples(self, most: int) -> Sequence[int]:
         """Return at most `most` evenly spaced frames, with the first."""
-        return [int(frame) for frame in evenly(self.count, most)]
+        return [int(frame) for frame in evenly_spaced(self.count, most)]
 
 
 def same_mesh(one: SequenceHeader, other: SequenceHeader) -> bool:

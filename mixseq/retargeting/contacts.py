@@ -43,7 +43,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import MixseqWarning, SettingsError
-from mixseq.mesh.rotations import turned
+from mixseq.mesh.rotations import rotate_vectors
 from mixseq.retargeting.limbs import ArticulatedBody, Contact, leg_ratio, move_contacts
 from mixseq.retargeting.mixed_transfer import MixedTransfer
 from mixseq.retargeting.parts import PartPoses, vertex_parts
@@ -431,7 +431,9 @@ def _measure(shared: tuple[MixedTransfer, Index, Index], block: FloatArray) -> t
         poses.append(method.poses(x, moved))
         # A paw may bend although it is one with its leg.
         back = np.swapaxes(moved.rotations[parts], 1, 2)
-        soles.append(turned(back, smooth[vertices] - moved.centres[parts]) + method.shapes.centres[parts])
+        soles.append(
+            rotate_vectors(back, smooth[vertices] - moved.centres[parts]) + method.shapes.centres[parts]
+        )
     path = np.stack([method.gradients.correspondence.carry(x)[vertices] for x in block])
     return PartPoses(*(np.stack(values) for values in zip(*poses, strict=True))), path, np.stack(soles)
 

@@ -31,9 +31,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from scipy import sparse
 
-from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
 from mixseq.mesh.rigid import kabsch, nearest_rotations
-from mixseq.mesh.rotations import turned
+from mixseq.mesh.rotations import rotate_vectors
 from mixseq.mesh.topology import Topology
 from mixseq.retargeting.gradient_transfer import GradientTransfer, combined, normalised
 from mixseq.segmentation.joints import Decomposition, Joint
@@ -197,7 +197,9 @@ class JointSolver:
         slices = zip(solved.edge_slices, solved.hinge_slices, solved.vertex_slices, strict=True)
         systems = zip(solved.joints, solved.patches, slices, self._skins, strict=True)
         for joint, patch, (edges, hinges, free), skin in systems:
-            guess = skin.place(moves, shifts) + turned(frame.rotations[skin.nearest], frame.offsets[free])
+            guess = skin.place(moves, shifts) + rotate_vectors(
+                frame.rotations[skin.nearest], frame.offsets[free]
+            )
             rebuilt, report = rebuild(
                 patch,
                 frame.lengths[edges],
@@ -221,13 +223,13 @@ class JointSolver:
         offsets = np.zeros((len(self.solved.vertices), 3))
         for free, skin in zip(self.solved.vertex_slices, self._skins, strict=True):
             away = points[self.solved.vertices[free]] - skin.place(moves, shifts)
-            offsets[free] = turned(np.swapaxes(rotations[skin.nearest], 1, 2), away)
+            offsets[free] = rotate_vectors(np.swapaxes(rotations[skin.nearest], 1, 2), away)
         return offsets
 
     def _placed(self, frame: JointFrame) -> Float:
         """Return the vertices ``(V, 3)`` posed by parts: the mean of copies, zero without a part."""
         part, vertex, copies = self._copies
-        placed = turned(frame.rotations[part], frame.parts) + frame.translations[part]
+        placed = rotate_vectors(frame.rotations[part], frame.parts) + frame.translations[part]
         sums = [np.bincount(vertex, column, minlength=len(copies)) for column in placed.T]
         return np.stack(sums, axis=1) / copies[:, None]
 
@@ -235,7 +237,7 @@ class JointSolver:
         """Return motions ``x -> M x + s`` of the parts from the reference frame; linear in both."""
         turns, centres = self._reference_poses
         moves = rotations @ np.swapaxes(turns, 1, 2)
-        return moves, translations - turned(moves, centres)
+        return moves, translations - rotate_vectors(moves, centres)
 
 
 class JointChanges(Protocol):
@@ -276,7 +278,7 @@ class SameEdges:
         lengths, angles, own_lengths, own_angles = self._rest
         now = edge_lengths(x, self._edges)
         ratios = np.divide(now, lengths, out=np.ones_like(now), where=lengths > 0)
-        return own_lengths * ratios, own_angles + wrap(dihedral_angles(x, self._hinges) - angles)
+        return own_lengths * ratios, own_angles + wrap_angles(dihedral_angles(x, self._hinges) - angles)
 
 
 @dataclass(frozen=True, eq=False)
@@ -331,7 +333,7 @@ class OtherEdges:
         rest, edges = self.gradients.target.reference, self._topology.edges[self.solved.edge_ids]
         faces, rows = self._edge_sides
         sides = rest[edges[:, 1]] - rest[edges[:, 0]]
-        stretched = np.linalg.norm(turned(moved[faces], sides[rows]), axis=1)
+        stretched = np.linalg.norm(rotate_vectors(moved[faces], sides[rows]), axis=1)
         count = np.bincount(rows, minlength=len(edges))
         lengths = np.bincount(rows, stretched, minlength=len(edges)) / np.maximum(count, 1)
         return lengths, self._bent(moved)
@@ -348,9 +350,9 @@ class OtherEdges:
         rest = self.gradients.target.reference
         a, b, c, d = (rest[corner] for corner in self._topology.hinges[self.solved.hinge_ids].T)
         first, second = (moved[side] for side in self._hinge_sides.T)
-        near, far = turned(first, b - a), turned(second, b - a)
-        n1, n2 = np.cross(near, turned(first, c - a)), np.cross(turned(second, d - a), far)
+        near, far = rotate_vectors(first, b - a), rotate_vectors(second, b - a)
+        n1, n2 = np.cross(near, rotate_vectors(first, c - a)), np.cross(rotate_vectors(second, d - a), far)
         middle = near + far
         sine = np.einsum("hi,hi->h", np.cross(n1, n2), middle)
         cosine = np.einsum("hi,hi->h", n1, n2) * np.linalg.norm(middle, axis=1)
-        return np.asarray(self._angles + wrap(np.arctan2(sine, cosine) - self._angles))
+        return np.asarray(self._angles + wrap_angles(np.arctan2(sine, cosine) - self._angles))

@@ -49,7 +49,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
-from mixseq.mesh.rotations import matrices, turned
+from mixseq.mesh.rotations import rotate_vectors, rotvec_to_matrix
 from mixseq.types import Float, FloatArray, Index
 
 
@@ -112,7 +112,8 @@ class ArticulatedBody:
     def gaps(self, rotations: Float, centres: Float) -> Float:
         """Return the gaps ``(n, 3)`` of pairs at their pivots: rotations, centres ``(p, 3, 3), (p, 3)``."""
         first, second = (
-            turned(rotations[part], self.pivots - self.centres[part]) + centres[part] for part in self.pairs.T
+            rotate_vectors(rotations[part], self.pivots - self.centres[part]) + centres[part]
+            for part in self.pairs.T
         )
         return np.asarray(first - second)
 
@@ -126,7 +127,7 @@ class ArticulatedBody:
         """Return the positions ``(T, k, 3)`` of rest points ``(k, 3)`` of parts ``(k,)`` in all frames."""
         some = np.asarray(parts, dtype=np.int64)
         arms = np.asarray(points, dtype=np.float64).reshape(-1, 3) - self.centres[some]
-        return turned(rotations[:, some], arms) + centres[:, some]
+        return rotate_vectors(rotations[:, some], arms) + centres[:, some]
 
     def path(
         self, contact: Contact, rotations: Float, centres: Float, frames: Index | slice = slice(None)
@@ -135,7 +136,7 @@ class ArticulatedBody:
         if contact.local is None:
             return self.placed(contact.points, contact.parts, rotations, centres)
         arms = contact.local[frames] - self.centres[contact.parts]
-        return turned(rotations[:, contact.parts], arms) + centres[:, contact.parts]
+        return rotate_vectors(rotations[:, contact.parts], arms) + centres[:, contact.parts]
 
     def _chain(self, part: int) -> tuple[int, ...]:
         chain: list[int] = []
@@ -251,8 +252,8 @@ def _forward(
         pivot = body.placed(body.pivot(part), [part], rotations, centres)[:, 0]
         # Differences to the motion, so that frames without rotations keep every bit.
         change = placed[:, above] - centres[:, above] + stretch
-        change += turned(carried - identity, pivot - centres[:, above])
-        change += turned(turn - identity, centres[:, part] - pivot)
+        change += rotate_vectors(carried - identity, pivot - centres[:, above])
+        change += rotate_vectors(turn - identity, centres[:, part] - pivot)
         placed[:, part] += change
         facing[:, part] = turn @ rotations[:, part]
     return facing, placed
@@ -275,7 +276,7 @@ def turn_limbs(levers: Float, moves: Float, compliance: Float) -> tuple[Float, F
         system = _mobility(lever, compliance)
         system[:, diagonal, diagonal] += np.repeat(damping, 3, axis=1)
         multipliers = np.linalg.solve(system, left.reshape(count, -1, 1)).reshape(count, ends, 1, 3)
-        turns = matrices(compliance[:, None] * np.cross(lever, multipliers).sum(axis=1)) @ turns
+        turns = rotvec_to_matrix(compliance[:, None] * np.cross(lever, multipliers).sum(axis=1)) @ turns
         lever = np.einsum("nkij,ngkj->ngki", turns, levers)
         moved = (lever - levers).sum(axis=2)
     return turns, moves - moved

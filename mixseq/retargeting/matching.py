@@ -24,8 +24,9 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from mixseq.errors import SettingsError
+from mixseq.mesh.nearest import ClosestPointQuery
 from mixseq.mesh.topology import Topology
-from mixseq.mesh.triangle_mesh import ClosestPoints, TriangleMesh
+from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.markers import Correspondence, Markers, Pairing
 from mixseq.types import Float, FloatArray, Index, IntArray, Mask
 
@@ -95,7 +96,7 @@ def match(
     distances = np.full(len(queries), np.inf)
     searches = [
         (
-            ClosestPoints(registered, pairing.source_faces),
+            ClosestPointQuery.from_mesh(registered.points, registered.faces, pairing.source_faces),
             np.concatenate([pairing.target_vertices, vertex_count + pairing.target_faces]),
         )
         for pairing in pairings
@@ -148,7 +149,7 @@ def assess(
     covered = 0.0
     for pairing in pairings:
         own = pairing.source_faces
-        goal = ClosestPoints(target, pairing.target_faces)
+        goal = ClosestPointQuery.from_mesh(target.points, target.faces, pairing.target_faces)
         found = goal.query(registered.centroids[own], registered.face_normals[own], settings.largest_angle)
         near = found.distances <= settings.largest_distance * size
         covered += float(registered.face_areas[own[near]].sum())
@@ -371,9 +372,7 @@ def _same_triangles(source: Index, wanted: Index) -> Index:
 
 def _closest_facing(source: TriangleMesh, points: Float, normals: Float) -> tuple[Index, Float]:
     """Return triangles and weights closest to points, of those that face the same way if there are any."""
-    from mixseq.mesh.nearest import Nearest
-
-    nearest = Nearest.of(source.points, source.faces)
+    nearest = ClosestPointQuery.from_mesh(source.points, source.faces)
     found = nearest.query(points, normals)
     faces, weights = found.faces.copy(), found.weights.copy()
     facing_away = np.flatnonzero(faces < 0)

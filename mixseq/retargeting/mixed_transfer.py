@@ -34,7 +34,13 @@ from mixseq.retargeting.parts import (
 from mixseq.retargeting.sources import Alignment
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.low_memory import LargeArray
-from mixseq.segmentation.joints import Decomposition, Watched, decompose, frames_to_look_at, observe
+from mixseq.segmentation.joints import (
+    Decomposition,
+    PartShapes,
+    decompose,
+    measure_part_motion,
+    sample_frame_ids,
+)
 from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.types import Float, FloatArray, Index
@@ -166,9 +172,11 @@ def mixed_transfer(
 ) -> MixedTransfer:
     """Make a transfer by parts and joints: points ``(T, V, 3)``; part_of_face ``(F,)``."""
     source, target = gradients.source, gradients.target
-    looked_at = points[frames_to_look_at(len(points))]
-    watched = Watched.of(source.topology, part_of_face, source.reference[None])
-    observed = observe(watched, np.concatenate([source.reference[None] * source.scale, looked_at]))
+    looked_at = points[sample_frame_ids(len(points))]
+    watched = PartShapes.from_labels(source.topology, part_of_face, source.reference[None])
+    observed = measure_part_motion(
+        watched, np.concatenate([source.reference[None] * source.scale, looked_at])
+    )
     decomposition = decompose(source.topology, part_of_face, joint_width, observed)
     if _same_mesh(gradients):
         parts = PartCorrespondence(decomposition, decomposition, np.arange(len(decomposition.parts)))

@@ -30,15 +30,15 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from mixseq.mesh.measures import flat_faces
+from mixseq.mesh.measures import degenerate_faces
 from mixseq.mesh.nearest import Attachments
-from mixseq.mesh.topology import Topology, split_labels, vertices_of
+from mixseq.mesh.topology import Topology, mark_face_vertices, split_labels
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.gradient_transfer import GradientTransfer
 from mixseq.retargeting.limbs import ArticulatedBody
 from mixseq.retargeting.markers import Correspondence
 from mixseq.segmentation.elements import Boundaries
-from mixseq.segmentation.joints import FLAT, Decomposition, Observed, decompose
+from mixseq.segmentation.joints import DEGENERATE_HEIGHT_RATIO, Decomposition, PartMotion, decompose
 from mixseq.shells.solvers import Factor, factorise
 from mixseq.spaces.pieces import registered
 from mixseq.types import Float, Index, IntArray
@@ -107,7 +107,7 @@ def carry_parts(
     labels = without_small_regions(topology, labels, TriangleMesh(rest, topology).face_areas)
     parts = split_labels(topology, labels)
     sources = labels[np.unique(parts, return_index=True)[1]]
-    observed = Observed(rotations[:, sources], flat_faces(rest, faces, FLAT))
+    observed = PartMotion(rotations[:, sources], degenerate_faces(rest, faces, DEGENERATE_HEIGHT_RATIO))
     decomposition = decompose(topology, parts, joint_width, observed, core=CORE)
     loose = len(decomposition.parts) - len(sources)  # vertices of no face follow the first part
     return PartCorrespondence(source, decomposition, np.append(sources, np.zeros(loose, dtype=np.int64)))
@@ -154,7 +154,7 @@ def vertex_parts(decomposition: Decomposition, topology: Topology) -> Index:
     """Return a part ``(V,)`` of every vertex: that of a face at it, the last part without faces."""
     result = np.full(topology.vertex_count, len(decomposition.parts) - 1, dtype=np.int64)
     for part in range(int(decomposition.part_of_face.max(initial=-1)), -1, -1):
-        result[vertices_of(topology, decomposition.part_of_face == part)] = part
+        result[mark_face_vertices(topology, decomposition.part_of_face == part)] = part
     return result
 
 
@@ -177,14 +177,14 @@ class Pivots:
     def of(cls, gradients: GradientTransfer, decomposition: Decomposition) -> Pivots:
         """Find the pivots of a target."""
         held = gradients.attachments
-        boundaries = Boundaries.of(gradients.target.topology, decomposition.part_of_face)
-        ends = ((held.pieces, held.own), (held.holders, held.other))
+        boundaries = Boundaries.from_labels(gradients.target.topology, decomposition.part_of_face)
+        ends = ((held.pieces, held.vertices), (held.holders, held.holder_vertices))
         attached = np.stack([_parts_at(gradients, decomposition, *end) for end in ends], axis=1)
         return cls(np.concatenate([boundaries.parts, attached]), boundaries, held)
 
     def points(self, x: Float) -> Float:
         """Return pivots ``(n, 3)`` of a target ``(V', 3)``: middles of boundaries, and held vertices."""
-        return np.concatenate([self.boundaries.middles(x), x[self.attachments.own]])
+        return np.concatenate([self.boundaries.middles(x), x[self.attachments.vertices]])
 
     def sizes(self, x: Float) -> tuple[Float, Float]:
         """Return lengths ``(n,)`` of boundaries and their root mean square radii; 0 of attachments."""

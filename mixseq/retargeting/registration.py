@@ -39,9 +39,10 @@ import numpy as np
 from scipy import sparse
 
 from mixseq.errors import SettingsError
+from mixseq.mesh.nearest import ClosestPointQuery
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.topology import Topology
-from mixseq.mesh.triangle_mesh import ClosestPoints, TriangleMesh
+from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.markers import Markers, Pairing, Similarity, fit_similarity
 from mixseq.runtime.progress import Progress, silent
 from mixseq.shells.solvers import Analysis, analyse
@@ -290,9 +291,10 @@ class DataTerm:
         return cls(vertices, TriangleMesh(source.points[vertices], topology), target, own, held)
 
     @cached_property
-    def _goals(self) -> list[ClosestPoints]:
+    def _goals(self) -> list[ClosestPointQuery]:
         """Closest-point queries of every pairing."""
-        return [ClosestPoints(self.target, pairing.target_faces) for pairing in self.pairings]
+        points, faces, query = self.target.points, self.target.faces, ClosestPointQuery.from_mesh
+        return [query(points, faces, pairing.target_faces) for pairing in self.pairings]
 
     @cached_property
     def _areas(self) -> tuple[Float, Float]:
@@ -316,7 +318,8 @@ class DataTerm:
             squares += float(np.sum(weights * found.distances[near] ** 2))
             total += float(np.sum(weights))
 
-            there, search = pairing.target_vertices, ClosestPoints(moved, pairing.source_faces)
+            there = pairing.target_vertices
+            search = ClosestPointQuery.from_mesh(points, moved.faces, pairing.source_faces)
             found = search.query(target.points[there], target.vertex_normals[there], largest_angle)
             near = np.flatnonzero(found.distances <= reach)
             corners, goals = moved.faces[found.faces[near]], target.points[there[near]]

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import InvalidSequenceError
-from mixseq.mesh.measures import edge_lengths, flat_faces
+from mixseq.mesh.measures import degenerate_faces, edge_lengths
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.gradient_transfer import GradientTransfer, gradient_transfer
@@ -37,7 +37,7 @@ from mixseq.runtime.parallel import Executor
 from mixseq.runtime.progress import Progress, silent
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import bounding_diagonal, check_block
-from mixseq.types import Float, FloatArray, Index, Mask, evenly
+from mixseq.types import Float, FloatArray, Index, Mask, evenly_spaced
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ class Expected:
     @cached_property
     def flat(self) -> Mask:
         """Target triangles ``(F',)`` that are flat at rest."""
-        return flat_faces(self.rest, self.topology.faces, FLAT)
+        return degenerate_faces(self.rest, self.topology.faces, FLAT)
 
     @cached_property
     def _sides(self) -> Float:
@@ -184,7 +184,7 @@ class Expected:
 
     def newly_flat(self, y: Float) -> Mask:
         """Mark triangles ``(F',)`` that are flat in a frame ``(V', 3)``, but not at rest."""
-        return np.asarray(flat_faces(y, self.topology.faces, FLAT) & ~self.flat)
+        return np.asarray(degenerate_faces(y, self.topology.faces, FLAT) & ~self.flat)
 
 
 def _sides_of(points: Float, faces: NDArray[Any]) -> Float:
@@ -334,7 +334,7 @@ class Meter:
         self._strain, self._excess = (RunningStatistics(self._count * edges) for _ in range(2))
         self._source_strain = RunningStatistics(self._count * source_edges)
         self._acceleration = Acceleration(), Acceleration()
-        self._looked_at = tuple(evenly(self._count, FRAMES).tolist())
+        self._looked_at = tuple(evenly_spaced(self._count, FRAMES).tolist())
         self._crossings: list[tuple[int, int]] = []
         self._turned_over: list[int] = []
         self._flat: list[int] = []

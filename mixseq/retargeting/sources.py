@@ -24,7 +24,7 @@ from mixseq.mesh.rigid import kabsch
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.progress import Progress, silent
-from mixseq.segmentation.joints import frames_to_look_at
+from mixseq.segmentation.joints import sample_frame_ids
 from mixseq.segmentation.methods import segment, segment_by_labels
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames, MeshSequence, check_frames, frame_store
@@ -49,7 +49,7 @@ class SourceMotion:
         """Return the part ``(F,)`` of every triangle: given, or found from the motion."""
         if not (self.parts is None or isinstance(self.parts, int | np.integer)):
             return segment_by_labels(self.parts, self.topology)
-        some = self.points[frames_to_look_at(len(self.points))]
+        some = self.points[sample_frame_ids(len(self.points))]
         poses = np.concatenate([self.rest[None], some])
         return segment(poses, self.topology, "motion", None if self.parts is None else int(self.parts))
 
@@ -112,7 +112,7 @@ def _shape_at_rest(
             f"{error}; give the same mesh, with its vertices in the same order"
         ) from None
     shape = rest.points[0].astype(np.float64)
-    some = points[frames_to_look_at(len(points))].astype(np.float64)
+    some = points[sample_frame_ids(len(points))].astype(np.float64)
     still, moving = edge_lengths(shape, topology.edges), edge_lengths(some, topology.edges)
     known = still > 0
     ratio = float(np.median(moving[:, known] / still[known])) if known.any() else 1.0

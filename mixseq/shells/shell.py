@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mixseq.errors import ReconstructionError, SettingsError
-from mixseq.mesh.measures import NO_LENGTH, dihedral_angles, edge_lengths, length_weights
+from mixseq.mesh.measures import MIN_DIRECTED_LENGTH, dihedral_angles, edge_lengths, length_weights
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.shells import kernels
@@ -114,7 +114,7 @@ class Shell(PickledWithoutCaches):
     @cached_property
     def _longest(self) -> Float:
         """Typical lengths ``(F,)`` of the longest sides of faces."""
-        return np.asarray(np.maximum(self.typical[self.topology.face_edges].max(axis=1), NO_LENGTH))
+        return np.asarray(np.maximum(self.typical[self.topology.face_edges].max(axis=1), MIN_DIRECTED_LENGTH))
 
     @cached_property
     def _normals(self) -> Float:
@@ -131,7 +131,7 @@ class Shell(PickledWithoutCaches):
     def bend(self) -> Float:
         """Relative weights ``(H,)`` of angles, at most 1: less where a triangle is `SLENDER`."""
         faces = self.topology.hinge_faces
-        edge = np.maximum(self.typical[self.topology.hinge_edges], NO_LENGTH)
+        edge = np.maximum(self.typical[self.topology.hinge_edges], MIN_DIRECTED_LENGTH)
         height = self._normals[faces].min(axis=1, initial=np.inf) / edge
         return np.asarray(np.minimum(1.0, height / (SLENDER * self._longest[faces].max(axis=1, initial=0.0))))
 
@@ -155,7 +155,9 @@ class Shell(PickledWithoutCaches):
     def side_weights(self) -> Float:
         """Weights ``(F, 3)`` of the sides of faces: those of an edge add up to the squared weight of its length."""
         weights = np.square(self.stretch)
-        weights = np.where(weights > 0, weights, np.square(1.0 / max(float(self.typical.max()), NO_LENGTH)))
+        weights = np.where(
+            weights > 0, weights, np.square(1.0 / max(float(self.typical.max()), MIN_DIRECTED_LENGTH))
+        )
         return np.asarray((weights / self.topology.edge_face_counts)[self.topology.face_edges])
 
     @cached_property
@@ -226,15 +228,15 @@ class Shell(PickledWithoutCaches):
         x, topology = self.reference, self.topology
         lengths, turns = edge_lengths(x, topology.edges), _turns(dihedral_angles(x, topology.hinges))
         way, curvature = np.random.default_rng(0).normal(size=x.shape), 0.0
-        size = STEP * max(float(np.median(self.typical)), NO_LENGTH) * np.sqrt(len(x))
+        size = STEP * max(float(np.median(self.typical)), MIN_DIRECTED_LENGTH) * np.sqrt(len(x))
         for _ in range(ROUNDS):
-            way *= size / max(float(np.linalg.norm(way)), NO_LENGTH)
+            way *= size / max(float(np.linalg.norm(way)), MIN_DIRECTED_LENGTH)
             ahead, behind = (
                 self._gradient(x + sign * way, lengths, turns, self._bend)[0] for sign in (1, -1)
             )
             way = self.factor.solve(0.5 * (ahead - behind))
             curvature = float(np.linalg.norm(way)) / size
-        return max(curvature, NO_LENGTH)
+        return max(curvature, MIN_DIRECTED_LENGTH)
 
 
 def _turns(angles: Float) -> Float:

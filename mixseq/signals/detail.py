@@ -20,7 +20,7 @@ from scipy.interpolate import make_lsq_spline
 
 from mixseq.choices import PoseForm
 from mixseq.errors import ReconstructionError, SettingsError
-from mixseq.mesh.rotations import continued
+from mixseq.mesh.rotations import align_quat_signs
 from mixseq.runtime.low_memory import LargeArray, new_large_array
 from mixseq.runtime.parallel import Executor, serially
 from mixseq.runtime.progress import Progress, silent
@@ -42,7 +42,7 @@ from mixseq.signals.modes import Modes, principal_modes
 from mixseq.signals.pose import PoseMap
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.temporal import Operator, Poses, Rows, chosen, with_middles
-from mixseq.types import Float, FloatArray, Index, evenly
+from mixseq.types import Float, FloatArray, Index, evenly_spaced
 
 Measure = Callable[[Float], Float]
 """Map of the deviations ``(T, k)`` of a curve to their sizes ``(T,)``."""
@@ -188,7 +188,7 @@ def encode(
     placed = slice(size, size + space.placement_dim)
     shapes = new_large_array((count, size))
     placement = np.empty((count, space.placement_dim))
-    some = evenly(sequence.header.vertex_count, OPERATOR_SAMPLES)
+    some = evenly_spaced(sequence.header.vertex_count, OPERATOR_SAMPLES)
     samples = np.empty((count, 3 * len(some)))
     previous, done = None, 0
     for apart, sampled in workers(_encoded, (space, some), blocks_of(sequence.points)):
@@ -198,7 +198,9 @@ def encode(
         previous, done = vectors[-1], rows.stop
         progress(done, count, "encoding frames")
     turns, centres = space.poses(placement)
-    steady = space.placements(Poses(continued(turns), centres))  # what is interpolated in time must not jump
+    steady = space.placements(
+        Poses(align_quat_signs(turns), centres)
+    )  # what is interpolated in time must not jump
     held = space.held(samples.reshape(count, -1, 3), some, steady).reshape(count, -1)
     return Encoded(sequence.header, space, shapes, steady, held, pose)
 

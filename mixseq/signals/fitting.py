@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from mixseq.choices import POSE_FORMS, PlacementName, PoseForm, SpaceName
 from mixseq.errors import SettingsError
-from mixseq.mesh.measures import wrap
+from mixseq.mesh.measures import wrap_angles
 from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.parallel import Executor, on_threads, one_blas_thread
 from mixseq.runtime.progress import Progress, Stages, silent
@@ -40,7 +40,7 @@ from mixseq.spaces.edge import EdgeSettings
 from mixseq.spaces.making import MAKING, MixedSettings, SpaceOptions, make_space, space_settings
 from mixseq.spaces.mixed.mixed_space import MixedBlocks, MixedSpace
 from mixseq.spaces.temporal import Rows
-from mixseq.types import Float, Index, evenly
+from mixseq.types import Float, Index, evenly_spaced
 
 MAX_TRIAL_FRAMES = 16
 """Largest number of frames that are left out, one by one."""
@@ -91,7 +91,7 @@ class Trial:
         """Leave some inner frames ``(T, V, 3)`` out."""
         left, rows = encoded.operator.left_out()
         most = int(np.clip(MAX_TRIAL_VERTICES // space.vertex_count, MIN_TRIAL_FRAMES, MAX_TRIAL_FRAMES))
-        some = evenly(len(left), most)
+        some = evenly_spaced(len(left), most)
         points = frames[left[some]].astype(np.float64) / space.scale
         return cls(encoded, space, left[some], rows.at(some), points)
 
@@ -149,7 +149,7 @@ class Trial:
             squares += [
                 float(np.square(made - real).sum(axis=1).mean()),
                 float(np.square(strain).mean()) if len(strain) else 0.0,
-                float(np.square(wrap(angles - expected)).mean()) if len(angles) else 0.0,
+                float(np.square(wrap_angles(angles - expected)).mean()) if len(angles) else 0.0,
             ]
         return np.sqrt(squares / len(points))
 

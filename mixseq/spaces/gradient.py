@@ -37,9 +37,9 @@ from scipy import sparse
 
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.mesh.rigid import nearest_rotations
-from mixseq.mesh.rotations import matrices, unwrap, vectors
-from mixseq.mesh.topology import Topology, connected
-from mixseq.mesh.triangle_mesh import completed, with_area
+from mixseq.mesh.rotations import matrix_to_rotvec, rotvec_to_matrix, unwrap_rotvec
+from mixseq.mesh.topology import Topology, connected_components
+from mixseq.mesh.triangle_mesh import replace_degenerate, triangle_matrices
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, silent
@@ -79,7 +79,7 @@ class Integration(PickledWithoutCaches):
     @cached_property
     def solved(self) -> Index:
         """Unknown vertices: all but the first of every component."""
-        component = connected(self.count, self.sides)
+        component = connected_components(self.count, self.sides)
         return np.setdiff1d(np.arange(self.count), np.unique(component, return_index=True)[1])
 
     @cached_property
@@ -142,7 +142,7 @@ class GradientSpace(ShapeSpace):
     @cached_property
     def triangles(self) -> Float:
         """The reference triangles ``(F, 3, 3)``: two sides and the fourth vertex, in columns."""
-        return with_area(self.completed(self.reference))
+        return replace_degenerate(self.completed(self.reference))
 
     @cached_property
     def inverses(self) -> Float:
@@ -199,7 +199,7 @@ class GradientSpace(ShapeSpace):
             gradients = self.completed(x) @ self.inverses
             rotations = nearest_rotations(gradients)
             stretches = np.swapaxes(rotations, 1, 2) @ gradients
-            blocks = vectors(rotations), stretches[:, *UPPER], self.pieces.centres(x)
+            blocks = matrix_to_rotvec(rotations), stretches[:, *UPPER], self.pieces.centres(x)
             np.concatenate([block.reshape(-1) for block in blocks], out=vector)
         return result
 
@@ -207,7 +207,7 @@ class GradientSpace(ShapeSpace):
         """Implement `ShapeSpace.unwrap`."""
         before = None if previous is None else self.split(previous[None]).turns[0]
         blocks = self.split(vectors)
-        return self.join(blocks._replace(turns=unwrap(blocks.turns, before)))
+        return self.join(blocks._replace(turns=unwrap_rotvec(blocks.turns, before)))
 
     def decode(self, vectors: Float, progress: Progress = silent) -> Float:
         """Implement `ShapeSpace.decode`."""
@@ -218,7 +218,7 @@ class GradientSpace(ShapeSpace):
         points = np.empty((len(blocks.turns), self.vertex_count, 3))
         with one_blas_thread():
             for number, (turns, stretches, centres) in enumerate(zip(*blocks, strict=True)):
-                gradients = matrices(turns) @ stretches[:, FULL]
+                gradients = rotvec_to_matrix(turns) @ stretches[:, FULL]
                 sides = np.swapaxes(gradients @ self.sides, 1, 2).reshape(-1, 3)
                 rows = self.integration.vertices(sides)
                 points[number] = self.pieces.centred(rows, centres) * self.scale
@@ -227,7 +227,7 @@ class GradientSpace(ShapeSpace):
 
     def completed(self, x: Float) -> Float:
         """Return the matrices D ``(F, 3, 3)`` of the faces of a frame ``(V, 3)`` in diagonals."""
-        return completed(x[self.pieces.row_vertices], self.faces, self.edges)
+        return triangle_matrices(x[self.pieces.row_vertices], self.faces, self.edges)
 
     def split(self, vectors: Float) -> Gradients:
         """Return the blocks of vectors ``(T, D)``; raises what `checked` does."""

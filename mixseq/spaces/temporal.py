@@ -37,8 +37,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from mixseq.mesh.rotations import continued, inverse, normalised, powers, product
-from mixseq.types import Float, Index, evenly
+from mixseq.mesh.rotations import align_quat_signs, normalise_quat, quat_conjugate, quat_multiply, quat_power
+from mixseq.types import Float, Index, evenly_spaced
 
 Ends = Literal["natural", "not-a-knot"]
 """End conditions: zero second derivatives, or one cubic through the first two intervals and the last two."""
@@ -123,7 +123,7 @@ class Operator:
     def left_out(self, cubic: bool = False) -> tuple[Index, Rows]:
         """Return evenly spread inner frames ``(n,)``, and their weights of others, by kriging or the cubic spline."""
         inner = np.arange(1, len(self.times) - 1)
-        left = inner[evenly(len(inner), LEFT_OUT)]
+        left = inner[evenly_spaced(len(inner), LEFT_OUT)]
         size = min(WINDOW, len(self.times) - 1)
         starts = np.clip(left - size // 2, 0, len(self.times) - 1 - size)
         frames = starts[:, None] + np.arange(size)
@@ -243,6 +243,6 @@ def chained(rows: Rows, rotations: Float) -> Float:
         result[whole] = here[whole]  # all that came before is whole, too
         some = ~whole & (np.abs(exponent) >= NOTHING)
         if some.any():
-            step = product(inverse(before[some]), here[some])
-            result[some] = product(result[some], powers(step, exponent[some, None]))
-    return continued(normalised(result))
+            step = quat_multiply(quat_conjugate(before[some]), here[some])
+            result[some] = quat_multiply(result[some], quat_power(step, exponent[some, None]))
+    return align_quat_signs(normalise_quat(result))

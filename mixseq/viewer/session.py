@@ -26,7 +26,7 @@ from mixseq.pictures.charts import dense_times, largest_coordinates
 from mixseq.pictures.scene import Scene
 from mixseq.signals.model import Model
 from mixseq.signals.pose import Plane
-from mixseq.types import Float, IntArray, evenly
+from mixseq.types import Float, IntArray, evenly_spaced
 from mixseq.viewer.playback import Jobs, Playback
 
 MOST_POINTS = 5000
@@ -229,8 +229,8 @@ def signals_of(model: Model, plane: Plane | None = None) -> dict[str, Any]:
     start, end = model.start, model.end
     moves = end > start and model.time.dim > 0
     times = dense_times(model) if end > start else np.array([start])
-    times = times[evenly(len(times), POINTS)]
-    frames = model.times[evenly(len(model.times), FRAMES)]
+    times = times[evenly_spaced(len(times), POINTS)]
+    frames = model.times[evenly_spaced(len(model.times), FRAMES)]
     handles = np.linspace(start, end, HANDLES) if moves else np.zeros(0)
     chosen, units = largest_coordinates(model)
     lines = model.time(times)[:, chosen] * units

@@ -11,7 +11,7 @@ import pytest
 import mixseq
 from mixseq.compression.numbering import by_walk, object_sizes
 from mixseq.errors import OutputError
-from mixseq.mesh.polygons import Polygons, matched
+from mixseq.mesh.polygons import Polygons, match_polygons
 from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Surface
 from mixseq.sequence.sequence import MeshSequence
 from mixseq_io.scene_meshes import split
@@ -71,7 +71,7 @@ def test_the_mesh_of_a_file_is_told_in_its_numbers() -> None:
     for was, new in zip(before, after, strict=True):
         ours = new.as_numbered(was.polygons)
         assert ours is not None
-        assert matched(ours.polygons, was.polygons) is not None
+        assert match_polygons(ours.polygons, was.polygons) is not None
         assert points[ours.vertices].tolist() == list(range(was.vertices.start, was.vertices.stop))  # type: ignore[union-attr]
         assert was.as_numbered(was.polygons) is was
     assert before[0].as_numbered(before[1].polygons) is None

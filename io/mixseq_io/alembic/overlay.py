@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import FormatError
-from mixseq.mesh.measures import shared_normals
-from mixseq.mesh.polygons import Polygons, difference, reversed_corners
+from mixseq.mesh.measures import corner_normals
+from mixseq.mesh.polygons import Polygons, describe_difference, reversed_winding
 from mixseq.mesh.surface import CornerValues
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray, Index, IntArray
@@ -122,14 +122,14 @@ class Target:
         """Add normals of points ``(V, 3)`` for hard edges; return objects to keep alive until the sample is set."""
         if self.scene_mesh.hard_edges is None or self.subdivided:
             return None
-        shared = shared_normals(rows[None], self.scene_mesh.polygons, self.scene_mesh.hard_edges)[0]
+        shared = corner_normals(rows[None], self.scene_mesh.polygons, self.scene_mesh.hard_edges)[0]
         normals = array_of(imath.V3fArray, shared)
         sample.setNormals(AbcGeom.ON3fGeomParamSample(normals, self._arrays["normals"], _CORNERS))
         return normals
 
     @cached_property
     def _order(self) -> IntArray:
-        return reversed_corners(self.scene_mesh.polygons.counts, keep_first=False)
+        return reversed_winding(self.scene_mesh.polygons.counts, keep_first=False)
 
     @cached_property
     def _arrays(self) -> dict[str, Any]:
@@ -396,7 +396,9 @@ def _difference(path: Path, scene_mesh: SceneMesh, mesh: Mesh) -> str:
         return f"{mesh.path} has {count} vertices, the sequence {scene_mesh.vertex_count}"
     theirs, order = _polygons(path, scene_mesh, mesh, mirrored=False)
     ours = scene_mesh.polygons
-    return difference(ours, Polygons(theirs.counts, theirs.indices[order]), ("the sequence", mesh.path))
+    return describe_difference(
+        ours, Polygons(theirs.counts, theirs.indices[order]), ("the sequence", mesh.path)
+    )
 
 
 _GROWTH = 2
@@ -440,7 +442,7 @@ class MovedMesh:
                 self.velocities.setValue(stored)
             if self.normals is not None:
                 polygons = self.fit.scene_mesh.polygons
-                shared = shared_normals(own[None], polygons, self.fit.scene_mesh.normal_groups)[0]
+                shared = corner_normals(own[None], polygons, self.fit.scene_mesh.normal_groups)[0]
                 stored = array_of(imath.V3fArray, -shared if self.fit.mirrored else shared)
                 self.normals.set(AbcGeom.ON3fGeomParamSample(stored, self._corner_groups, _CORNERS))
 

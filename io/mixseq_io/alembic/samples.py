@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from mixseq.errors import FormatError
 from mixseq.mesh.rigid import nearest_rotations
-from mixseq.mesh.rotations import matrices, vectors
+from mixseq.mesh.rotations import matrix_to_rotvec, rotvec_to_matrix
 from mixseq.sequence.frame_rates import NTSC_RATES
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import Float, FloatArray
@@ -252,7 +252,7 @@ def mixed(first: Float, second: Float, weight: float) -> Float:
     blend = (1 - weight) * first + weight * second
     turns = nearest_rotations(np.stack([first[:3, :3], second[:3, :3]]))
     stretches = np.stack([first[:3, :3], second[:3, :3]]) @ turns.swapaxes(1, 2)  # rows: stretch, then turn
-    step = matrices(weight * vectors(turns[0].T @ turns[1]))
+    step = rotvec_to_matrix(weight * matrix_to_rotvec(turns[0].T @ turns[1]))
     blend[:3, :3] = ((1 - weight) * stretches[0] + weight * stretches[1]) @ turns[0] @ step
     return blend
 

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from mixseq.choices import StillName
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, to_model
 from mixseq.errors import AmbiguousError, FormatError, OutputError
-from mixseq.mesh.measures import shared_normals
+from mixseq.mesh.measures import corner_normals
 from mixseq.mesh.surface import Origin
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray
@@ -252,7 +252,7 @@ def add_still(
 ) -> list[Json]:
     """Add the primitives of a still to a document: points ``(V, 3)``."""
     single = as_float32(points[None], 0, "glTF")[0]
-    normals = shared_normals(single[None], mesh.polygons, mesh.hard_edges)[0].astype(np.float32)
+    normals = corner_normals(single[None], mesh.polygons, mesh.hard_edges)[0].astype(np.float32)
     add = {"draco": _draco, "plain": _plain, "none": _none}[still]
     entries = []
     for each in split_corners(mesh):

@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from mixseq.errors import FormatError, InvalidSequenceError, NoMeshError
-from mixseq.mesh.measures import hard_edges_of_normals
+from mixseq.mesh.measures import hard_edges_from_normals
 from mixseq.mesh.polygons import Polygons
-from mixseq.mesh.surface import NO_UV, WHITE, CornerValues, FaceSet, Origin
+from mixseq.mesh.surface import DEFAULT_COLOUR, DEFAULT_UV, CornerValues, FaceSet, Origin
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import Float, FloatArray, IntArray
 from mixseq_io.gltf.animation import (
@@ -117,12 +117,14 @@ def _uvs(primitives: Sequence[Primitive], corners: IntArray) -> CornerValues | N
         None if uvs is None else _transformed(each, uvs) * flip + up
         for each, uvs in zip(primitives, found, strict=True)
     ]
-    return _joined_values(primitives, turned, NO_UV, corners)
+    return _joined_values(primitives, turned, DEFAULT_UV, corners)
 
 
 def _colours(primitives: Sequence[Primitive], corners: IntArray) -> CornerValues | None:
     """Return COLOR_0; white, as in renderers, for primitives without."""
-    return _joined_values(primitives, [_colours_of_vertices(each) for each in primitives], WHITE, corners)
+    return _joined_values(
+        primitives, [_colours_of_vertices(each) for each in primitives], DEFAULT_COLOUR, corners
+    )
 
 
 def _colours_of_vertices(primitive: Primitive) -> FloatArray | None:
@@ -150,7 +152,7 @@ def _joined_values(
         np.tile(default, (len(each.positions), 1)) if own is None else own
         for each, own in zip(primitives, found, strict=True)
     ]
-    return CornerValues.of_corners(np.concatenate(values)).taken(corners)
+    return CornerValues.from_corners(np.concatenate(values)).select(corners)
 
 
 def _transformed(primitive: Primitive, uvs: NDArray[Any]) -> NDArray[Any]:
@@ -170,7 +172,7 @@ def _hard_edges(
         normals.append(np.zeros((len(each.positions), 3)) if own is None else own)
         flat.append(np.full(each.triangles.size, own is None))
     at_corners = np.concatenate(normals).astype(np.float64)[corners]
-    hard_edges = hard_edges_of_normals(polygons, np.clip(np.nan_to_num(at_corners), -1e6, 1e6))
+    hard_edges = hard_edges_from_normals(polygons, np.clip(np.nan_to_num(at_corners), -1e6, 1e6))
     if not np.concatenate(flat).any():
         return hard_edges
     groups = polygons.indices if hard_edges is None else hard_edges

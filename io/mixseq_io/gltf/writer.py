@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mixseq.mesh.polygons import Polygons, difference
+from mixseq.mesh.polygons import Polygons, describe_difference
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, Index
 from mixseq_io.files import replacing
@@ -112,7 +112,7 @@ def _difference(scene_mesh: SceneMesh, welded: Weld) -> str:
     if welded.count != scene_mesh.vertex_count:
         return f"it has {welded.count} vertices, the sequence {scene_mesh.vertex_count}"
     theirs = Polygons.from_triangles(_triangles(welded))
-    return difference(scene_mesh.polygons, theirs, ("the sequence", "the file"))
+    return describe_difference(scene_mesh.polygons, theirs, ("the sequence", "the file"))
 
 
 def _triangles(welded: Weld) -> NDArray[np.int64]:

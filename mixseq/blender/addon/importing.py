@@ -11,7 +11,7 @@ from bpy.props import BoolProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
 from mixseq.blender.motion import Placing, fitting, part_names, part_of
-from mixseq.mesh.polygons import Polygons, matched
+from mixseq.mesh.polygons import Polygons, match_polygons
 from mixseq.signals.model import Model
 
 from . import live
@@ -133,7 +133,7 @@ def _has_polygons_of(mesh: bpy.types.Mesh, model: Model, part: str) -> bool:
     mesh.loops.foreach_get("vertex_index", corners)
     ends = np.concatenate([[0], np.cumsum(own.counts)])
     indices = own.indices[ends[polygons.start] : ends[polygons.stop]] - rows.start
-    return matched(Polygons(own.counts[polygons], indices), Polygons(counts, corners)) is not None
+    return match_polygons(Polygons(own.counts[polygons], indices), Polygons(counts, corners)) is not None
 
 
 def _menu(menu: Any, context: Any) -> None:

@@ -18,10 +18,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mixseq.mesh.measures import edge_lengths, sound_lengths
+from mixseq.mesh.measures import clamp_lengths, edge_lengths
 from mixseq.mesh.rigid import kabsch
-from mixseq.mesh.rotations import inverse, product, quaternions, rotations_of
-from mixseq.mesh.topology import Topology, connected
+from mixseq.mesh.rotations import matrix_to_quat, quat_conjugate, quat_multiply, quat_to_matrix
+from mixseq.mesh.topology import Topology, connected_components
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.shells.face_frames import (
     FrameGraph,
@@ -97,7 +97,7 @@ class Assembly(PickledWithoutCaches):
     @cached_property
     def _seeds(self) -> Index:
         """First node ``(r,)`` of every component connected across hinges: a part, if it has one."""
-        component = connected(self._count, self._node[self.topology.hinge_faces])
+        component = connected_components(self._count, self._node[self.topology.hinge_faces])
         return np.unique(component, return_index=True)[1]
 
     @cached_property
@@ -143,7 +143,9 @@ class Assembly(PickledWithoutCaches):
     @cached_property
     def _component(self) -> Index:
         """Component ``(V,)`` of every vertex, connected by edges and ties."""
-        return connected(self.topology.vertex_count, np.concatenate([self.topology.edges, self._tied[:, 1:]]))
+        return connected_components(
+            self.topology.vertex_count, np.concatenate([self.topology.edges, self._tied[:, 1:]])
+        )
 
     @cached_property
     def _bodies(self) -> list[tuple[Index, list[int]]]:
@@ -162,7 +164,7 @@ class Assembly(PickledWithoutCaches):
     def targets(self, frame: FreeFrame) -> tuple[Float, Float]:
         """Return the target lengths ``(E,)`` and angles ``(H,)`` of all edges and hinges."""
         lengths, angles = lengths_and_angles(frame.unposed, self.topology.edges, self.topology.hinges)
-        lengths[self.edge_ids] = sound_lengths(frame.lengths, self.shell.stretch[self.edge_ids])
+        lengths[self.edge_ids] = clamp_lengths(frame.lengths, self.shell.stretch[self.edge_ids])
         angles[self.hinge_ids] = frame.angles
         return lengths, angles
 
@@ -185,12 +187,12 @@ class Assembly(PickledWithoutCaches):
         own[~loose] = frames_of(frame.unposed, t.faces[~loose])
         first, second = own[t.hinge_faces[crossing]].transpose(1, 0, 2)
         across = self.hinges.turns(flat, angles)[crossing]
-        turns = product(product(first, across), inverse(second))
+        turns = quat_multiply(quat_multiply(first, across), quat_conjugate(second))
         frames = self.graph.chained(turns, self._seed_frames(frame))
         frames = self.graph.averaged(frames, turns, AVERAGING_ROUNDS)
         sides = np.empty((len(t.faces), 3, 3))
         sides[loose] = turned_sides(frames[self._node[loose]], flat[loose])
-        matrices = rotations_of(frames[:parts])
+        matrices = quat_to_matrix(frames[:parts])
         corners = frame.unposed[t.faces[~loose]]
         inside = np.roll(corners, -1, axis=1) - corners
         sides[~loose] = inside @ np.swapaxes(matrices, 1, 2)[self._node[~loose]]
@@ -203,7 +205,7 @@ class Assembly(PickledWithoutCaches):
         found = []
         for node, vertices in zip(self._seeds, self._seed_vertices, strict=True):
             if node < len(self._parts):
-                found.append(quaternions(kabsch(frame.unposed[vertices], frame.posed[vertices])[0]))
+                found.append(matrix_to_quat(kabsch(frame.unposed[vertices], frame.posed[vertices])[0]))
             else:
                 found.append(frames_of(frame.posed[vertices], np.arange(3)[None])[0])
         return np.array(found).reshape(-1, 4)

@@ -25,7 +25,7 @@ from functools import cached_property
 import numpy as np
 
 from mixseq.mesh.rigid import nearest_rotations
-from mixseq.mesh.rotations import continued, quaternions, rotations_of, turned
+from mixseq.mesh.rotations import align_quat_signs, matrix_to_quat, quat_to_matrix, rotate_vectors
 from mixseq.spaces.mixed.articulation import Articulation
 from mixseq.spaces.temporal import Operator, Poses, Rows, chained, predicted_alone
 from mixseq.types import Float, Index, Mask
@@ -87,7 +87,7 @@ class PosePrediction:
         parts = self.articulation.pairs
         if not len(parts):
             turns = np.swapaxes(mean[:, :, :3], -1, -2)
-            return bodies, Poses(quaternions(nearest_rotations(turns)), mean[:, :, 3])
+            return bodies, Poses(matrix_to_quat(nearest_rotations(turns)), mean[:, :, 3])
         seen = _relations(rows, self._related, self.articulation.pivots)
         return bodies, Poses(*_fused(mean, own, seen, RELATION_WEIGHT * self._relation_precisions, parts))
 
@@ -101,9 +101,9 @@ class PosePrediction:
     def _bodies(self) -> tuple[Poses, Poses]:
         """Body poses at the frames, and part poses relative to them."""
         bodies = self.articulation.bodies_of(self.poses)
-        bodies = bodies._replace(rotations=continued(bodies.rotations))
+        bodies = bodies._replace(rotations=align_quat_signs(bodies.rotations))
         seen = self.articulation.seen_from_bodies(self.poses, bodies)
-        return bodies, seen._replace(rotations=continued(seen.rotations))
+        return bodies, seen._replace(rotations=align_quat_signs(seen.rotations))
 
     @cached_property
     def _left_out(self) -> tuple[Index, Rows]:
@@ -128,7 +128,7 @@ class PosePrediction:
     def _related(self) -> Poses:
         """Relations at the frames ``(T, n)``: rotations, and places of pivots."""
         related = self.articulation.with_relations(self.poses)
-        return Poses(continued(related.relation_turns), related.relation_points)
+        return Poses(align_quat_signs(related.relation_turns), related.relation_points)
 
     @cached_property
     def _relation_precisions(self) -> Float:
@@ -141,16 +141,16 @@ class PosePrediction:
 
 def _kept(frames: Poses, predicted: Poses, known: Mask) -> Poses:
     """Return predicted poses, replaced by those of the frames at known times ``(N, 1, 1)``."""
-    turns = continued(predicted.rotations, frames.rotations[0])
+    turns = align_quat_signs(predicted.rotations, frames.rotations[0])
     return Poses(np.where(known, frames.rotations, turns), np.where(known, frames.centres, predicted.centres))
 
 
 def _relations(rows: Rows, related: Poses, pivots: Float) -> Float:
     """Predict relations, as matrices G ``(N, n, 4, 4)``."""
-    rotations = rotations_of(chained(rows, related.rotations))
+    rotations = quat_to_matrix(chained(rows, related.rotations))
     result = np.zeros((*rotations.shape[:2], 4, 4))
     result[..., :3, :3] = np.swapaxes(rotations, -1, -2)
-    result[..., 3, :3] = rows.of(related.centres) - turned(rotations, pivots)
+    result[..., 3, :3] = rows.of(related.centres) - rotate_vectors(rotations, pivots)
     result[..., 3, 3] = 1.0
     return result
 
@@ -187,10 +187,10 @@ def _fused(alone: Float, own: Float, seen: Float, relative: Float, parts: Index)
         right[:, first] += np.swapaxes(forth[:, link], -1, -2) @ residuals[:, link]
     change = np.linalg.solve(system.reshape(count, 4 * size, 4 * size), right.reshape(count, 4 * size, 3))
     together = alone + change.reshape(count, size, 4, 3)
-    return quaternions(nearest_rotations(np.swapaxes(together[:, :, :3], -1, -2))), together[:, :, 3]
+    return matrix_to_quat(nearest_rotations(np.swapaxes(together[:, :, :3], -1, -2))), together[:, :, 3]
 
 
 def _stacked(poses: Poses) -> Float:
     """Poses as matrices X ``(T, p, 4, 3)``."""
-    rotations = np.swapaxes(rotations_of(poses.rotations), -1, -2)
+    rotations = np.swapaxes(quat_to_matrix(poses.rotations), -1, -2)
     return np.concatenate([rotations, poses.centres[:, :, None]], axis=2)

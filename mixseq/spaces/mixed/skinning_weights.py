@@ -16,8 +16,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from mixseq.mesh.rotations import turned
-from mixseq.mesh.topology import Topology, vertices_near
+from mixseq.mesh.rotations import rotate_vectors
+from mixseq.mesh.topology import Topology, dilate_vertices
 from mixseq.runtime.jit import compiled
 from mixseq.segmentation.joints import Decomposition
 from mixseq.shells.solvers import factorise
@@ -169,7 +169,7 @@ def fitted_skinning_weights(
             x = frame.astype(np.float64)
             _, rotations, centres = registered(shapes, decomposition.parts, x)
             turns = rotations @ np.swapaxes(rest, 1, 2)
-            shifts = centres - turned(turns, rest_centres)
+            shifts = centres - rotate_vectors(turns, rest_centres)
             compare(some, parts, shares, turns, shifts, reference[near], x[near], products, apart)
         starts, others = graph.indptr.astype(np.int64), graph.indices.astype(np.int64)
         strengths = SMOOTH * apart + NOISE * len(frames)
@@ -196,7 +196,7 @@ def _looked_at(topology: Topology, decomposition: Decomposition) -> tuple[Index,
         near[topology.faces] = True
     else:
         near[topology.faces[part[topology.faces] != labels]] = True
-        near = vertices_near(topology, near, NEAR)
+        near = dilate_vertices(topology, near, NEAR)
     far = np.flatnonzero(~near)
     return np.flatnonzero(near), far, part[far]
 
