@@ -58,7 +58,7 @@ from mixseq_io.reader import SequenceReader, naming, warn
 from mixseq_io.rig_arrays import choose_skeleton, skeleton_of
 from mixseq_io.scene_meshes import SceneMesh, chosen, common_name, join, moving, on_grid
 from mixseq_io.surfaces import with_alpha
-from mixseq_io.text.labels import Markings, Skinning, joined_skinning
+from mixseq_io.text.labels import Markings, Skinning, concatenate_skinning
 
 if TYPE_CHECKING:
     from mixseq.rigging.rigs import Skeleton
@@ -429,7 +429,7 @@ class _GltfReader(SequenceReader):
     def markings(self) -> Markings:
         """Return the sets of polygons and the joints of the meshes."""
         skinned = any(shape.skin is not None for shape in self._shapes)
-        skinning = joined_skinning([_skinning(shape) for shape in self._shapes]) if skinned else None
+        skinning = concatenate_skinning([_skinning(shape) for shape in self._shapes]) if skinned else None
         return replace(super().markings(), skinning=skinning)
 
     def _read(self, what: str, size: int) -> Iterator[FloatArray]:
