@@ -57,7 +57,7 @@ def compressed_sizes(path: Path) -> dict[str, int]:
     """Return the sizes in bytes of a compressed model's parts."""
     container = read_container(path)
     index = read_index(path, container)
-    still = mesh_sequence.other_data(path) if mesh_sequence.is_glb(path) else 0
+    still = mesh_sequence.overhead_size(path) if mesh_sequence.is_glb(path) else 0
     total, connectivity = path.stat().st_size, index.ground["connectivity"].size
     return {
         "total": total,

@@ -423,8 +423,8 @@ def chosen_picture(
 
 def check_picture(picture: Path) -> None:
     """Raise an error, before the work, for other extensions, or if the drawing library is missing."""
-    from mixseq.pictures.page import matplotlib_module
+    from mixseq.pictures.page import import_matplotlib
 
     if picture.suffix.lower() != ".png":
         raise OutputError(f"{picture}: the picture is a PNG file; end the name in .png")
-    matplotlib_module("figure")
+    import_matplotlib("figure")

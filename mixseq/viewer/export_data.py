@@ -28,7 +28,7 @@ from mixseq.compression.numbering import cheapest_numbering
 from mixseq.errors import InvalidSequenceError
 from mixseq.mesh.surface import Surface
 from mixseq.pictures.colours import MEASURES, Colouring, SceneColours
-from mixseq.pictures.scene import SceneItem, View, seen_from, y_up
+from mixseq.pictures.scene import SceneItem, View, resolve_view, to_y_up
 from mixseq.runtime.low_memory import LargeArray, new_large_array
 from mixseq.runtime.parallel import Executor
 from mixseq.runtime.progress import Progress, silent
@@ -132,7 +132,7 @@ class Extent:
     def rectangles(self, views: Sequence[View]) -> Float:
         """Return left, right, bottom and top ``(views, 4)`` of the mesh and of its shadow on the ground."""
         floors = [
-            view.rows[1, 1] * self.low[1] + seen[4] for view, seen in zip(views, self.seen, strict=True)
+            view.rotation[1, 1] * self.low[1] + seen[4] for view, seen in zip(views, self.seen, strict=True)
         ]
         left, right, bottom, top, _ = self.seen.T
         return np.stack([left, right, np.minimum(bottom, floors), top], axis=1)
@@ -176,11 +176,11 @@ def gather(
                 own = first[1].views[0]
             else:
                 end = next(item.poses(elapsed[-1:]))[-1]
-                own = seen_from(np.stack([block[0], end]), header.up_axis, camera)
+                own = resolve_view(np.stack([block[0], end]), header.up_axis, camera)
             views = own, first[1].views[0] if first else own
         table[done : done + len(block)] = block
         done += len(block)
-        world = y_up(block, header.up_axis)
+        world = to_y_up(block, header.up_axis)
         still = extent_of(world, views).joined(still)
         path = world.mean(axis=1, keepdims=True, dtype=np.float64) * [1, 0, 1]
         following = extent_of(world - path, views).joined(following)
@@ -195,7 +195,7 @@ def extent_of(world: FloatArray, views: Sequence[View]) -> Extent:
     """Return the extent of poses ``(B, V, 3)``, Y up, in some views."""
     seen = []
     for view in views:
-        right, up, _ = view.rows
+        right, up, _ = view.rotation
         # sums in a fixed order: a page has the same bytes on every machine
         x, y, z = world[..., 0], world[..., 1], world[..., 2]
         across, flat = x * right[0] + z * right[2], x * up[0] + z * up[2]
@@ -265,7 +265,7 @@ def page_mesh(
         "times": None if own else np.round(elapsed, 9).tolist(),
         "start": float(header.times[0]),
         "fps": header.fps,
-        "centre": y_up(centre, header.up_axis).tolist(),
+        "centre": to_y_up(centre, header.up_axis).tolist(),
         "likeFirst": gathered.like_first,
         "azimuth": gathered.views[0].azimuth,
         "elevation": gathered.views[0].elevation,
