@@ -68,7 +68,7 @@ class _Sampled:
         yield from self.model.blocks(self.model.times, size)
 
 
-def source_motion(
+def prepare_source(
     source: Frames | Model,
     rest: int | MeshSequence = 0,
     parts: int | ArrayLike | None = None,

@@ -24,7 +24,7 @@ import mixseq
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.rigging.rigs import Skin, rotation_matrices
 from mixseq.types import Float
-from mixseq_io.rig_arrays import parents_first
+from mixseq_io.rig_arrays import sort_parents_first
 
 FILES = (
     "gltf/CesiumMan.glb",
@@ -123,7 +123,7 @@ def _rig(path: Path, options: dict[str, Any], times: Float) -> Rig:
         skinning = reader.markings().skinning
     assert skinning is not None, "it is a character"
     parents = [skinning.joints.index(parent) if parent else -1 for parent in skinning.parents]
-    order = parents_first(parents)
+    order = sort_parents_first(parents)
     usd = path.suffix.startswith(".usd")
     joints = _usd_joints(path, times) if usd else _gltf_joints(path, options, times)
     return Rig(

@@ -55,7 +55,7 @@ from mixseq_io.gltf.document import Document, Fields, load_document
 from mixseq_io.gltf.primitives import Primitive, Weld, primitives_of, texture_transform, weld
 from mixseq_io.gltf.scene import Pose, Scene, read_scene
 from mixseq_io.reader import SequenceReader, naming, warn
-from mixseq_io.rig_arrays import choose_skeleton, skeleton_of
+from mixseq_io.rig_arrays import build_skeleton, choose_skeleton
 from mixseq_io.scene_meshes import SceneMesh, chosen, common_name, join, moving, on_grid
 from mixseq_io.surfaces import with_alpha
 from mixseq_io.text.labels import Markings, Skinning, joined_skinning
@@ -209,7 +209,7 @@ def read_joints(path: Path, name: str | None) -> Skeleton:
     joints = joints_of(document, skin)
     parents = _parents(scene, joints)
     labels = [scene.nodes[joint].text("name") for joint in joints]
-    return skeleton_of(labels, parents, _bind_pose(document, scene, skin, parents))
+    return build_skeleton(labels, parents, _bind_pose(document, scene, skin, parents))
 
 
 def _nodes_on(document: Document, scene: Scene, skeleton: Fields) -> list[int]:

@@ -1,10 +1,10 @@
 r"""Skins and morphs in glTF: a base mesh with morph targets, which may follow bones.
 
-A target is displacements ``d_m`` and weights ``w_tm``, scaled to sliders' range (`mixseq_io.rig_arrays.shape_of`).
+A target is displacements ``d_m`` and weights ``w_tm``, scaled to sliders' range (`mixseq_io.rig_arrays.slider_morph`).
 glTF blends normals as it does points, ``n_t ~ n_0 + sum_m w_tm e_m`` before normalisation. The ``e_m`` are fitted to
 the true normals ``N_t`` of all frames by least squares: with the matrix ``W`` of weights, ``E = W^+ (N - n_0)``.
 
-Joints are nodes in a tree. The node of joint b has the rotation and translation of `mixseq.rigging.rigs.Skin.local`
+Joints are nodes in a tree. The node of joint b has the rotation and translation of `Skin.local_motion`
 relative to its parent; in the world it takes the axes ``A_b`` at the pivot ``p_b`` to ``R_tb A_b`` at ``c_tb``. Its
 inverse bind matrix takes them to the axes of the world at the origin,
 
@@ -32,7 +32,7 @@ from mixseq.types import Single
 from mixseq_io.gltf.codecs import VERTICES, Json, Layout, append
 from mixseq_io.gltf.new_document import MovingMesh, named, new_animation, new_meshes, new_scene, upright
 from mixseq_io.reader import as_float32
-from mixseq_io.rig_arrays import four_influences, numbered_names, shape_of, steady_joints
+from mixseq_io.rig_arrays import four_influences, local_joint_arrays, numbered_names, slider_morph
 
 _KINDS = {"translation": "VEC3", "rotation": "VEC4", "weights": "SCALAR"}
 
@@ -77,7 +77,7 @@ _ILL_DEFINED = 1e-6
 def morphed_scene(morph: Morph) -> Layout:
     """Return a document of a mesh with morph targets and the animation of their weights."""
     layout, meshes = new_scene(morph.header)
-    animate(layout, morph.header, add_targets(layout, meshes, shape_of(morph)))
+    animate(layout, morph.header, add_targets(layout, meshes, slider_morph(morph)))
     return layout
 
 
@@ -135,7 +135,7 @@ def skinned_scene(skin: Skin) -> Layout:
         )
     layout, meshes = new_meshes(skin.header)
     document = layout.document
-    of_targets = add_targets(layout, meshes, shape_of(skin))
+    of_targets = add_targets(layout, meshes, slider_morph(skin))
     root, joints, of_bones = _add_bones(document, skin)
     document["skins"] = [
         {
@@ -159,7 +159,7 @@ def skinned_scene(skin: Skin) -> Layout:
 def _add_bones(document: Json, skin: Skin) -> tuple[int, list[int], list[Track]]:
     """Add a node for every bone in its first-frame pose, and a common root; return root, nodes and tracks."""
     skeleton = skin.skeleton
-    rotations, translations = steady_joints(skin, "glTF")
+    rotations, translations = local_joint_arrays(skin, "glTF")
     root = append(document, "nodes", {"name": "skeleton", "children": [], **upright(skin.header)})
     joints: list[int] = []
     tracks: list[Track] = []
