@@ -33,7 +33,7 @@ from pathlib import Path
 from mixseq.errors import FormatError, OutputError, SettingsError
 from mixseq.runtime.interrupts import held, raise_swallowed
 
-VARIABLE = "MIXSEQ_READER_MEMORY"
+MEMORY_LIMIT_VARIABLE = "MIXSEQ_READER_MEMORY"
 """Environment variable of the limit, in GiB."""
 
 _MOST = 8_000_000_000
@@ -45,13 +45,13 @@ def max_memory() -> int:
     given = _given.get()
     if given is not None:
         return given
-    told = os.environ.get(VARIABLE)
+    told = os.environ.get(MEMORY_LIMIT_VARIABLE)
     if told is None:
         return min(_MOST, _memory_of_machine() // 2)
     try:
         return _bytes(float(told) * (1 << 30))
     except ValueError:
-        raise SettingsError(f"{VARIABLE} is {told!r}; a number of GiB is expected") from None
+        raise SettingsError(f"{MEMORY_LIMIT_VARIABLE} is {told!r}; a number of GiB is expected") from None
 
 
 @contextmanager
@@ -72,20 +72,21 @@ def check_memory(file: object, needed: float, what: str = "what is in it") -> No
     limit = max_memory()
     if needed > limit:
         raise FormatError(
-            f"{file}: {what} would take {gigabytes(needed)} of memory, the limit is {gigabytes(limit)}; if you trust "
-            f"it, allow more: --max-memory {gigabytes(1.5 * needed, 'GB')} (max_memory=... in Python)"
+            f"{file}: {what} would take {format_gigabytes(needed)} of memory, the limit is {format_gigabytes(limit)}; "
+            f"if you trust it, allow more: --max-memory {format_gigabytes(1.5 * needed, 'GB')} "
+            "(max_memory=... in Python)"
         )
 
 
-def out_of_memory(file: object) -> FormatError:
+def out_of_memory_error(file: object) -> FormatError:
     """Return the error of a file that exceeded the memory or a worker's limit."""
     return FormatError(
-        f"{file}: reading needs more than {gigabytes(max_memory())} of memory, the limit, or than there is; it is "
-        "damaged, or more must be allowed: --max-memory (max_memory=... in Python)"
+        f"{file}: reading needs more than {format_gigabytes(max_memory())} of memory, the limit, or than there is; it "
+        "is damaged, or more must be allowed: --max-memory (max_memory=... in Python)"
     )
 
 
-def gigabytes(size: float, unit: str = " GB") -> str:
+def format_gigabytes(size: float, unit: str = " GB") -> str:
     """Return a number of bytes in gigabytes for a message, such as "0.123 GB"."""
     return f"{size / 1e9:.3g}{unit}"
 
@@ -110,12 +111,12 @@ _NAME = re.compile(r"\.mixseq\.([\w-]+)\.[^.]{8}(?=\.|$)")
 
 
 @contextmanager
-def temporary_name(folder: Path) -> Iterator[Path]:
+def temporary_prefix(folder: Path) -> Iterator[Path]:
     """Yield a unique name prefix in a folder; files with it are deleted at the end."""
     claimed: list[tuple[Path, int]] = []
     try:
         with held():  # a signal between a name and its end would leave it to the next writer
-            clear(folder)
+            delete_leftovers(folder)
             claimed.append(_claim(folder))
         yield claimed[0][0]
     finally:
@@ -135,12 +136,12 @@ def _claim(folder: Path) -> tuple[Path, int]:
         os.close(descriptor)  # somebody who clears the folder was quicker
 
 
-def put_away(name: Path, target: Path) -> Path:
+def backup_path(name: Path, target: Path) -> Path:
     """Return where to keep the old target while it is replaced."""
     return Path(f"{name}{_AWAY}{target.name}")
 
 
-def clear(folder: Path) -> None:
+def delete_leftovers(folder: Path) -> None:
     """Delete files left in a folder by writers that have ended."""
     found = defaultdict(list)
     for entry in _entries(folder):
@@ -211,12 +212,12 @@ def _delete(folder: Path, entries: list[str]) -> None:
 
 
 @contextmanager
-def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
+def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path to write to; it becomes `path` if the block ends without an exception."""
     target = Path(os.path.realpath(path))
     with _explaining(target):
         _check_target(target)
-        with temporary_name(target.parent) as name:
+        with temporary_prefix(target.parent) as name:
             temporary = Path(f"{name}{target.suffix}")
             yield temporary
             if target.exists():
@@ -229,7 +230,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 @contextmanager
-def replacing_many(pattern: str | os.PathLike[str]) -> Iterator[Path]:
+def atomic_files(pattern: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary folder to write files to; they move beside `pattern`, each atomically, if the block succeeds.
 
     They move once all are written and flushed; only a sudden end of the process (SIGKILL) can leave some behind.
@@ -238,7 +239,7 @@ def replacing_many(pattern: str | os.PathLike[str]) -> Iterator[Path]:
     folder = target.parent
     with _explaining(target):
         _check_target(target)
-        with temporary_name(folder) as temporary:
+        with temporary_prefix(folder) as temporary:
             temporary.mkdir()
             yield temporary
             files = sorted(temporary.iterdir())
@@ -253,7 +254,7 @@ def replacing_many(pattern: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 @contextmanager
-def replacing_folder(path: str | os.PathLike[str], own: Container[str]) -> Iterator[Path]:
+def atomic_folder(path: str | os.PathLike[str], own: Container[str]) -> Iterator[Path]:
     """Yield a temporary folder to write files to; they move into `path` if the block ends without an exception.
 
     An existing folder stays, with the files of others. Files are exchanged one by one; if one fails, all go back.
@@ -261,7 +262,7 @@ def replacing_folder(path: str | os.PathLike[str], own: Container[str]) -> Itera
     target = Path(os.path.realpath(path))
     with _explaining(target):
         _check_parent(target)
-        with temporary_name(target.parent) as name:
+        with temporary_prefix(target.parent) as name:
             temporary = Path(f"{name}.new")
             temporary.mkdir()
             yield temporary
@@ -339,7 +340,7 @@ _CURES = {
 
 
 def raise_system_error(message: str, folder: Path) -> None:
-    """Raise the system's error behind a library's failure to write, if there seems to be one, within `replacing`."""
+    """Raise the system's error behind a library's failure to write, if there seems to be one, within `atomic_file`."""
     codes = [code for code in _CURES if os.strerror(code) in message]
     if not codes and shutil.disk_usage(folder).free < _ALMOST_FULL:
         codes = [errno.ENOSPC]

@@ -11,19 +11,19 @@ from mixseq.errors import SettingsError
 from mixseq.sequence.frame_rates import exact_rate
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray
-from mixseq_io.isolation import loaded, open_isolated
+from mixseq_io.isolation import import_function, open_isolated
 from mixseq_io.reader import SequenceReader
 from mixseq_io.surfaces import Rounding
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 """First bytes of HDF5 files."""
 
-SINGLE = "float32"
-OF_VERTICES, OPAQUE = "of vertices", "of vertices, opaque"
+SINGLE_PRECISION = "float32"
+PER_VERTEX, OPAQUE_PER_VERTEX = "of vertices", "of vertices, opaque"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Holds:
+class Capabilities:
     """Capabilities of a format, as text for the table of formats; anything else is reported when it is written.
 
     `colours` is text where colours are of something other than corners; `materials` is what becomes of them.
@@ -31,7 +31,7 @@ class Holds:
 
     animation: str
     polygons: str = "any"
-    points: str = SINGLE
+    points: str = SINGLE_PRECISION
     times: str = "any"
     uvs: bool = True
     colours: bool | str = True
@@ -54,7 +54,7 @@ class Format:
 
     name: str
     extensions: tuple[str, ...]
-    holds: Holds
+    holds: Capabilities
     reader: str
     writer: str
     read_options: Mapping[str, str] = field(default_factory=dict)
@@ -70,7 +70,7 @@ class Format:
             options["fps"] = exact_rate(options["fps"])
         if self.isolated:
             return open_isolated(self.reader, path, options)
-        reader: SequenceReader = loaded(self.reader)(path, **options)
+        reader: SequenceReader = import_function(self.reader)(path, **options)
         return reader
 
     def write(
@@ -84,9 +84,9 @@ class Format:
         """Write a file; see `mixseq_io.write_blocks`."""
         self._check_options("written", self.write_options, options)
         rounding = Rounding()
-        if self.holds.points == SINGLE:
+        if self.holds.points == SINGLE_PRECISION:
             blocks = rounding.watched(blocks)
-        loaded(self.writer)(path, header, blocks, velocities, **options)
+        import_function(self.writer)(path, header, blocks, velocities, **options)
         rounding.warn(path, self.name, header)
 
     def _check_options(self, verb: str, known: Mapping[str, str], given: Mapping[str, Any]) -> None:

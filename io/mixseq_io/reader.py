@@ -21,16 +21,16 @@ from mixseq.errors import FormatError, InvalidSequenceError, MixseqError, Mixseq
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import check_block
 from mixseq.types import FloatArray
-from mixseq_io.files import check_memory, max_memory, memory_limit, out_of_memory
+from mixseq_io.files import check_memory, max_memory, memory_limit, out_of_memory_error
 from mixseq_io.text.labels import Markings, sets_of
 
-Numbered = tuple[int, FloatArray, FloatArray | None]
+FrameBlock = tuple[int, FloatArray, FloatArray | None]
 """Index of a block's first frame, its points ``(B, V, 3)``, and its velocities or None."""
 
 
-def checked(
+def validate_blocks(
     header: SequenceHeader, blocks: Iterable[FloatArray], velocities: Iterable[FloatArray] | None = None
-) -> tuple[np.dtype[np.floating], Iterator[Numbered]]:
+) -> tuple[np.dtype[np.floating], Iterator[FrameBlock]]:
     """Return the points' dtype, from the first block, and the numbered blocks, checked as they pass."""
     rest = iter(blocks)
     first = next(rest, None)
@@ -46,7 +46,7 @@ def _numbered(
     blocks: Iterator[FloatArray],
     velocities: Iterator[FloatArray] | None,
     dtype: DTypeLike,
-) -> Iterator[Numbered]:
+) -> Iterator[FrameBlock]:
     frame = 0
     for block in blocks:
         points = _as_floats(block)
@@ -104,7 +104,7 @@ def _as_floats(block: FloatArray) -> FloatArray:
     return np.ascontiguousarray(points)
 
 
-def in_step(
+def unzip_blocks(
     pairs: Iterable[tuple[FloatArray, FloatArray]],
 ) -> tuple[Iterator[FloatArray], Iterator[FloatArray]]:
     """Split pairs of blocks of points and velocities (`Model.moving_blocks`) into two iterators, advanced in turns."""
@@ -232,7 +232,7 @@ class SequenceReader(ABC):
             block = next(blocks, None)
             if block is None:
                 break
-            with naming(self.path):
+            with prefix_errors(self.path):
                 check(self.header, block, frame)
             yield block
             frame += len(block)
@@ -243,7 +243,7 @@ class SequenceReader(ABC):
 
 
 @contextmanager
-def naming(path: Path | str) -> Iterator[None]:
+def prefix_errors(path: Path | str) -> Iterator[None]:
     """Put the file's name before error messages about its sequence."""
     try:
         yield
@@ -252,9 +252,9 @@ def naming(path: Path | str) -> Iterator[None]:
 
 
 @contextmanager
-def reading(path: Path | str, what: str, *errors: type[Exception]) -> Iterator[None]:
+def translate_read_errors(path: Path | str, what: str, *errors: type[Exception]) -> Iterator[None]:
     """Translate a library's errors about a bad file into `FormatError`."""
-    check_regular(path, what)
+    check_regular_file(path, what)
     damage: tuple[type[Exception], ...] = (OSError, *errors)
     try:
         yield
@@ -267,10 +267,10 @@ def reading(path: Path | str, what: str, *errors: type[Exception]) -> Iterator[N
     except PermissionError:
         raise FormatError(f"{path}: no permission to read it") from None
     except MemoryError:
-        raise out_of_memory(path) from None
+        raise out_of_memory_error(path) from None
     except damage as error:
         raise FormatError(
-            f"{path} cannot be read as {what}; it is damaged, truncated or of another type ({brief(error)})"
+            f"{path} cannot be read as {what}; it is damaged, truncated or of another type ({summarize_error(error)})"
         ) from error
 
 
@@ -278,7 +278,7 @@ _OF_TEXT = 6
 """Memory in bytes per byte of text that is parsed into words and numbers in Python."""
 
 
-def read_whole(path: Path, text: bool = False) -> bytes:
+def read_bytes(path: Path, text: bool = False) -> bytes:
     """Return all bytes of a file, if they fit the memory limit; for `text` including its parsed words."""
     size = path.stat().st_size
     check_memory(
@@ -287,7 +287,7 @@ def read_whole(path: Path, text: bool = False) -> bytes:
     return path.read_bytes()
 
 
-def check_regular(path: Path | str, what: str) -> None:
+def check_regular_file(path: Path | str, what: str) -> None:
     """Raise an error for a pipe, a socket or a device, since reading it may never end."""
     try:
         mode = Path(path).stat().st_mode
@@ -297,7 +297,7 @@ def check_regular(path: Path | str, what: str) -> None:
         raise FormatError(f"{path} is a pipe, a socket or a device, not {what}; give the name of a file")
 
 
-def brief(error: BaseException) -> str:
+def summarize_error(error: BaseException) -> str:
     """Return an error's first line, or its type if it has no text."""
     lines = str(error).strip().splitlines()
     return lines[0].strip() if lines else type(error).__name__

@@ -15,8 +15,8 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MeshSequence, collect
 from mixseq.types import FloatArray, PathLike
 from mixseq_io.files import memory_limit
-from mixseq_io.format import HDF5_SIGNATURE, OF_VERTICES, OPAQUE, Format, Holds
-from mixseq_io.reader import SequenceReader, check_regular, naming
+from mixseq_io.format import HDF5_SIGNATURE, OPAQUE_PER_VERTEX, PER_VERTEX, Capabilities, Format
+from mixseq_io.reader import SequenceReader, check_regular_file, prefix_errors
 
 if TYPE_CHECKING:
     from mixseq.signals.model import Model
@@ -40,7 +40,7 @@ def _numbered(name: str, module: str, *signatures: bytes, **holds: Any) -> Forma
     return Format(
         name=name,
         extensions=(f".{name.lower()}",),
-        holds=Holds(animation="a file per frame", times="no", **holds),
+        holds=Capabilities(animation="a file per frame", times="no", **holds),
         reader=f"mixseq_io.numbered.{module}:{name}.open",
         writer=f"mixseq_io.numbered.{module}:{name}.write",
         read_options={"fps": _FPS, "allow_gaps": _GAPS},
@@ -54,7 +54,7 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="USD",
         extensions=(".usd", ".usda", ".usdc", ".usdz"),
-        holds=Holds(
+        holds=Capabilities(
             animation="point samples, transforms, skeletons, blend shapes, value clips",
             units=True,
             velocities=True,
@@ -77,7 +77,7 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="HDF5 sequence",
         extensions=(".h5", ".hdf5"),
-        holds=Holds(
+        holds=Capabilities(
             animation="point samples, models", points="float32, float64", units=True, velocities=True
         ),
         reader="mixseq_io.loading:open_h5",
@@ -87,7 +87,7 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="Alembic",
         extensions=(".abc",),
-        holds=Holds(animation="point samples, transforms", velocities=True, materials="carried along"),
+        holds=Capabilities(animation="point samples, transforms", velocities=True, materials="carried along"),
         reader="mixseq_io.alembic.reader:open_alembic",
         writer="mixseq_io.alembic.writer:write_alembic",
         read_options={"prim": _PRIM},
@@ -98,7 +98,7 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="glTF",
         extensions=(".glb", ".gltf"),
-        holds=Holds(
+        holds=Capabilities(
             animation="skins, morph targets, transforms, compressed models",
             polygons="triangles",
             times="float32, from 0 on",
@@ -122,7 +122,7 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="npz",
         extensions=(".npz",),
-        holds=Holds(animation="point samples", points="float32, float64", units=True, velocities=True),
+        holds=Capabilities(animation="point samples", points="float32, float64", units=True, velocities=True),
         reader="mixseq_io.npz:open_npz",
         writer="mixseq_io.npz:write_npz",
         read_options={"fps": "frames per second, where the file has neither fps nor times; 24 by default"},
@@ -132,7 +132,7 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="PC2",
         extensions=(".pc2",),
-        holds=Holds(animation="point samples", times="even, rate not told", colours=OPAQUE),
+        holds=Capabilities(animation="point samples", times="even, rate not told", colours=OPAQUE_PER_VERTEX),
         reader="mixseq_io.point_caches:open_pc2",
         writer="mixseq_io.point_caches:write_pc2",
         read_options={"mesh": _MESH, "fps": _FPS},
@@ -141,12 +141,12 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="MDD",
         extensions=(".mdd",),
-        holds=Holds(animation="point samples", times="float32", colours=OPAQUE),
+        holds=Capabilities(animation="point samples", times="float32", colours=OPAQUE_PER_VERTEX),
         reader="mixseq_io.point_caches:open_mdd",
         writer="mixseq_io.point_caches:write_mdd",
         read_options={"mesh": _MESH},
     ),
-    _numbered("OBJ", "obj", points="all digits", colours=OPAQUE),
+    _numbered("OBJ", "obj", points="all digits", colours=OPAQUE_PER_VERTEX),
     _numbered("PLY", "ply", b"ply", points="float32, float64", **_NO_PARTS),
     _numbered("STL", "stl_off", polygons="triangles", uvs=False, colours=False, **_NO_PARTS),
     _numbered(
@@ -157,15 +157,15 @@ FORMATS: tuple[Format, ...] = (
         polygons="triangles",
         points="all digits",
         uvs=False,
-        colours=OF_VERTICES,
+        colours=PER_VERTEX,
         **_NO_PARTS,
     ),
 )
 
 
-def capabilities() -> list[tuple[str, ...]]:
+def capability_table() -> list[tuple[str, ...]]:
     """Return the formats' capabilities as a table: a row of titles, then a row per format."""
-    columns = [column.name for column in fields(Holds) if column.name != "animation"]
+    columns = [column.name for column in fields(Capabilities) if column.name != "animation"]
     titles = ("format", "reads", "writes", *(column.replace("_", " ") for column in columns))
     rows = [
         (
@@ -182,8 +182,8 @@ def capabilities() -> list[tuple[str, ...]]:
     return [titles, *rows]
 
 
-def motions() -> list[tuple[str, ...]]:
-    """Return the kinds of motion that are read, and the options, as a table like `capabilities`."""
+def motion_table() -> list[tuple[str, ...]]:
+    """Return the kinds of motion that are read, and the options, as a table like `capability_table`."""
     titles = ("format", "motion that is read", "options for reading", "options for writing")
     rows = [
         (form.name, form.holds.animation, ", ".join(form.read_options), ", ".join(form.write_options))
@@ -245,7 +245,7 @@ def open_sequence(
         If the format has no such option, or `start_frame` is not finite.
     """
     file = Path(path)
-    check_regular(file, "a file")
+    check_regular_file(file, "a file")
     chosen = _format_to_read(file)
     if file.is_file():
         _check_signature(file, chosen)
@@ -253,7 +253,7 @@ def open_sequence(
         reader = chosen.open(file, **options)
     told: dict[str, Any] = {"up_axis": up_axis, "metres_per_unit": metres_per_unit}
     try:
-        with naming(file):
+        with prefix_errors(file):
             reader.header = replace(
                 reader.header, **{key: value for key, value in told.items() if value is not None}
             )
@@ -318,7 +318,7 @@ def write_blocks(
         The points, any number of frames at a time, all of one dtype.
     velocities : iterable of (B, V, 3) float, optional
         Velocities of the vertices in units per second, in blocks of the same sizes, stored in the points' precision.
-        Each block is fetched after its block of points (`mixseq_io.in_step` splits pairs of both).
+        Each block is fetched after its block of points (`mixseq_io.unzip_blocks` splits pairs of both).
     **options
         The format's ``write_options``, see `FORMATS`.
 

@@ -119,10 +119,10 @@ def write_frames(
     sources: ArrayLike | None = None,
 ) -> None:
     """Decode the frames of a header and write them block by block, with velocities or without."""
-    from mixseq_io.reader import in_step
+    from mixseq_io.reader import unzip_blocks
 
     if velocities:
-        points, speeds = in_step(model.moving_blocks(header.times, progress=progress, workers=workers))
+        points, speeds = unzip_blocks(model.moving_blocks(header.times, progress=progress, workers=workers))
         write_sequence(path, header, points, speeds, writing, sources)
     else:
         blocks = model.blocks(header.times, progress=progress, workers=workers)

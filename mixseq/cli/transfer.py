@@ -331,7 +331,7 @@ def command(
         from mixseq.retargeting.sources import source_motion
         from mixseq.retargeting.transfer import plan
         from mixseq.sequence.sequence import collect
-        from mixseq_io.files import replacing
+        from mixseq_io.files import atomic_file
         from mixseq_io.text.maps import read_map, to_correspondence, write_map
         from mixseq_io.text.markers import read_contacts, read_markers
 
@@ -377,7 +377,7 @@ def command(
         if drawn is not None:
             from mixseq.pictures.sheets import transfer_sheet
 
-            with replacing(drawn) as temporary:
+            with atomic_file(drawn) as temporary:
                 transfer_sheet(temporary, made, shown, np.stack(points))
     if as_json:
         named = {"source": str(source), "target": str(target), "out": str(out)}

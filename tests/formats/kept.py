@@ -12,7 +12,7 @@ from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import WHITE, CornerValues
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import IntArray
-from mixseq_io.format import OPAQUE
+from mixseq_io.format import OPAQUE_PER_VERTEX
 
 
 def assert_kept(target: Any, written: MeshSequence, got: MeshSequence) -> None:
@@ -103,7 +103,7 @@ def assert_surface(
         if holds.colours is not True:
             vertices = written.polygons.indices
             at_vertices = expected.at_vertices(vertices, written.vertex_count, WHITE)
-            at_vertices[:, 3:] = 1 if holds.colours == OPAQUE else at_vertices[:, 3:]
+            at_vertices[:, 3:] = 1 if holds.colours == OPAQUE_PER_VERTEX else at_vertices[:, 3:]
             expected = CornerValues(at_vertices, vertices)
         np.testing.assert_array_equal(theirs.colours.at_corners[found], expected.at_corners[order])
     if holds.hard_edges:
