@@ -176,7 +176,7 @@ class _NpzReader(SequenceReader):
         with reading_archive(self.path), self._archive.open(what) as (stream, header):
             frames = header.shape[0]
             if header.fortran:  # a frame's numbers are all over the file: there is nothing to stream
-                with memory_limit(self._limit):
+                with memory_limit(self._memory_limit):
                     whole = _as_floats(self._archive.read(what))
                 yield from (whole[start : start + size] for start in range(0, frames, size))
                 return

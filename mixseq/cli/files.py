@@ -55,7 +55,7 @@ def read_sequence(path: Path, reading: Mapping[str, Any], progress: Progress) ->
     from mixseq.sequence.sequence import collect
 
     with mixseq.open_sequence(path, **reading) as reader:
-        reader.check_whole()
+        reader.check_total_memory()
         frames = reader.header.frame_count
         return collect(reader.header, counted(reader.blocks(), frames, f"reading {path.name}", progress))
 

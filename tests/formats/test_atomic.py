@@ -201,7 +201,7 @@ FACES = np.array([[0, 1, 2]])
 @pytest.mark.parametrize(("machine", "limit"), [(4e9, 2e9), (64e9, 8e9)])
 def test_default(monkeypatch: pytest.MonkeyPatch, machine: float, limit: float) -> None:
     monkeypatch.delenv(MEMORY_LIMIT_VARIABLE, raising=False)
-    monkeypatch.setattr(files, "_memory_of_machine", lambda: int(machine))
+    monkeypatch.setattr(files, "_machine_memory", lambda: int(machine))
     assert max_memory() == limit
 
 

@@ -92,7 +92,7 @@ def test_file_systems_without_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 def test_a_name_that_another_takes_away_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    lock, tries = files._locked, []
+    lock, tries = files._try_lock, []
 
     def too_late(descriptor: int) -> bool | None:
         tries.append(descriptor)
@@ -100,7 +100,7 @@ def test_a_name_that_another_takes_away_is_not_used(tmp_path: Path, monkeypatch:
             next(tmp_path.glob("*.lock")).unlink()
         return lock(descriptor) if len(tries) > 1 else False
 
-    monkeypatch.setattr(files, "_locked", too_late)
+    monkeypatch.setattr(files, "_try_lock", too_late)
     monkeypatch.setattr(files, "delete_leftovers", lambda _: None)
     with temporary_prefix(tmp_path) as name:
         assert Path(f"{name}.lock").exists()

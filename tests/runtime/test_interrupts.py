@@ -222,7 +222,7 @@ def test_what_fails_after_the_answer_to_a_signal_is_told() -> None:
         raise ValueError("odd")
 
 
-@pytest.mark.parametrize("function", ["clear", "_claim", "_delete"])
+@pytest.mark.parametrize("function", ["delete_leftovers", "_claim_prefix", "_delete"])
 def test_temporary_names_have_an_end_whenever_a_signal_comes(
     tmp_path: Path, function: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
