@@ -58,7 +58,7 @@ from mixseq_io.files import atomic_files
 from mixseq_io.numbered.files import a_file
 from mixseq_io.numbered.obj import lost_in_obj, obj_encoder
 from mixseq_io.reader import SequenceReader, as_float32, prefix_errors, translate_read_errors, validate_blocks
-from mixseq_io.scene_meshes import on_grid
+from mixseq_io.scene_meshes import snap_to_frames
 from mixseq_io.surfaces import lost_scale, warn_of_losses
 
 MeshPath = str | os.PathLike[str] | None
@@ -273,7 +273,7 @@ def _read_mdd(file: IO[bytes]) -> Start:
     _check_size(file, size, frames, points)
     times = np.frombuffer(file.read(4 * frames), ">f4").astype(np.float64)
     rate = _rate(times)
-    return Start(size, ">", points, on_grid(times, rate) if rate else times, rate)
+    return Start(size, ">", points, snap_to_frames(times, rate) if rate else times, rate)
 
 
 def _rate(times: NDArray[np.float64]) -> float | None:

@@ -185,7 +185,7 @@ def _opened(
 
     with ExitStack() as stack:
         items, original = scene_items(files, _names(files), against, reading, stack)
-        scene = Scene(tuple(item.stored(progress) for item in items), fps).checked()
+        scene = Scene(tuple(item.with_random_access(progress) for item in items), fps).validated()
         stored = None if original is None else frame_store(original, progress)
     if stored is not None:
         check_original(scene, stored)
@@ -206,10 +206,10 @@ def _run(
 ) -> None:
     """Run the viewer until it is interrupted."""
     from mixseq.runtime.parallel import thread_count
-    from mixseq.viewer.live.viewer import ViewSettings, viewer
+    from mixseq.viewer.live.viewer import ViewSettings, run_viewer
 
     settings = ViewSettings(folder=Path.cwd(), threads=thread_count(), **viewing)
-    with viewer(colours, settings, partial(_save, files)) as running:
+    with run_viewer(colours, settings, partial(_save, files)) as running:
         try:
             _wait(running.address, browser)
         finally:
@@ -276,7 +276,7 @@ def _set_markers(
     browser: bool | None,
 ) -> None:
     """Run a viewer for setting markers until it is interrupted; unsaved ones are then written beside the file."""
-    from mixseq.viewer.live.marking import marking_viewer
+    from mixseq.viewer.live.marking import run_marking_viewer
     from mixseq.viewer.live.viewer import ViewSettings
     from mixseq_io.text.markers import write_markers
 
@@ -290,7 +290,7 @@ def _set_markers(
         write_markers(path, markers)
         return f"{len(markers)} markers are in {path.name}, for mixseq transfer --markers"
 
-    with marking_viewer(meshes, ViewSettings(**viewing), save) as running:
+    with run_marking_viewer(meshes, ViewSettings(**viewing), save) as running:
         try:
             _wait(running.address, browser)
         finally:

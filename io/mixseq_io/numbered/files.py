@@ -32,7 +32,7 @@ from mixseq_io.reader import (
     validate_blocks,
     warn,
 )
-from mixseq_io.surfaces import from_text, lost_scale, lost_times, warn_of_losses
+from mixseq_io.surfaces import lost_scale, lost_times, scale_text_colours, warn_of_losses
 
 _PLACEHOLDER = re.compile(r"#+|%0?(\d*)d")
 _LAST_NUMBER = re.compile(r"(\d+)(?=\D*$)")
@@ -297,7 +297,7 @@ def colours_of_words(
 ) -> FloatArray:
     """Return the colours ``(n, 3)`` or ``(n, 4)`` of some vertices; unreadable ones are NaN in later frames."""
     try:
-        return from_text(np.array(rows, dtype=np.float64))
+        return scale_text_colours(np.array(rows, dtype=np.float64))
     except ValueError:
         if like is not None:
             return np.full((len(rows), len(rows[0])), np.nan)

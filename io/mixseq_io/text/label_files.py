@@ -39,7 +39,7 @@ from mixseq_io.files import atomic_file
 from mixseq_io.npz import opened_archive
 from mixseq_io.reader import SequenceReader, warn
 from mixseq_io.registry import FORMATS, open_sequence, write_blocks
-from mixseq_io.surfaces import within
+from mixseq_io.surfaces import are_valid_indices
 from mixseq_io.text.labels import (
     COLOURS,
     FAMILY,
@@ -178,7 +178,12 @@ def _of_array(
             + (f" and {count} polygons" if count != triangles else "")
             + "; give one for each"
         )
-    if names is not None and values.dtype.kind != "U" and values.size and within(values, np.size(names)):
+    if (
+        names is not None
+        and values.dtype.kind != "U"
+        and values.size
+        and are_valid_indices(values, np.size(names))
+    ):
         dense, texts = values, tuple(str(each) for each in np.ravel(names).tolist())
     else:
         kinds, dense = np.unique(values, return_inverse=True)

@@ -26,8 +26,8 @@ from mixseq.mesh.surface import CornerValues, FaceSet, Origin
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import IntArray
 from mixseq_io.reader import prefix_errors, warn
-from mixseq_io.scene_meshes import SceneMesh, material_of_the_rest
-from mixseq_io.surfaces import with_alpha, within
+from mixseq_io.scene_meshes import SceneMesh, base_face_set
+from mixseq_io.surfaces import are_valid_indices, ensure_alpha
 from mixseq_io.text.labels import (
     FAMILY,
     GROUPS,
@@ -372,7 +372,7 @@ def _colours(animated: AnimatedMesh, polygons: Polygons, notes: Notes) -> Corner
         return None
     alpha = _values(animated, polygons, notes, "opacities", opacity) if opacity.HasAuthoredValue() else None
     if alpha is None:
-        return CornerValues(with_alpha(colours.values), colours.indices)
+        return CornerValues(ensure_alpha(colours.values), colours.indices)
     return CornerValues.of_corners(np.hstack([colours.at_corners[:, :3], alpha.at_corners]))
 
 
@@ -407,8 +407,8 @@ def _values(
     rows = rows_of_corners(primvar.GetInterpolation(), polygons)
     if primvar.IsIndexed():
         indices = np.array(primvar.GetIndices(code) or (), dtype=np.int32)
-        rows = indices[rows] if within(rows, len(indices)) else np.array([-1])
-    if not within(rows, len(values)):
+        rows = indices[rows] if are_valid_indices(rows, len(indices)) else np.array([-1])
+    if not are_valid_indices(rows, len(values)):
         notes.add(prim, f"{what} {primvar.GetPrimvarName()!r} do not fit the faces and are left out")
         return None
     if not len(values):  # of a mesh without faces
@@ -430,7 +430,7 @@ def _hard_edges(animated: AnimatedMesh, polygons: Polygons, notes: Notes) -> NDA
         return None
     normals = np.array(values, dtype=np.float32).reshape(-1, 3)
     rows = rows_of_corners(interpolation, polygons)
-    if not within(rows, len(normals)) or not np.isfinite(normals).all():
+    if not are_valid_indices(rows, len(normals)) or not np.isfinite(normals).all():
         notes.add(mesh.GetPrim(), "normals do not fit the faces and are left out")
         return None
     return hard_edges_of_normals(animated.weld.polygons(polygons), normals[rows])
@@ -473,7 +473,7 @@ def _face_sets(mesh: UsdGeom.Mesh, polygon_count: int, code: Usd.TimeCode, notes
         if material and subset.GetFamilyNameAttr().Get() == UsdShade.Tokens.materialBind:
             bound.append(sets[-1])
     whole = _material(mesh.GetPrim())
-    rest = material_of_the_rest(str(whole.GetPath()), polygon_count, bound) if whole else ()
+    rest = base_face_set(str(whole.GetPath()), polygon_count, bound) if whole else ()
     return [*rest, *sets]
 
 

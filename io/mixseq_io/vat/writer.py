@@ -21,7 +21,7 @@ from mixseq.runtime.progress import Progress, silent
 from mixseq.runtime.public import public
 from mixseq.sequence.sequence import MeshSequence, bounding_diagonal
 from mixseq_io.files import atomic_folder
-from mixseq_io.gltf.codecs import writing_buffer
+from mixseq_io.gltf.codecs import open_buffer_writer
 from mixseq_io.reader import warn
 from mixseq_io.vat.textures import (
     Frames,
@@ -151,7 +151,7 @@ def write_vat(
     with atomic_folder(folder, OWN) as temporary:
         report = replace(report, file_bytes=sum(_write_images(temporary, textures, texture)))
         mesh = temporary / "mesh.glb"
-        with writing_buffer(mesh, mesh, texels.layout):
+        with open_buffer_writer(mesh, mesh, texels.layout):
             pass
         told = _told(sequence, texels, textures, texture, report)
         (temporary / "vat.json").write_text(json.dumps(told, indent=1), encoding="utf-8")
