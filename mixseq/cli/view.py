@@ -249,11 +249,11 @@ def _has_screen() -> bool:
 def _save(sources: Sequence[Path], path: Path, model: Model, replace: bool) -> str:
     """Write an edited model, as a model or as a sequence; return a message with its name and the files it needs."""
     from mixseq.runtime.parallel import on_threads
-    from mixseq_io.numbered.files import files_of_pattern
+    from mixseq_io.numbered.files import find_numbered_files
 
     for source in sources:
         check_target(path, source)
-    if not replace and (path.exists() or any(files_of_pattern(path))):
+    if not replace and (path.exists() or any(find_numbered_files(path))):
         raise OutputError(f"{path.name} exists; give another name, or tick Replace")
     try:
         if path.suffix.lower() in MODEL_EXTENSIONS:
