@@ -187,7 +187,7 @@ def _opened(
 
     with ExitStack() as stack:
         items, original = scene_items(files, _names(files), against, reading, stack)
-        scene = Scene(tuple(item.stored(progress) for item in items), fps).checked()
+        scene = Scene(tuple(item.with_random_access(progress) for item in items), fps).validated()
         stored = None if original is None else frame_store(original, progress)
     if stored is not None:
         check_original(scene, stored)
@@ -208,10 +208,10 @@ def _run(
 ) -> None:
     """Run the viewer until it is interrupted."""
     from mixseq.runtime.parallel import thread_count
-    from mixseq.viewer.live.viewer import ViewSettings, viewer
+    from mixseq.viewer.live.viewer import ViewSettings, run_viewer
 
     settings = ViewSettings(folder=Path.cwd(), threads=thread_count(), **viewing)
-    with viewer(colours, settings, partial(_save, files)) as running:
+    with run_viewer(colours, settings, partial(_save, files)) as running:
         try:
             _wait(running.address, browser)
         finally:
@@ -251,11 +251,11 @@ def _has_screen() -> bool:
 def _save(sources: Sequence[Path], path: Path, model: Model, replace: bool) -> str:
     """Write an edited model, as a model or as a sequence; return a message with its name and the files it needs."""
     from mixseq.runtime.parallel import on_threads
-    from mixseq_io.numbered.files import files_of_pattern
+    from mixseq_io.numbered.files import find_numbered_files
 
     for source in sources:
         check_target(path, source)
-    if not replace and (path.exists() or any(files_of_pattern(path))):
+    if not replace and (path.exists() or any(find_numbered_files(path))):
         raise OutputError(f"{path.name} exists; give another name, or tick Replace")
     try:
         if path.suffix.lower() in MODEL_EXTENSIONS:
@@ -278,7 +278,7 @@ def _set_markers(
     browser: bool | None,
 ) -> None:
     """Run a viewer for setting markers until it is interrupted; unsaved ones are then written beside the file."""
-    from mixseq.viewer.live.marking import marking_viewer
+    from mixseq.viewer.live.marking import run_marking_viewer
     from mixseq.viewer.live.viewer import ViewSettings
     from mixseq_io.text.markers import write_markers
 
@@ -292,7 +292,7 @@ def _set_markers(
         write_markers(path, markers)
         return f"{len(markers)} markers are in {path.name}, for mixseq transfer --markers"
 
-    with marking_viewer(meshes, ViewSettings(**viewing), save) as running:
+    with run_marking_viewer(meshes, ViewSettings(**viewing), save) as running:
         try:
             _wait(running.address, browser)
         finally:

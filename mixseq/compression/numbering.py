@@ -11,7 +11,7 @@ corners share a normal, so normals are numbered in order of first use.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +22,7 @@ from mixseq.errors import SettingsError
 from mixseq.mesh.polygons import Polygons, matched
 from mixseq.mesh.surface import FaceSet, Surface, by_first_use
 from mixseq.sequence.header import SequenceHeader, header_fields
-from mixseq.sequence.sequence import Frames, MeshSequence
+from mixseq.sequence.sequence import Frames, LazyFrames, MeshSequence
 from mixseq.types import FloatArray, Index
 
 
@@ -62,7 +62,8 @@ class Renumbering:
     def of_frames(self, frames: Frames) -> Frames:
         """Return the same frames of the same mesh: in memory if they are, else read on demand."""
         if not isinstance(frames, MeshSequence):
-            return _Renumbered(frames, self.of_header(frames.header), self._of_points)
+            header = self.of_header(frames.header)
+            return LazyFrames(header, lambda size: map(self._of_points, frames.blocks(size)))
         velocities = None if frames.velocities is None else self._of_points(frames.velocities)
         return MeshSequence.from_header(
             self.of_header(frames.header), self._of_points(frames.points), velocities
@@ -135,19 +136,6 @@ def numbering_of(other: Polygons, polygons: Polygons, sizes: Sequence[int]) -> R
 def object_sizes(header: SequenceHeader) -> list[int]:
     """Return the number of vertices of every object joined in a sequence."""
     return [each.vertex_count for each in header.objects]
-
-
-@dataclass(frozen=True, eq=False)
-class _Renumbered:
-    """Frames renumbered as they are read."""
-
-    frames: Frames
-    header: SequenceHeader
-    renumbered: Callable[[FloatArray], FloatArray]
-
-    def blocks(self, size: int = 16) -> Iterator[FloatArray]:
-        """Iterate over the points."""
-        return map(self.renumbered, self.frames.blocks(size))
 
 
 def _corners(starts: Index, sizes: Index, begin: Index) -> Index:

@@ -149,7 +149,7 @@ class ExportSettings:
     max_error: float = 1e-3
     overlaid: bool = False  # whether the meshes initially stand in one place, instead of side by side
     title: str | None = None  # title of the page, by default the names
-    camera: tuple[float, float] | None = None  # initial view, see `mixseq.pictures.scene.seen_from`
+    camera: tuple[float, float] | None = None  # initial view, see `mixseq.pictures.scene.resolve_view`
     following: bool = False  # whether bodies that travel initially stay in the middle
 
     def __post_init__(self) -> None:

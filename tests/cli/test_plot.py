@@ -161,7 +161,7 @@ def test_without_matplotlib(run: Run, contents: Contents, monkeypatch: pytest.Mo
     def missing(name: str) -> NoReturn:
         raise MissingExtraError("pictures need matplotlib; get it with: pip install 'mixseq[plot]'")
 
-    monkeypatch.setattr("mixseq.pictures.charts.matplotlib_module", missing)
+    monkeypatch.setattr("mixseq.pictures.charts.import_matplotlib", missing)
     before = contents()
     result = run("plot", "model.h5", "new.png")
     assert (result.exit_code, result.stdout) == (2, "")

@@ -49,7 +49,7 @@ class Room:
         self.save: Callable[[Markers], str]
         self.marking = Marking()
         self.unsaved = False
-        monkeypatch.setattr(live, "marking_viewer", self._viewer)
+        monkeypatch.setattr(live, "run_marking_viewer", self._viewer)
         monkeypatch.setattr(module, "threading", SimpleNamespace(Event=lambda: self))
 
     @contextmanager

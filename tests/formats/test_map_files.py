@@ -11,7 +11,7 @@ import pytest
 from mixseq.errors import FormatError, OutputError
 from mixseq.retargeting.markers import Correspondence
 from mixseq.retargeting.matching import Mesh, from_barycentric, from_vertices
-from mixseq_io.text.maps import checksum, read_map, to_correspondence, write_map
+from mixseq_io.text.maps import mesh_checksum, read_map, to_correspondence, write_map
 from tests.meshes import grid, tetrahedron, torus
 
 SOURCE, TARGET = torus(9, 6), tetrahedron()
@@ -56,8 +56,11 @@ def test_maps_of_other_meshes_are_refused_by_name(tmp_path: Path) -> None:
 
 
 def test_checksums_are_of_the_connectivity() -> None:
-    assert checksum(4, TARGET[1]) == checksum(4, TARGET[1].astype(np.int32))
-    assert len({checksum(4, TARGET[1]), checksum(5, TARGET[1]), checksum(4, TARGET[1][::-1])}) == 3
+    assert mesh_checksum(4, TARGET[1]) == mesh_checksum(4, TARGET[1].astype(np.int32))
+    assert (
+        len({mesh_checksum(4, TARGET[1]), mesh_checksum(5, TARGET[1]), mesh_checksum(4, TARGET[1][::-1])})
+        == 3
+    )
 
 
 @pytest.mark.parametrize(

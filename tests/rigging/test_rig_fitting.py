@@ -17,7 +17,7 @@ from mixseq.rigging.fitting import fit_morph, fit_skin
 from mixseq.rigging.rigs import Skeleton, Skin, rotation_matrices
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float
-from mixseq_io.rig_arrays import parents_first
+from mixseq_io.rig_arrays import order_parents_first
 from tests.formats.conftest import lossy
 from tests.formats.rig_maker import carried, hinge
 from tests.meshes import SEQUENCES, bar, bent, joined, rotation, tetrahedron, tube
@@ -468,7 +468,9 @@ def test_vertices_stay_with_their_own_of_bones_that_hardly_move(
     with mixseq.open_sequence(data / file, **options) as reader:
         skinning = reader.markings().skinning
     assert skinning is not None
-    order = parents_first([skinning.joints.index(parent) if parent else -1 for parent in skinning.parents])
+    order = order_parents_first(
+        [skinning.joints.index(parent) if parent else -1 for parent in skinning.parents]
+    )
     own = np.asarray(skinning.weights.todense())[:, order]
     assert np.abs(weights_of(skin) - own).sum(axis=1).mean() < apart
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.compression.bitstream.compressed_sequence import to_model
-from mixseq.pictures.scene import y_up
+from mixseq.pictures.scene import to_y_up
 from mixseq.signals.model import Model
 from mixseq.types import Float
 from mixseq.viewer.export_data import BYTE_ORDER_MARK, ENCODING, ESCAPE
@@ -66,7 +66,7 @@ class OpenedItem:
         """Its poses ``(n, V, 3)``, Y up."""
         model = self.model
         poses = np.stack([model(model.start + elapsed) for elapsed in self.times])
-        return np.asarray(y_up(poses, model.header.up_axis) + self.description["centre"])
+        return np.asarray(to_y_up(poses, model.header.up_axis) + self.description["centre"])
 
 
 class Opened:

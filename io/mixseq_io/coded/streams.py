@@ -53,7 +53,7 @@ from mixseq.mesh.surface import WHITE, CornerValues, Surface
 from mixseq.sequence.header import SequenceHeader
 from mixseq.signals.model import Model
 from mixseq_io.files import check_memory, gigabytes, max_memory
-from mixseq_io.surfaces import surface_arrays, surface_of_arrays
+from mixseq_io.surfaces import surface_from_arrays, surface_to_arrays
 
 COMPRESSED_VERSION = 1
 """Version of compressed models, separate from that of models with datasets. Frozen: breaks old files."""
@@ -279,7 +279,7 @@ def _arrays_on(surface: Surface, mesh: Mesh) -> dict[str, NDArray[Any]]:
     if colours is not None and of_vertices:
         values = colours.at_vertices(corners, vertex_count, WHITE)
         surface = replace(surface, colours=CornerValues(values, corners))
-    arrays = surface_arrays(surface)
+    arrays = surface_to_arrays(surface)
     if of_vertices:
         del arrays["colour_indices"]
     coded = None if surface.hard_edges is None else encode_hard_edges(*mesh, surface.hard_edges)
@@ -307,7 +307,7 @@ def unpack_surface(packed: bytes, folder: Path, mesh: Mesh) -> Surface:
             arrays["creases"] = decode_hard_edges(coded.tobytes(), *mesh)
         if "colour_values" in arrays:
             arrays.setdefault("colour_indices", mesh[0].indices)
-        return surface_of_arrays(arrays, folder)
+        return surface_from_arrays(arrays, folder)
     except (ValueError, TypeError, KeyError, IndexError) as error:
         raise FormatError(f"the surface is damaged ({error})") from error
 

@@ -116,7 +116,7 @@ class MarkingStage:
         """Return the places ``(n, 3)`` of vertices in the scene."""
         return np.asarray(self._placed[side][0][vertices] + self._frames[side].position)
 
-    def seen_from(self, distance: float) -> bool:
+    def resolve_view(self, distance: float) -> bool:
         """Set the distance of the camera; returns whether balls must be drawn again."""
         radius = RADIUS * min(distance, FARTHEST)
         if 1 / STEP < radius / self._radius < STEP:
@@ -356,7 +356,7 @@ class MarkedMeshes:
 
 
 class MarkingViewer:
-    """A running viewer for markers; make it with `marking_viewer`."""
+    """A running viewer for markers; make it with `run_marking_viewer`."""
 
     def __init__(
         self,
@@ -449,7 +449,7 @@ class MarkingViewer:
         if turned > TURNED and np.hypot(toward[0], toward[2]) > STEEP * abs(toward[1]):
             self._stage.turn(azimuth, camera.look_at, distance)
             self._balls.stand(self._stage.arrangement.offsets)
-        if self._balls.seen_from(distance):
+        if self._balls.resolve_view(distance):
             self.changed()
 
     def _other(self, camera: Any) -> None:
@@ -482,7 +482,7 @@ class MarkingViewer:
 
 
 @contextmanager
-def marking_viewer(
+def run_marking_viewer(
     meshes: MarkedMeshes, settings: ViewSettings, save: SaveMarkers
 ) -> Iterator[MarkingViewer]:
     """Run a viewer for markers in the background, for the duration of the context."""
