@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from mixseq.choices import UNITS
 from mixseq.errors import SettingsError
-from mixseq.sequence.sequence import UNITS, bounding_diagonal
 
 if TYPE_CHECKING:
     from mixseq.sequence.sequence import Frames
@@ -40,6 +40,8 @@ def parse_length(text: str) -> float | str:
 
 def in_diagonals(settings: Mapping[str, Any], frames: Frames, *names: str) -> dict[str, Any]:
     """Return settings with the named lengths converted to fractions of the diagonal of a sequence's first frame."""
+    from mixseq.sequence.sequence import bounding_diagonal
+
     converted = dict(settings)
     for name in names:
         length = settings.get(name)

@@ -12,7 +12,7 @@ import click
 import mixseq
 from mixseq.choices import COLOURS, PICTURES, PictureKind
 from mixseq.cli import options
-from mixseq.cli.files import Claim, LazyFrames, overwriting, read_sequence, scene_items
+from mixseq.cli.files import Claim, overwriting, read_sequence, scene_items
 from mixseq.cli.group import announce, progress_bar
 from mixseq.cli.lengths import in_diagonals
 from mixseq.errors import SettingsError
@@ -144,6 +144,8 @@ def command(
             "--prim, --animation, --input-fps, --mesh and --allow-gaps tell how to read a sequence; give --against"
         )
     claim(target)
+    from mixseq.sequence.sequence import LazyFrames
+
     model = mixseq.load(source)
     first_pose = LazyFrames(model.header, lambda _: iter([model(model.start)[None]]))
     with progress_bar(quiet) as progress:

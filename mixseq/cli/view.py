@@ -20,7 +20,6 @@ from mixseq.cli import options
 from mixseq.cli.files import (
     MODEL_EXTENSIONS,
     Claim,
-    LazyFrames,
     check_options,
     check_place,
     check_target,
@@ -41,7 +40,7 @@ if TYPE_CHECKING:
     from mixseq.pictures.scene import SceneItem
     from mixseq.retargeting.markers import Markers
     from mixseq.runtime.parallel import Executor
-    from mixseq.sequence.sequence import MeshSequence
+    from mixseq.sequence.sequence import LazyFrames, MeshSequence
     from mixseq.signals.model import Model
     from mixseq.viewer.live.marking import MarkedMeshes
 
@@ -345,6 +344,8 @@ def _still(path: Path, reading: Mapping[str, Any]) -> MeshSequence:
 
 def _first_frame(item: SceneItem) -> LazyFrames:
     """Return the first pose of a mesh as a sequence."""
+    from mixseq.sequence.sequence import LazyFrames
+
     return LazyFrames(item.header, lambda _: iter([item.pose(0.0)[None]]))
 
 

@@ -149,7 +149,7 @@ def test_encode_in_an_order_of_our_own(run: Run) -> None:
     [
         ("--max-error 0.001 --kg 1", "give one of --max-error and --kg, not 2"),
         ("--max-error 0.001 --kg 1 --size 1MB", "give one of --max-error and --kg and --size, not 3"),
-        ("--max-error 0", "--max-error.*0.* is not in the range"),
+        ("--max-error 0", "--max-error.*0.* is not a length above 0"),
         ("--kg -1", "--kg.*-1.* is not in the range"),
         ("--size lots", "--size.*'lots' is not a size such as 2MB, 500kB or 1.5MiB"),
         ("--size 0MB", "'0MB' is not a size"),
@@ -356,7 +356,7 @@ def test_texture_coordinates_are_told_and_left_out(run: Run) -> None:
     encode = ("encode", "textured.npz", "small.h5", "--max-error", "0.01", "--overwrite")
     assert "texture error  at most 0.001 of the square" in run(*encode, "--set", "uv_error=0.001").output
     told = run("verify", "small.h5", "textured.npz")
-    assert (told.exit_code, "texture        0.001 of the square, asked for" in told.output) == (0, True)
+    assert (told.exit_code, "texture        0.001 of the square, requested" in told.output) == (0, True)
     assert "texture coordinates" in run("info", "small.h5").output
     for options in (("--no-uvs",), ("--set", "uvs=no")):
         assert "texture" not in run(*encode, *options).output.replace("texture coordinates and the like", "")
