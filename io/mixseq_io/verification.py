@@ -27,7 +27,7 @@ from mixseq.sequence.sequence import Frames, LazyFrames, check_frames
 from mixseq.signals.decoding import FRAMES
 from mixseq.signals.model import Model
 from mixseq.types import FloatArray, PathLike
-from mixseq_io.coded.streams import Container, decoded, read_index, sequence_of
+from mixseq_io.coded.streams import Container, decode_model, read_index, read_sequence
 from mixseq_io.gltf import mesh_sequence
 from mixseq_io.hdf5 import coded_files
 from mixseq_io.hdf5.contents import MODEL_FORMAT, read_attributes, read_contents
@@ -50,7 +50,7 @@ def read_container(path: Path) -> Container:
 
 def read_compressed(path: Path) -> CompressedSequence:
     """Read a compressed sequence and check all its bytes."""
-    return sequence_of(path, read_container(path))
+    return read_sequence(path, read_container(path))
 
 
 def compressed_sizes(path: Path) -> dict[str, int]:
@@ -149,7 +149,7 @@ def verify(path: PathLike, original: Frames | None = None, progress: Progress = 
     if original is not None:
         check_frames(original)
     coded = read_compressed(source)
-    model = decoded(source, coded)
+    model = decode_model(source, coded)
     frames = LazyFrames(model.header, lambda size: _finite_blocks(source, model, size, progress))
     header, parameters = coded.header, coded.parameters
     found = Verification(

@@ -53,7 +53,7 @@ class SourceMotion:
         return segment(poses, self.topology, "motion", None if self.parts is None else int(self.parts))
 
 
-def source_motion(
+def prepare_source(
     source: Frames | Model,
     rest: int | MeshSequence = 0,
     parts: int | ArrayLike | None = None,

@@ -300,7 +300,7 @@ def _compressed(
             for start in range(0, plain.frame_count, size)
         ),
     )
-    frames = numbering.of_frames(centred)
+    frames = numbering.renumber_frames(centred)
     return compress(frames, max_error=max_error, progress=progress, uvs=False), numbering.vertices
 
 
