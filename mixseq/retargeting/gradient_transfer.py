@@ -54,7 +54,7 @@ class GradientTransfer(PickledWithoutCaches):
     @cached_property
     def _at_holders(self) -> sparse.csr_array:
         """Matrix ``(n, F)`` of means over the source triangles around the points that hold pieces."""
-        return self.around(self.attachments.other)
+        return self.around(self.attachments.holder_vertices)
 
     @cached_property
     def _led(self) -> tuple[Index, sparse.csr_array]:
@@ -107,14 +107,16 @@ class GradientTransfer(PickledWithoutCaches):
         root = pieces.slices[held.root]
         placed[root] += rest[own].mean(axis=0) + shift @ away - rows[root].mean(axis=0)
 
-        ends = pieces.rows_of(held.pieces, held.own), pieces.rows_of(held.holders, held.other)
+        ends = pieces.rows_of(held.pieces, held.vertices), pieces.rows_of(held.holders, held.holder_vertices)
         gaps = correspondence.interpolate(np.stack([self.source.reference, x / self.source.scale]))
-        gaps = gaps[:, held.own] - gaps[:, held.other]
-        gaps[:, ~correspondence.matched[held.own]] = 0.0
+        gaps = gaps[:, held.vertices] - gaps[:, held.holder_vertices]
+        gaps[:, ~correspondence.matched[held.vertices]] = 0.0
         for number, piece in enumerate(held.pieces):
             turn = turns[number]
             opened = shift @ (gaps[1, number] - turn @ gaps[0, number])
-            span = self.alignment.turned(turn) @ (rest[held.own[number]] - rest[held.other[number]])
+            span = self.alignment.turned(turn) @ (
+                rest[held.vertices[number]] - rest[held.holder_vertices[number]]
+            )
             place = placed[ends[1][number]] + span + opened
             placed[pieces.slices[piece]] += place - placed[ends[0][number]]
         return pieces.merged(placed)
