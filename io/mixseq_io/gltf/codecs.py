@@ -21,7 +21,7 @@ import struct
 from base64 import b64encode
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from mixseq.errors import MissingExtraError, OutputError
 from mixseq.version import __version__
-from mixseq_io.gltf.document import DRACO, MESHOPT, Document, Fields, layout_of
+from mixseq_io.gltf.document import DRACO_EXTENSION, MESHOPT_EXTENSIONS, Document, Fields, element_layout
 from mixseq_io.isolation import call_isolated
 from mixseq_io.surfaces import colours_to_bytes
 
@@ -221,7 +221,7 @@ def unpacked_view(document: Document, packed: Fields) -> bytes:
         )
     count, stride = packed.integer("count"), packed.integer("byteStride")
     mode, name = packed.text("mode"), packed.text("filter", "NONE")
-    data = document.part(packed)
+    data = document.read_view(packed)
     here = "mixseq_io.gltf.codecs:unpack_meshopt"
     rows = call_isolated(here, document.path, data, packed.place, count, stride, mode, name)
     return bytes(rows.tobytes())
@@ -265,7 +265,7 @@ def unpacked_primitive(
         raise MissingExtraError(
             f"{document.path} is compressed with Draco; to read it: pip install 'mixseq[gltf]'"
         )
-    data = document.part(document.item("bufferViews", packed.integer("bufferView")))
+    data = document.read_view(document.item("bufferViews", packed.integer("bufferView")))
     arrays = call_isolated(
         "mixseq_io.gltf.codecs:decode_draco", document.path, data, packed.place, list(wanted)
     )
@@ -366,12 +366,12 @@ def decompress_document(document: Document) -> Document:
     """Return a document without compression; data are unpacked when they are read."""
     edits = _Edits(document)
     for number, view in enumerate(document.items("bufferViews")):
-        name = next((each for each in MESHOPT if each in view.object("extensions")), None)
+        name = next((each for each in MESHOPT_EXTENSIONS if each in view.object("extensions")), None)
         if name is not None:
             edits.unpack_view(number, view, view.object("extensions").object(name))
     for number, mesh in enumerate(document.items("meshes")):
         for place, primitive in enumerate(mesh.objects("primitives")):
-            if DRACO in primitive.object("extensions"):
+            if DRACO_EXTENSION in primitive.object("extensions"):
                 edits.unpack_primitive(number, place, primitive)
     return edits.document()
 
@@ -385,13 +385,17 @@ class _Edits:
         for kind in ("accessors", "buffers", "bufferViews", "meshes"):
             if kind in self._json:
                 self._json[kind] = list(self._json[kind])
-        self._unpacking: dict[int, Callable[[], bytes]] = {}
+        self._unpackers: dict[int, Callable[[], bytes]] = {}
         self._placed: dict[int, bool] = {}
 
     def document(self) -> Document:
         """Return the edited document."""
         for member in ("extensionsUsed", "extensionsRequired"):
-            left = [name for name in self._compressed.top.texts(member) if name not in (DRACO, *MESHOPT)]
+            left = [
+                name
+                for name in self._compressed.top.texts(member)
+                if name not in (DRACO_EXTENSION, *MESHOPT_EXTENSIONS)
+            ]
             self._json.pop(member, None)
             if left:
                 self._json[member] = left
@@ -400,7 +404,7 @@ class _Edits:
                 {key: value for key, value in each.items() if key != "extensions"}
                 for each in self._json["buffers"]
             ]
-        return self._compressed.edited(self._json, self._unpacking)
+        return replace(self._compressed, json=self._json, unpackers=self._unpackers)
 
     def unpack_view(self, number: int, view: Fields, packed: Fields) -> None:
         """Point a meshopt-compressed view at a buffer of unpacked data."""
@@ -416,7 +420,7 @@ class _Edits:
 
     def unpack_primitive(self, mesh: int, place: int, primitive: Fields) -> None:
         """Point accessors without data of their own at the unpacked data of a Draco primitive."""
-        packed = primitive.object("extensions").object(DRACO)
+        packed = primitive.object("extensions").object(DRACO_EXTENSION)
         names = packed.object("attributes")
         position = primitive.object("attributes").index("POSITION")
         if position is not None and "bufferView" not in self._compressed.item("accessors", position):
@@ -438,7 +442,7 @@ class _Edits:
 
     def _wanted(self, accessor: int, unique_id: int | None) -> Wanted:
         fields = self._compressed.item("accessors", accessor)
-        dtype, width = layout_of(fields)
+        dtype, width = element_layout(fields)
         return Wanted(unique_id, dtype, fields.integer("count"), width)
 
     def _place(self, accessor: int, view: Json) -> None:
@@ -450,7 +454,9 @@ class _Edits:
     def _replace_primitive(self, mesh: int, place: int) -> None:
         entry = self._json["meshes"][mesh]
         primitives = list(entry["primitives"])
-        extensions = {name: each for name, each in primitives[place]["extensions"].items() if name != DRACO}
+        extensions = {
+            name: each for name, each in primitives[place]["extensions"].items() if name != DRACO_EXTENSION
+        }
         primitives[place] = {key: value for key, value in primitives[place].items() if key != "extensions"}
         if extensions:
             primitives[place]["extensions"] = extensions
@@ -460,5 +466,5 @@ class _Edits:
         """Add a buffer that is unpacked when read; return its index."""
         self._json.setdefault("buffers", []).append({"byteLength": length})
         number = len(self._json["buffers"]) - 1
-        self._unpacking[number] = unpack
+        self._unpackers[number] = unpack
         return number

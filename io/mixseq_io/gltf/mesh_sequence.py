@@ -55,14 +55,14 @@ from mixseq_io.gltf.codecs import (
     open_buffer_writer,
 )
 from mixseq_io.gltf.document import (
-    DAMAGE,
-    DRACO,
+    DRACO_EXTENSION,
+    MALFORMED_JSON_ERRORS,
     SEQUENCE_EXTENSION,
     Document,
     Fields,
-    chunks,
-    data_of_file,
     load_document,
+    open_data,
+    read_glb_chunks,
 )
 from mixseq_io.gltf.edits import content_of_image, used_extensions
 from mixseq_io.gltf.new_document import (
@@ -89,10 +89,10 @@ def is_glb(path: Path) -> bool:
 def has_sequence(path: Path) -> bool:
     """Whether a .glb has a mesh sequence."""
     with reading(path, "glTF"):
-        data = data_of_file(path)
+        data = open_data(path)
         if data.read(0, 4) != b"glTF":
             return False  # the error is reported by its reader
-        text, _ = chunks(path, data)
+        text, _ = read_glb_chunks(path, data)
     if f'"{SEQUENCE_EXTENSION}"'.encode() not in text:  # most files are known by that, without being parsed
         return False
     return next(_sequences(load_document(path)), None) is not None
@@ -138,7 +138,7 @@ def _content(document: Document, extension: Fields, key: str) -> bytes:
     view = document.item("bufferViews", extension.integer(key))
     check_memory(document.path, view.integer("byteLength"), f"its {key}")
     with reading(document.path, "glTF"):
-        return document.part(view)
+        return document.read_view(view)
 
 
 def carried_materials(layout: Layout, names: Collection[str], origin: Origin | None) -> dict[str, int]:
@@ -147,7 +147,7 @@ def carried_materials(layout: Layout, names: Collection[str], origin: Origin | N
         return {}
     path = Path(origin.path)
     try:
-        with reading(path, "glTF", *DAMAGE):
+        with reading(path, "glTF", *MALFORMED_JSON_ERRORS):
             copy = _Copy(layout, load_document(path))
             return copy.materials(names)
     except FormatError as error:
@@ -185,7 +185,9 @@ class _Copy:
 
     def _embed(self, entry: Json, image: Fields) -> None:
         if "bufferView" in image:
-            content = self._original.part(self._original.item("bufferViews", image.integer("bufferView")))
+            content = self._original.read_view(
+                self._original.item("bufferViews", image.integer("bufferView"))
+            )
         else:
             try:
                 content, entry["mimeType"] = content_of_image(image)
@@ -312,7 +314,7 @@ def _draco(
     return {
         "attributes": accessors,
         "indices": _without_data(layout, 3 * coded.triangle_count, "SCALAR", UNSIGNED),
-        "extensions": {DRACO: {"bufferView": view, "attributes": dict(coded.identifiers)}},
+        "extensions": {DRACO_EXTENSION: {"bufferView": view, "attributes": dict(coded.identifiers)}},
     }
 
 
@@ -381,7 +383,7 @@ def _layout(header: SequenceHeader, points: FloatArray, container: Container, st
     node = {**named(header.name), "mesh": append(document, "meshes", entry), **axis_conversion(header)}
     document["scene"], document["scenes"] = 0, [{"nodes": [append(document, "nodes", node)]}]
     document["extensionsUsed"] = sorted(used_extensions(document))
-    needed = [DRACO] if still == "draco" else [SEQUENCE_EXTENSION] if still == "none" else []
+    needed = [DRACO_EXTENSION] if still == "draco" else [SEQUENCE_EXTENSION] if still == "none" else []
     if needed:
         document["extensionsRequired"] = needed
     return layout
