@@ -41,16 +41,16 @@ from mixseq_io.coded.streams import Container
 from mixseq_io.files import check_memory, replacing
 from mixseq_io.gltf.codecs import (
     ARRAY_BUFFER,
-    COMPONENT_OF,
+    COMPONENT_TYPES,
     ELEMENT_ARRAY_BUFFER,
-    FLOAT,
-    GENERATOR,
-    UNSIGNED,
+    FLOAT_COMPONENT,
+    GENERATOR_NAME,
+    UNSIGNED_COMPONENT,
     Json,
     Layout,
     append,
-    bounds_of,
-    compressed_triangles,
+    compress_triangles,
+    compute_bounds,
     compute_glb_size,
     open_buffer_writer,
 )
@@ -218,7 +218,7 @@ def _references(kind: str, entry: Json) -> Iterator[tuple[Json, str, str]]:
 
 
 _TRIANGLES_WITHOUT_AREA = {
-    "componentType": FLOAT,
+    "componentType": FLOAT_COMPONENT,
     "count": 3,
     "type": "VEC3",
     "min": [0.0] * 3,
@@ -292,7 +292,7 @@ def _plain(
         else layout.add_array(values, target=ARRAY_BUFFER)
         for name, values in attributes.items()
     }
-    layout.bounded(accessors["POSITION"], bounds_of(attributes["POSITION"]))
+    layout.set_bounds(accessors["POSITION"], compute_bounds(attributes["POSITION"]))
     return {
         "attributes": accessors,
         "indices": layout.add_array(narrow(triangles.reshape(-1)), target=ELEMENT_ARRAY_BUFFER),
@@ -302,19 +302,21 @@ def _plain(
 def _draco(
     layout: Layout, triangles: NDArray[np.uint32], attributes: Mapping[str, NDArray[np.float32]]
 ) -> Json:
-    coded = compressed_triangles(triangles, attributes)
+    coded = compress_triangles(triangles, attributes)
     view = layout.add([coded.data], len(coded.data))
     accessors = {
-        name: _without_data(layout, len(values), f"VEC{values.shape[1]}", COMPONENT_OF[values.dtype.str[1:]])
+        name: _without_data(
+            layout, len(values), f"VEC{values.shape[1]}", COMPONENT_TYPES[values.dtype.str[1:]]
+        )
         for name, values in coded.attributes.items()
     }
     if "COLOR_0" in accessors:
         layout.document["accessors"][accessors["COLOR_0"]]["normalized"] = True
-    layout.bounded(accessors["POSITION"], bounds_of(coded.attributes["POSITION"]))
+    layout.set_bounds(accessors["POSITION"], compute_bounds(coded.attributes["POSITION"]))
     return {
         "attributes": accessors,
-        "indices": _without_data(layout, 3 * coded.triangle_count, "SCALAR", UNSIGNED),
-        "extensions": {DRACO_EXTENSION: {"bufferView": view, "attributes": dict(coded.identifiers)}},
+        "indices": _without_data(layout, 3 * coded.triangle_count, "SCALAR", UNSIGNED_COMPONENT),
+        "extensions": {DRACO_EXTENSION: {"bufferView": view, "attributes": dict(coded.attribute_ids)}},
     }
 
 
@@ -323,11 +325,11 @@ def _none(
 ) -> Json:
     """Add a triangle of zeros as accessors without data, with texture coordinates that materials may need."""
     accessors = {
-        name: _without_data(layout, 3, f"VEC{values.shape[1]}", FLOAT)
+        name: _without_data(layout, 3, f"VEC{values.shape[1]}", FLOAT_COMPONENT)
         for name, values in attributes.items()
         if name not in ("NORMAL", "COLOR_0")
     }
-    layout.bounded(accessors["POSITION"], ([0.0] * 3, [0.0] * 3))
+    layout.set_bounds(accessors["POSITION"], ([0.0] * 3, [0.0] * 3))
     return {"attributes": accessors}
 
 
@@ -364,7 +366,7 @@ def bound_overhead_size(header: SequenceHeader, points: FloatArray, still: Still
 
 
 def _layout(header: SequenceHeader, points: FloatArray, container: Container, still: StillName) -> Layout:
-    layout = Layout({"asset": {"version": "2.0", "generator": GENERATOR}})
+    layout = Layout({"asset": {"version": "2.0", "generator": GENERATOR_NAME}})
     coding = layout.add([container.text], len(container.text))
     streams = layout.add([container.streams], len(container.streams))
     mesh = as_one_mesh(header)

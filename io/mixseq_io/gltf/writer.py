@@ -28,7 +28,7 @@ from mixseq.types import FloatArray, Index
 from mixseq_io.files import replacing
 from mixseq_io.gltf.codecs import (
     ELEMENT_ARRAY_BUFFER,
-    GENERATOR,
+    GENERATOR_NAME,
     Json,
     Layout,
     append,
@@ -162,7 +162,7 @@ def lay_over(
         root = group(carried, [place.node for place in places], header, vacant(carried, scene, above))
         for each in shown_in:
             each["nodes"] = [root, *(node for node in each.get("nodes", ()) if node != root)]
-    carried["asset"]["generator"] = GENERATOR
+    carried["asset"]["generator"] = GENERATOR_NAME
     json.dumps(carried, allow_nan=False)  # NaN is read, but must not be written; fail early
     prune(document.path, carried)
     layout = _with_data(carried, document)
