@@ -128,7 +128,7 @@ class Archive:
 
 
 @contextmanager
-def opened_archive(path: Path) -> Iterator[Archive]:
+def open_archive(path: Path) -> Iterator[Archive]:
     """Open an npz file."""
     with reading_archive(path), zipfile.ZipFile(path) as file:
         yield Archive(path, file)

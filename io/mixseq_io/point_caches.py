@@ -55,7 +55,7 @@ from mixseq.errors import FormatError, InvalidSequenceError, MixseqError, Output
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import FloatArray
 from mixseq_io.files import replacing_many
-from mixseq_io.numbered.files import a_file
+from mixseq_io.numbered.files import with_article
 from mixseq_io.numbered.obj import lost_in_obj, obj_encoder
 from mixseq_io.reader import SequenceReader, as_float32, checked, naming, reading
 from mixseq_io.scene_meshes import snap_to_frames
@@ -115,7 +115,7 @@ def open_cache(
 ) -> SequenceReader:
     """Open a point cache and its mesh."""
     with ExitStack() as stack:
-        with reading(path, a_file(kind), ValueError):
+        with reading(path, with_article(kind), ValueError):
             file = stack.enter_context(path.open("rb"))
             start = read_start(file)
         mesh_path = _mesh_beside(path, kind) if mesh is None else Path(mesh)
@@ -143,7 +143,7 @@ def _mesh_beside(path: Path, kind: str) -> Path:
             if extension in beside:
                 return beside[extension]
     raise FormatError(
-        f"{path}: {a_file(kind)} has no faces, and there is no mesh beside it: none of "
+        f"{path}: {with_article(kind)} has no faces, and there is no mesh beside it: none of "
         f"{path.stem}{', '.join(_MESHES)}; name its mesh with mesh=... (--mesh)"
     )
 

@@ -72,7 +72,7 @@ def numbered_names(prefix: str, count: int) -> list[str]:
     return [f"{prefix}_{number:0{width}d}" for number in range(count)]
 
 
-def _remove_rounding(values: Float, unit: float) -> Float:
+def remove_rounding_motion(values: Float, unit: float) -> Float:
     """Freeze tracks ``(T, n, k)`` of bones that move by rounding only, relative to `unit` or the largest magnitude."""
     magnitude = max(unit, float(np.abs(values).max(initial=0.0)))
     motion = np.abs(values - values[:1]).max(axis=(0, 2), keepdims=True)
@@ -83,9 +83,9 @@ def local_joint_transforms(
     skin: Skin, file_format: str, header: SequenceHeader | None = None
 ) -> tuple[Single, Single]:
     """Return parent-relative rotations ``(T, B, 4)`` and translations ``(T, B, 3)`` in float32 for a format."""
-    local = skin.local()
-    rotations = _remove_rounding(local.rotations, 1.0).astype(np.float32)
-    translations = _remove_rounding(local.translations, bounding_diagonal(skin.rest))
+    local = skin.local_motion()
+    rotations = remove_rounding_motion(local.rotations, 1.0).astype(np.float32)
+    translations = remove_rounding_motion(local.translations, bounding_diagonal(skin.rest))
     return rotations, as_float32(translations, 0, file_format, "bone", header)
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mixseq.compression.numbering import numbering_of
+from mixseq.compression.numbering import find_numbering
 from mixseq.errors import AmbiguousError, FormatError
 from mixseq.mesh.polygons import PolygonMatch, Polygons, matched
 from mixseq.mesh.surface import NO_UV, WHITE, CornerValues, FaceSet, MeshObject, Origin, Surface
@@ -181,7 +181,7 @@ class SceneMesh:
 
     def with_vertex_order_of(self, original: Polygons) -> SceneMesh | None:
         """Undo the renumbering of vertices by compressed models; None for another mesh."""
-        numbering = numbering_of(self.polygons, original, [self.vertex_count])
+        numbering = find_numbering(self.polygons, original, [self.vertex_count])
         if numbering is None or numbering.order != "free":
             return None if numbering is None else self
         return replace(

@@ -65,7 +65,7 @@ from mixseq_io.scene_meshes import (
     snap_to_frames,
 )
 from mixseq_io.surfaces import ensure_alpha
-from mixseq_io.text.labels import Markings, Skinning, joined_skinning
+from mixseq_io.text.labels import Markings, Skinning, concatenate_skinning
 
 if TYPE_CHECKING:
     from mixseq.rigging.rigs import Skeleton
@@ -443,7 +443,7 @@ class _GltfReader(SequenceReader):
     def markings(self) -> Markings:
         """Return the sets of polygons and the joints of the meshes."""
         skinned = any(shape.skin is not None for shape in self._shapes)
-        skinning = joined_skinning([_skinning(shape) for shape in self._shapes]) if skinned else None
+        skinning = concatenate_skinning([_skinning(shape) for shape in self._shapes]) if skinned else None
         return replace(super().markings(), skinning=skinning)
 
     def _read(self, what: str, size: int) -> Iterator[FloatArray]:

@@ -64,7 +64,7 @@ VAT_EXTENSION = ".vat"
 TextureName = Literal["png16", "exr"]
 TEXTURES: tuple[TextureName, ...] = get_args(TextureName)
 
-OWN = {
+VAT_FILE_NAMES = {
     *("vat.json", "mesh.glb", *SHADERS),
     *(f"{name}.{suffix}" for name in ("points", "normals", "coefficients") for suffix in ("png", "exr")),
 }
@@ -148,7 +148,7 @@ def write_vat(
     else:
         textures, report = _bounded(sequence, frames, texels, kind, max_error, progress)
     texels.add_vertices(np.asarray(sequence.points[0]), len(textures.images["points"].pixels) // texels.rows)
-    with replacing_folder(folder, OWN) as temporary:
+    with replacing_folder(folder, VAT_FILE_NAMES) as temporary:
         report = replace(report, file_bytes=sum(_write_images(temporary, textures, texture)))
         mesh = temporary / "mesh.glb"
         with open_buffer_writer(mesh, mesh, texels.layout):
