@@ -24,7 +24,7 @@ from mixseq.runtime.progress import Progress, silent
 from mixseq.runtime.public import public
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames, check_frames
-from mixseq.signals.decoding import FRAMES
+from mixseq.signals.decoding import FRAMES_PER_BLOCK
 from mixseq.signals.model import Model
 from mixseq.types import FloatArray, PathLike
 from mixseq_io.coded.streams import Container, decoded, read_index, sequence_of
@@ -180,7 +180,7 @@ class _Checked:
         """Everything but the points."""
         return self.model.header
 
-    def blocks(self, size: int = FRAMES) -> Iterator[FloatArray]:
+    def blocks(self, size: int = FRAMES_PER_BLOCK) -> Iterator[FloatArray]:
         """Decode all frames in blocks ``(B, V, 3)``."""
         first = 0
         for block in self.model.blocks(self.model.times, size, progress=self.progress):
@@ -197,7 +197,7 @@ def _errors(original: Frames, frames: _Checked, renumbering: Renumbering) -> dic
     squares = variation = worst = 0.0
     first, where = 0, (0, 0)
     unit = Diagonal(0.0, 0)
-    for x, y in paired_blocks(original, frames, FRAMES):
+    for x, y in paired_blocks(original, frames, FRAMES_PER_BLOCK):
         if first == 0:
             unit = Diagonal.of(x[0])
         with np.errstate(over="ignore"):  # overflow counts as an infinite distance

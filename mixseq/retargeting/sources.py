@@ -76,8 +76,8 @@ def source_motion(
 ) -> SourceMotion:
     """Prepare a motion as the source of transfers."""
     if isinstance(source, Model):
-        if parts is None and source.space.decomposed:
-            parts = source.space.decomposed.part_of_face
+        if parts is None and source.space.segmentation:
+            parts = source.space.segmentation.part_of_face
         frames = frame_store(_Sampled(source), progress)
     else:
         check_frames(source)
