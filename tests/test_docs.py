@@ -27,7 +27,7 @@ from mixseq import operations
 from mixseq.cli import main
 from mixseq.cli.formats import as_markdown
 from mixseq.cli.options import Setting
-from mixseq.compression.bitstream.compressed_sequence import BetweenFrames, CodingParameters
+from mixseq.compression.bitstream.compressed_sequence import CodingParameters, TemporalInterpolation
 from mixseq.creature import walk_cycle
 from mixseq.operations.script import OPERATIONS, Readers, read_script
 from mixseq.segmentation.motion import MotionSettings
@@ -38,7 +38,7 @@ from mixseq.spaces.edge import EdgeSettings
 from mixseq.spaces.mixed.mixed_space import Projection
 from mixseq.spaces.vertex import BasisSpace
 from mixseq_io import FORMATS
-from mixseq_io.registry import capabilities, motions
+from mixseq_io.registry import capability_table, motion_table
 from mixseq_io.surfaces import SURFACE_ARRAY_NAMES
 from scripts.paper_study.main import STAGES
 from tests import given
@@ -335,7 +335,7 @@ def test_formats_are_complete() -> None:
 
 
 def test_table_of_formats_is_that_of_the_code() -> None:
-    for table in (capabilities(), motions()):
+    for table in (capability_table(), motion_table()):
         assert as_markdown(table) in page("docs/formats.md"), "run `mixseq formats --markdown`"
 
 
@@ -378,7 +378,9 @@ def test_constants_of_the_specification_are_those_of_the_code() -> None:
 
 def test_specification_has_every_parameter_of_the_coding() -> None:
     explained = {name for row in rows("docs/file-format.md") for name in re.findall(r"^\*(\w+)\*$", row[0])}
-    assert explained == {field.name for each in (CodingParameters, BetweenFrames) for field in fields(each)}
+    assert explained == {
+        field.name for each in (CodingParameters, TemporalInterpolation) for field in fields(each)
+    }
 
 
 @pytest.fixture(scope="module")

@@ -25,18 +25,18 @@ from mixseq.mesh.polygons import Polygons, reversed_corners
 from mixseq.mesh.surface import CornerValues, FaceSet, Origin
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import IntArray
-from mixseq_io.reader import naming, warn
+from mixseq_io.reader import prefix_errors, warn
 from mixseq_io.scene_meshes import SceneMesh, base_face_set
 from mixseq_io.surfaces import are_valid_indices, ensure_alpha
 from mixseq_io.text.labels import (
-    FAMILY,
-    GROUPS,
-    LABELS,
-    MATERIALS,
+    GROUPS_SOURCE,
+    LABEL_SUBSET_FAMILY,
+    LABELS_SOURCE,
+    MATERIALS_SOURCE,
     Markings,
     Skinning,
-    joined_skinning,
-    sets_of,
+    concatenate_skinning,
+    group_face_sets,
 )
 from mixseq_io.usd.motion import AnimatedMesh
 from mixseq_io.usd.stage import (
@@ -48,9 +48,9 @@ from mixseq_io.usd.stage import (
     is_prim_path,
     lineage,
     open_stage,
-    reading_usd,
     reference_to,
     shortened,
+    translate_usd_read_errors,
 )
 
 _UV_READERS = {
@@ -96,7 +96,7 @@ def is_gone(origin: Origin | None) -> bool:
 def _networks(origin: Path, materials: Iterable[str]) -> Sdf.Layer | None:
     """Return a layer with the materials only; None if the file is missing."""
     try:
-        with reading_usd(origin):
+        with translate_usd_read_errors(origin):
             whole = open_stage(origin)
     except FormatError:
         return None
@@ -166,10 +166,12 @@ def markings_of(header: SequenceHeader, meshes: Sequence[AnimatedMesh]) -> Marki
     """Return the families of subsets and the joints of a stage's meshes."""
     polygons = [_polygons_in_file(animated) for animated in meshes]
     skinned = any(animated.mover.skin and animated.mover.skin.has_joints for animated in meshes)
-    materials = {source: sets for source, sets in sets_of(header).items() if source == MATERIALS}
+    materials = {
+        source: sets for source, sets in group_face_sets(header).items() if source == MATERIALS_SOURCE
+    }
     return Markings(
         sets=_families(meshes, polygons) | materials,
-        skinning=joined_skinning([_skinning(animated) for animated in meshes]) if skinned else None,
+        skinning=concatenate_skinning([_skinning(animated) for animated in meshes]) if skinned else None,
     )
 
 
@@ -192,8 +194,8 @@ def _families(meshes: Sequence[AnimatedMesh], polygons: Sequence[Polygons]) -> d
             faces = faces[(faces >= 0) & (faces < len(own.counts))]
             number = subset.GetPrim().GetCustomDataByKey(NUMBER)
             face_set = FaceSet(display_name(subset.GetPrim()), faces + first)
-            family = str(subset.GetFamilyNameAttr().Get() or GROUPS)
-            source = LABELS if family == FAMILY else family
+            family = str(subset.GetFamilyNameAttr().Get() or GROUPS_SOURCE)
+            source = LABELS_SOURCE if family == LABEL_SUBSET_FAMILY else family
             found.setdefault(source, []).append((number if isinstance(number, int) else 0, face_set))
         first += len(own.counts)
     return {
@@ -254,7 +256,7 @@ class Parts:
     names: Sequence[str]
 
 
-def define_parts(layer: Sdf.Layer, meshes: Sequence[str], parts: Parts) -> None:
+def write_parts(layer: Sdf.Layer, meshes: Sequence[str], parts: Parts) -> None:
     """Author a subset for every part of every mesh, in place of earlier ones."""
     stage = Usd.Stage.Open(layer)
     for path, of_polygon in zip(meshes, parts.of_polygon, strict=True):
@@ -262,7 +264,7 @@ def define_parts(layer: Sdf.Layer, meshes: Sequence[str], parts: Parts) -> None:
 
 
 def _define(mesh: UsdGeom.Mesh, of_polygon: IntArray, names: Sequence[str]) -> None:
-    old = {each.GetPrim().GetName() for each in UsdGeom.Subset.GetGeomSubsets(mesh, "", FAMILY)}
+    old = {each.GetPrim().GetName() for each in UsdGeom.Subset.GetGeomSubsets(mesh, "", LABEL_SUBSET_FAMILY)}
     others = mesh.GetPrim().GetFilteredChildren(Usd.TraverseInstanceProxies(Usd.PrimAllPrimsPredicate))
     kept = {name for each in others if (name := each.GetName()) not in old}
     free = Identifiers(*kept)
@@ -271,7 +273,7 @@ def _define(mesh: UsdGeom.Mesh, of_polygon: IntArray, names: Sequence[str]) -> N
         kept.add(name)
         faces = np.flatnonzero(of_polygon == part).astype(np.int32)
         subset = UsdGeom.Subset.CreateGeomSubset(
-            mesh, name, UsdGeom.Tokens.face, Vt.IntArrayFromBuffer(faces), FAMILY
+            mesh, name, UsdGeom.Tokens.face, Vt.IntArrayFromBuffer(faces), LABEL_SUBSET_FAMILY
         )
         prim = subset.GetPrim()
         prim.SetCustomDataByKey(NUMBER, part)
@@ -279,7 +281,7 @@ def _define(mesh: UsdGeom.Mesh, of_polygon: IntArray, names: Sequence[str]) -> N
             prim.SetDisplayName(names[part])
     for name in old.difference(kept):
         mesh.GetPrim().GetChild(name).SetActive(False)
-    UsdGeom.Subset.SetFamilyType(mesh, FAMILY, UsdGeom.Tokens.partition)
+    UsdGeom.Subset.SetFamilyType(mesh, LABEL_SUBSET_FAMILY, UsdGeom.Tokens.partition)
 
 
 _UV_TYPES = (
@@ -306,7 +308,7 @@ def scene_mesh_of(
     """Return a mesh as in the first frame, faces counter-clockwise from outside in world space: codes ``(T,)``."""
     mesh, code = animated.mesh, Usd.TimeCode(animated.start)
     path = str(mesh.GetPath())
-    with naming(path):
+    with prefix_errors(path):
         polygons = _polygons(animated, codes)
     scheme = str(mesh.GetSubdivisionSchemeAttr().Get())
     if mesh.GetHoleIndicesAttr().Get(code):

@@ -15,8 +15,9 @@ A vector, in diagonals and radians, is
 
 P_m poses the vertices by the part poses that agree best with poses and relations, then moves those of joints
 (`mixseq.spaces.mixed.joint_projection`). Between far poses relaxation steps over the whole mesh follow
-(`mixseq.shells.shell`). With the free placement P_m finds the poses of parts from lengths and angles (`mixseq.spaces.mixed.assembly`). All is
-exact at the frames, and, except for these steps, analytic, with a derivative by a complex step.
+(`mixseq.shells.shell`). With the free placement P_m finds the poses of parts from lengths and angles
+(`mixseq.spaces.mixed.assembly`). All is exact at the frames, and, except for these steps, analytic, with a derivative
+by a complex step.
 """
 
 from __future__ import annotations
