@@ -41,21 +41,21 @@ from mixseq.operations import (
     swap_key,
     transition,
 )
-from mixseq.pictures.charts import FAINT, LINES, chart_style, draw_embedding, new_page
-from mixseq.pictures.colours import CLAY, INK, JOINT_RED, segmentation_colours
+from mixseq.pictures.charts import FAINT_COLOUR, LINE_COLOURS, chart_style, draw_embedding, new_page
+from mixseq.pictures.colours import CLAY_COLOUR, INK_COLOUR, JOINT_RED, segmentation_colours
 from mixseq.pictures.models import plot_model
-from mixseq.pictures.page import Sheet, draw_mesh, matplotlib_module
+from mixseq.pictures.page import Sheet, draw_mesh, import_matplotlib
 from mixseq.pictures.raster import area_normals
 from mixseq.pictures.scene import shared_limits as limits_of
 from mixseq.pictures.scene import three_quarter_view
 from mixseq.pictures.sheets import (
     contact_sheet,
     draw_segmentation,
-    height_per_width,
+    opposite_views,
     transfer_sheet,
-    two_sides,
+    views_aspect,
 )
-from mixseq.retargeting.transfer import Transfer, plan
+from mixseq.retargeting.transfer import Transfer, TransferSettings, plan_transfer
 from mixseq.segmentation.methods import METHODS
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
@@ -110,17 +110,17 @@ def moving(path: Path) -> None:
     times = np.arange(2 * FPS) / (2 * FPS)
     slow = model.sample(times)
     columns = {
-        "animation, 12 frames per second": (cycle.points[(times * 12).astype(int)], CLAY),
+        "animation, 12 frames per second": (cycle.points[(times * 12).astype(int)], CLAY_COLOUR),
         "model, at any time": (slow.points, segmentation_colours(*labels_of(model))),
-        "on another body": (mixseq.transfer(slow, long_legs()).points, CLAY),
+        "on another body": (mixseq.transfer(slow, long_legs()).points, CLAY_COLOUR),
     }
     view, limits, ground = camera([points for points, _ in columns.values()])
     frames = []
     for frame in range(len(times)):
-        page = Sheet.of(1, len(columns), (limits[3] - limits[2]) / (limits[1] - limits[0]), "")
+        page = Sheet.from_grid(1, len(columns), (limits[3] - limits[2]) / (limits[1] - limits[0]), "")
         for ax, (title, (poses, colours)) in zip(page.panels[0], columns.items(), strict=True):
             draw_mesh(ax, poses[frame], cycle.faces, colours, "Y", view, limits, ground)
-            ax.set_title(title, fontsize=13, color=INK, pad=2)
+            ax.set_title(title, fontsize=13, color=INK_COLOUR, pad=2)
         stream = BytesIO()
         page.save(stream)
         picture = Image.open(stream).convert("RGB")
@@ -150,14 +150,14 @@ def segmentations(path: Path) -> None:
 
 def from_two_sides(path: Path, walk: mixseq.MeshSequence, columns: Mapping[str, tuple[Index, Index]]) -> None:
     """Draw the first frame in every column with its parts and joints, both sides below each other."""
-    sides = two_sides(walk.points[:1])
-    page = Sheet.of(2, len(columns), height_per_width(sides), "")
+    sides = opposite_views(walk.points[:1])
+    page = Sheet.from_grid(2, len(columns), views_aspect(sides), "")
     for number, (title, labels) in enumerate(columns.items()):
         for row, (view, limits) in zip(page.panels, sides[0], strict=True):
             draw_mesh(
                 row[number], walk.points[0], walk.faces, segmentation_colours(*labels), "Y", view, limits
             )
-        page.panels[0][number].set_title(title, fontsize=10, color=INK, pad=2)
+        page.panels[0][number].set_title(title, fontsize=10, color=INK_COLOUR, pad=2)
     stream = BytesIO()
     page.save(stream)
     save(stream, path, SHEET_WIDTH, 256)
@@ -172,24 +172,24 @@ def coding(path: Path) -> None:
     points, faces = walk.points[0], walk.faces
     low, high = (0.16, 0.38, 0.58), (0.80, 0.48, 0.10)
     view, limits, _ = camera([walk.points[:1]])
-    page = Sheet.of(2, 4, (limits[3] - limits[2]) / (limits[1] - limits[0]), "", left=0.9)
+    page = Sheet.from_grid(2, 4, (limits[3] - limits[2]) / (limits[1] - limits[0]), "", left=0.9)
     page.label_row(0, "coarse\nto fine")
     page.label_row(1, "basis\nvectors")
-    screen = points @ view.rows.T
+    screen = points @ view.rotation.T
     front = np.zeros(len(points), dtype=bool)
     front[faces[area_normals(screen, faces)[:, 2] > 0]] = True
     for ax, count in zip(page.panels[0], (20, 100, 500, 2500), strict=True):
-        draw_mesh(ax, points, faces, CLAY, "Y", view, limits)
+        draw_mesh(ax, points, faces, CLAY_COLOUR, "Y", view, limits)
         known = graph.order[: next(batch.stop for batch in graph.batches if batch.stop >= count)]
         dots = screen[known[front[known]], :2].T
         ax.plot(*dots, "o", color=low, ms=14 / len(known) ** 0.25, mew=0, zorder=4)
-        ax.set_title(f"the first {len(known)} vertices", fontsize=9, color=INK, pad=2)
+        ax.set_title(f"the first {len(known)} vertices", fontsize=9, color=INK_COLOUR, pad=2)
     for ax, number in zip(page.panels[1], (0, 2, 5, 14), strict=True):
         value = vectors[number][faces].mean(axis=1)
         share = np.clip(value / np.percentile(np.abs(value), 98), -1, 1)[:, None]
         ends = np.where(share > 0, high, low)
         draw_mesh(ax, points, faces, (1 - np.abs(share)) * 0.93 + np.abs(share) * ends, "Y", view, limits)
-        ax.set_title(f"$b_{{{number + 1}}}$", fontsize=9, color=INK, pad=2)
+        ax.set_title(f"$b_{{{number + 1}}}$", fontsize=9, color=INK_COLOUR, pad=2)
     stream = BytesIO()
     page.save(stream)
     save(stream, path, SHEET_WIDTH, 256)
@@ -341,7 +341,7 @@ def sketched(path: Path) -> None:
     drawn = sketch(walk, circle, duration=1.0)
     times = np.arange(6) / 6
     with chart_style():
-        figure = matplotlib_module("figure").Figure(figsize=(12, 4.6))
+        figure = import_matplotlib("figure").Figure(figsize=(12, 4.6))
         ax = figure.add_axes((0.06, 0.12, 0.38, 0.78))
         draw_embedding(ax, walk, [])
         ax.set_title("Layout of the walk; the drawn curve in red")
@@ -356,8 +356,8 @@ def sketched(path: Path) -> None:
                 text, place, offset, textcoords="offset points", color=JOINT_RED, ha="center", va="center"
             )
             panel = figure.add_axes((0.54 + 0.153 * (number % 3), 0.5 - 0.47 * (number // 3), 0.15, 0.45))
-            draw_mesh(panel, drawn(time), drawn.header.faces, CLAY, "Y", view, limits, ground)
-            panel.set_title(text, fontsize=9, color=INK)
+            draw_mesh(panel, drawn(time), drawn.header.faces, CLAY_COLOUR, "Y", view, limits, ground)
+            panel.set_title(text, fontsize=9, color=INK_COLOUR)
         page = BytesIO()
         figure.savefig(page, format="png", dpi=150)
     save(page, path, SHEET_WIDTH, 256)
@@ -368,7 +368,7 @@ def sketched(path: Path) -> None:
 
 def transfer_fox(path: Path) -> None:
     """The walk on long legs."""
-    made = plan(walk_cycle(frames=FPS, fps=FPS), long_legs())
+    made = plan_transfer(walk_cycle(frames=FPS, fps=FPS), long_legs())
     frames = evenly(FPS, 5)[1:]
     page, points = BytesIO(), np.concatenate(list(made.blocks()))
     transfer_sheet(page, made, frames, points[list(frames)], "The walk of the fox, on long legs")
@@ -399,16 +399,20 @@ def contacts(path: Path) -> None:
         for where in ("fore", "hind")
         for side in ("left", "right")
     }
-    free, planted = plan(walk, long_legs()), plan(walk, long_legs(), contacts=feet)
+    free, planted = (
+        plan_transfer(walk, long_legs(), TransferSettings(contacts=given)) for given in (None, feet)
+    )
     with chart_style():
         figure = new_page(12, 2.9, "")
         panels = figure.subplots(1, len(feet), sharey=True)
         for ax, group in zip(panels, planted.contacts.groups, strict=True):
             for stance in group.stances:
-                ax.axvspan(stance.start / FPS, (stance.stop - 1) / FPS, color=FAINT, alpha=0.35, linewidth=0)
+                ax.axvspan(
+                    stance.start / FPS, (stance.stop - 1) / FPS, color=FAINT_COLOUR, alpha=0.35, linewidth=0
+                )
             for made, colour, label in (
-                (free, LINES[1], "without contacts"),
-                (planted, LINES[0], "with contacts"),
+                (free, LINE_COLOURS[1], "without contacts"),
+                (planted, LINE_COLOURS[0], "with contacts"),
             ):
                 middle = middles(made, feet[group.name])
                 speeds = FPS * np.linalg.norm(np.diff(middle, axis=0), axis=1)
@@ -493,19 +497,19 @@ def sheet(path: Path, rows: Mapping[str, Model], times: Float, against: Model | 
     }
     view, limits, ground = camera([points[None] for points in poses.values()])
     aspect = (limits[3] - limits[2]) / (limits[1] - limits[0])
-    page = Sheet.of(len(rows), len(times), aspect, "", left=1.4)
+    page = Sheet.from_grid(len(rows), len(times), aspect, "", left=1.4)
     faces = next(iter(rows.values())).header.faces
     for number, label in enumerate(rows):
         page.label_row(number, label)
     for (row, column), points in poses.items():
-        ax, colours = page.panels[row][column], np.tile(CLAY, (len(faces), 1))
+        ax, colours = page.panels[row][column], np.tile(CLAY_COLOUR, (len(faces), 1))
         if against is not None and row:
             off = np.linalg.norm(points - against(times[column]), axis=1)[faces].mean(axis=1)
             share = np.clip(off / 0.05, 0, 1)[:, None]
             colours = (1 - share) * colours + share * np.array(JOINT_RED)
         draw_mesh(ax, points, faces, colours, "Y", view, limits, ground)
     for column, time in enumerate(times):
-        page.panels[0][column].set_title(f"{time:.3g} s", fontsize=9, color=INK, pad=2)
+        page.panels[0][column].set_title(f"{time:.3g} s", fontsize=9, color=INK_COLOUR, pad=2)
     stream = BytesIO()
     page.save(stream)
     save(stream, path, SHEET_WIDTH, COLOURS)

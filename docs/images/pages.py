@@ -17,7 +17,7 @@ from mixseq.creature import walk_cycle
 from mixseq.pictures.colours import SceneColours
 from mixseq.pictures.scene import Scene, SceneItem
 from mixseq.signals.model import Model
-from mixseq.viewer.live.viewer import ViewSettings, viewer
+from mixseq.viewer.live.viewer import ViewSettings, run_viewer
 
 HERE = Path(__file__).parent
 SIZE = {"width": 1280, "height": 800}
@@ -36,7 +36,7 @@ def main() -> None:
     with TemporaryDirectory() as folder, sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=ARGUMENTS)
         settings = ViewSettings(folder=Path(folder))
-        with viewer(SceneColours(Scene((SceneItem("walk.h5", model),))), settings, save_model) as running:
+        with run_viewer(SceneColours(Scene((SceneItem("walk.h5", model),))), settings, save_model) as running:
             take_viewer(browser.new_page(viewport=SIZE), running.address)
         mixseq.save(Path(folder, "walk.h5"), model)
         exported = str(Path(folder, "walk.html"))

@@ -13,7 +13,7 @@ from mixseq.runtime.public import public
 from mixseq.types import FloatArray, PathLike
 from mixseq_io.files import check_memory, memory_limit
 from mixseq_io.format import HDF5_SIGNATURE
-from mixseq_io.hdf5.contents import MODEL_FORMAT, read_attributes, read_contents, reading_h5
+from mixseq_io.hdf5.contents import MODEL_FORMAT, read_attributes, read_contents, translate_h5_errors
 from mixseq_io.reader import SequenceReader
 
 if TYPE_CHECKING:
@@ -63,10 +63,10 @@ def load(path: PathLike, *, max_memory: float | None = None) -> Model:
 
 
 def _load_glb(source: Path) -> Model:
-    from mixseq_io.coded.streams import decoded, sequence_of
+    from mixseq_io.coded.streams import decode_model, read_sequence
     from mixseq_io.gltf.mesh_sequence import read_container
 
-    return decoded(source, sequence_of(source, read_container(source)))
+    return decode_model(source, read_sequence(source, read_container(source)))
 
 
 def _load_h5(source: Path) -> Model:
@@ -83,12 +83,12 @@ def _load_h5(source: Path) -> Model:
         raise FormatError(
             f"{source} is an HDF5 file, but not a mixseq model (format = {file.kind!r}); make one with mixseq encode"
         )
-    with reading_h5(source):
+    with translate_h5_errors(source):
         if "coding" in file.attrs:
-            from mixseq_io.coded.streams import decoded, sequence_of
+            from mixseq_io.coded.streams import decode_model, read_sequence
             from mixseq_io.hdf5.coded_files import container_of
 
-            return decoded(source, sequence_of(source, container_of(source, file)))
+            return decode_model(source, read_sequence(source, container_of(source, file)))
         from mixseq_io.hdf5.models import read_model
 
         return read_model(source, file)
@@ -103,10 +103,10 @@ class ModelReader(SequenceReader):
     """Reader that decodes the frames of a model on demand."""
 
     def __init__(self, path: Path) -> None:
-        from mixseq.signals.decoding import FRAMES
+        from mixseq.signals.decoding import FRAMES_PER_BLOCK
 
         self._model = load(path)
-        self._most = FRAMES
+        self._most = FRAMES_PER_BLOCK
         super().__init__(path, self._model.header)
 
     def _read(self, what: str, size: int) -> Iterator[FloatArray]:

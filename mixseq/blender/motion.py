@@ -105,14 +105,14 @@ def seconds(frame: float, frame_offset: float, fps: float) -> float:
 
 
 @dataclass(frozen=True)
-class Placing:
+class Placement:
     """The placing of a model in a scene."""
 
     up_axis: str
     scale: float
 
     @classmethod
-    def as_told(cls, header: SequenceHeader) -> Placing:
+    def from_header(cls, header: SequenceHeader) -> Placement:
         """Return the placing given by a model's header, in metres."""
         return cls(header.up_axis, header.metres_per_unit)
 
@@ -127,7 +127,7 @@ class Motion:
     """A placed model. Two are equal if model and placing are."""
 
     model: Model
-    placing: Placing
+    placing: Placement
 
     @cached_property
     def _conversion(self) -> UnitConversion:
@@ -161,7 +161,7 @@ def part_names(header: SequenceHeader) -> list[str]:
     return [each.path or each.name for each in header.objects] if len(header.objects) > 1 else [""]
 
 
-def fitting(model: Model, points: Float, frames: int = 9) -> tuple[str, Placing]:
+def fitting(model: Model, points: Float, frames: int = 9) -> tuple[str, Placement]:
     """Return the part of a model with a mesh's points ``(V, 3)``, and the placing that moves some frame onto them."""
     header = model.header
     names = ["", *part_names(header)]
@@ -172,13 +172,13 @@ def fitting(model: Model, points: Float, frames: int = 9) -> tuple[str, Placing]
         raise SettingsError(
             f"the mesh has {len(points):,} vertices, the model {counts}; import it as a new object"
         )
-    told = Placing.as_told(header)
+    told = Placement.from_header(header)
     ups, scales = dict.fromkeys((told.up_axis, BLENDERS_UP)), dict.fromkeys((told.scale, 1.0))
-    placings = [Placing(up, scale) for up, scale in product(ups, scales)]
+    placings = [Placement(up, scale) for up, scale in product(ups, scales)]
     chosen = np.unique(np.linspace(0, len(model.times) - 1, frames).astype(int))
     poses = [model(time) for time in model.times[chosen]]
 
-    def distance(candidate: tuple[str, Placing]) -> float:
+    def distance(candidate: tuple[str, Placement]) -> float:
         name, placing = candidate
         turned = placing.conversion(header).values
         return min(float(np.abs(turned(pose[vertices[name]]) - points).max()) for pose in poses)

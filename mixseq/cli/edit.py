@@ -83,7 +83,7 @@ def command(
     sketch and swap_key; their settings are the parameters of these functions in mixseq.operations. Paths in a script
     are relative to it, and lead to its folder or those below.
     """
-    from mixseq.operations.script import RETIMING, Readers, read_script
+    from mixseq.operations.script import RETIMING_OPERATIONS, Readers, read_script
 
     as_model = target.suffix.lower() in MODEL_EXTENSIONS
     if as_model:
@@ -123,7 +123,7 @@ def command(
             mixseq.save(target, model)
         else:
             header = model.header_at(fps=fps)
-            retimed = any(edit.operation in RETIMING for edit in edits)
+            retimed = any(edit.operation in RETIMING_OPERATIONS for edit in edits)
             sources = [math.nan] * header.frame_count if retimed else None
             write_frames(target, model, header, velocities, writing, progress, work, sources)
     if not quiet:
@@ -134,14 +134,14 @@ def command(
 def _write_travel(path: Path, model: Model, edit: Edit) -> None:
     """Write the distance that a body has travelled at every frame, before an edit removes it."""
     from mixseq.operations import travel_of
-    from mixseq_io.files import replacing
+    from mixseq_io.files import atomic_file
 
     places = travel_of(model, **edit.arguments)(model.times)
     rows = (
         ",".join(f"{number:.9g}" for number in (time, *place))
         for time, place in zip(model.times, places, strict=True)
     )
-    with replacing(path) as file:
+    with atomic_file(path) as file:
         file.write_text("\n".join(["seconds,x,y,z", *rows, ""]), encoding="utf-8")
 
 

@@ -30,15 +30,17 @@ from mixseq.cli.files import (
     write_frames,
 )
 from mixseq.cli.group import announce, needed, progress_bar, say
+from mixseq.cli.lengths import in_diagonals
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
 from mixseq.runtime.interrupts import answered
 from mixseq.runtime.progress import Progress, silent
 
 if TYPE_CHECKING:
     from mixseq.pictures.colours import SceneColours
+    from mixseq.pictures.scene import SceneItem
     from mixseq.retargeting.markers import Markers
     from mixseq.runtime.parallel import Executor
-    from mixseq.sequence.sequence import MeshSequence
+    from mixseq.sequence.sequence import LazyFrames, MeshSequence
     from mixseq.signals.model import Model
     from mixseq.viewer.live.marking import MarkedMeshes
 
@@ -101,11 +103,10 @@ if TYPE_CHECKING:
 @options.group(
     "paging",
     options.setting("--every N", type=options.COUNT, help="Of the frames of PAGE, keep every N-th."),
-    options.option(
+    options.length(
         "--max-error E",
-        type=options.POSITIVE,
-        help="No vertex of PAGE is farther off, in diagonals; models that are compressed are taken as they are.  "
-        "[default: 0.001]",
+        help="No vertex of PAGE is farther off than this fraction of the bounding box's diagonal, or 0.5mm; compressed "
+        "models are taken as they are.  [default: 0.001]",
     ),
 )
 @options.reading
@@ -185,7 +186,7 @@ def _opened(
 
     with ExitStack() as stack:
         items, original = scene_items(files, _names(files), against, reading, stack)
-        scene = Scene(tuple(item.stored(progress) for item in items), fps).checked()
+        scene = Scene(tuple(item.with_random_access(progress) for item in items), fps).validated()
         stored = None if original is None else frame_store(original, progress)
     if stored is not None:
         check_original(scene, stored)
@@ -206,10 +207,10 @@ def _run(
 ) -> None:
     """Run the viewer until it is interrupted."""
     from mixseq.runtime.parallel import thread_count
-    from mixseq.viewer.live.viewer import ViewSettings, viewer
+    from mixseq.viewer.live.viewer import ViewSettings, run_viewer
 
     settings = ViewSettings(folder=Path.cwd(), threads=thread_count(), **viewing)
-    with viewer(colours, settings, partial(_save, files)) as running:
+    with run_viewer(colours, settings, partial(_save, files)) as running:
         try:
             _wait(running.address, browser)
         finally:
@@ -249,11 +250,11 @@ def _has_screen() -> bool:
 def _save(sources: Sequence[Path], path: Path, model: Model, replace: bool) -> str:
     """Write an edited model, as a model or as a sequence; return a message with its name and the files it needs."""
     from mixseq.runtime.parallel import on_threads
-    from mixseq_io.numbered.files import files_of_pattern
+    from mixseq_io.numbered.files import find_numbered_files
 
     for source in sources:
         check_target(path, source)
-    if not replace and (path.exists() or any(files_of_pattern(path))):
+    if not replace and (path.exists() or any(find_numbered_files(path))):
         raise OutputError(f"{path.name} exists; give another name, or tick Replace")
     try:
         if path.suffix.lower() in MODEL_EXTENSIONS:
@@ -276,7 +277,7 @@ def _set_markers(
     browser: bool | None,
 ) -> None:
     """Run a viewer for setting markers until it is interrupted; unsaved ones are then written beside the file."""
-    from mixseq.viewer.live.marking import marking_viewer
+    from mixseq.viewer.live.marking import run_marking_viewer
     from mixseq.viewer.live.viewer import ViewSettings
     from mixseq_io.text.markers import write_markers
 
@@ -290,7 +291,7 @@ def _set_markers(
         write_markers(path, markers)
         return f"{len(markers)} markers are in {path.name}, for mixseq transfer --markers"
 
-    with marking_viewer(meshes, ViewSettings(**viewing), save) as running:
+    with run_marking_viewer(meshes, ViewSettings(**viewing), save) as running:
         try:
             _wait(running.address, browser)
         finally:
@@ -306,7 +307,7 @@ def _open_marked_meshes(files: Sequence[Path], path: Path, reading: Mapping[str,
     import numpy as np
 
     from mixseq.mesh.topology import Topology
-    from mixseq.retargeting.checks import check_numbers
+    from mixseq.retargeting.checks import check_marker_vertices
     from mixseq.retargeting.markers import Markers
     from mixseq.viewer.live.marking import MarkedMeshes
     from mixseq_io.registry import FORMATS
@@ -316,11 +317,11 @@ def _open_marked_meshes(files: Sequence[Path], path: Path, reading: Mapping[str,
     check_options(files, reading)
     if path.suffix.lower() in (extension for form in FORMATS for extension in form.extensions):
         raise SettingsError(f"{path}: markers are a text; end the name in .txt, .json or .yml")
-    markers = read_markers(path) if path.exists() else Markers.of(np.zeros((0, 2), np.int64))
+    markers = read_markers(path) if path.exists() else Markers.from_pairs(np.zeros((0, 2), np.int64))
     source, target = (_still(file, reading) for file in files)
     tops = [Topology(mesh.faces, mesh.vertex_count) for mesh in (source, target)]
     try:
-        check_numbers(markers, *tops)
+        check_marker_vertices(markers, *tops)
     except SettingsError as error:
         raise SettingsError(f"{path}: {error}") from None
     names = (files[0].name, files[1].name)
@@ -341,6 +342,13 @@ def _still(path: Path, reading: Mapping[str, Any]) -> MeshSequence:
 # Pages that play on their own -----------------------------------------------------------------------------
 
 
+def _first_frame(item: SceneItem) -> LazyFrames:
+    """Return the first pose of a mesh as a sequence."""
+    from mixseq.sequence.sequence import LazyFrames
+
+    return LazyFrames(item.header, lambda _: iter([item.pose(0.0)[None]]))
+
+
 def _export(
     page: Path,
     colours: SceneColours,
@@ -352,14 +360,17 @@ def _export(
     """Write a page with all meshes."""
     from mixseq.viewer.export import ExportSettings, export_page
     from mixseq.viewer.export_data import page_items
-    from mixseq_io.files import replacing
+    from mixseq_io.files import atomic_file
     from mixseq_io.verification import is_compressed, read_compressed
 
+    # A length is a different fraction of every mesh; the smallest holds for all.
+    bounds = [in_diagonals(settings, _first_frame(item), "max_error") for item in colours.scene.items]
+    bound = min(bounds, key=lambda converted: converted.get("max_error", 0.0))
     items = page_items(
         colours, [read_compressed(file) if is_model(file) and is_compressed(file) else None for file in files]
     )
-    with replacing(page) as temporary:
-        report = export_page(temporary, items, ExportSettings(**settings), progress, workers)
+    with atomic_file(page) as temporary:
+        report = export_page(temporary, items, ExportSettings(**bound), progress, workers)
     announce(page)
     for item in report.items:
         about = f"{item.name}: n" if len(report.items) > 1 else "n"

@@ -20,14 +20,14 @@ def command(out: Path, claim: Claim, quiet: bool) -> None:
     types of both; example.html and player.html, pages with and without three.js; the schema of the glTF extension; and
     a README. "mixseq encode shot.usdz shot.glb --max-error 0.001" makes files for it.
     """
-    from mixseq.web import contents
-    from mixseq_io.files import replacing
+    from mixseq.web import package_files
+    from mixseq_io.files import atomic_file
 
-    files = contents()
+    files = package_files()
     out.mkdir(parents=True, exist_ok=True)
     claim(*(out / name for name in files))
     for name, text in files.items():
-        with replacing(out / name) as temporary:
+        with atomic_file(out / name) as temporary:
             temporary.write_text(text, encoding="utf-8", newline="\n")
     if not quiet:
         announce(out)

@@ -18,12 +18,12 @@ if TYPE_CHECKING:
         singular_values,
     )
     from mixseq.pictures.colours import (
-        CLAY,
-        INK,
+        CLAY_COLOUR,
+        INK_COLOUR,
         JOINT_RED,
         Colouring,
         SceneColours,
-        colourings_of,
+        available_colourings,
         part_colours,
         segmentation_colours,
     )
@@ -43,8 +43,8 @@ if TYPE_CHECKING:
     from mixseq.pictures.sheets import contact_sheet, draw_segmentation
 
 __all__ = [
-    "CLAY",
-    "INK",
+    "CLAY_COLOUR",
+    "INK_COLOUR",
     "JOINT_RED",
     "Camera",
     "Colouring",
@@ -55,7 +55,7 @@ __all__ = [
     "VertexErrors",
     "View",
     "add_error_bar",
-    "colourings_of",
+    "available_colourings",
     "contact_sheet",
     "draw_coefficients",
     "draw_embedding",
@@ -78,7 +78,8 @@ __all__ = [
 
 _NAMES = {
     "charts": "draw_coefficients draw_embedding draw_singular_values singular_values",
-    "colours": "CLAY INK JOINT_RED Colouring SceneColours colourings_of part_colours segmentation_colours",
+    "colours": "CLAY_COLOUR INK_COLOUR JOINT_RED Colouring SceneColours available_colourings part_colours "
+    "segmentation_colours",
     "film": "FilmSettings film",
     "models": "VertexErrors add_error_bar draw_frame_errors draw_parts draw_parts_legend draw_vertex_errors "
     "plot_model vertex_errors",

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 
 from mixseq.errors import OutputError, SettingsError
-from mixseq.pictures.colours import INK
-from mixseq.pictures.page import DPI, Target, matplotlib_module
+from mixseq.pictures.colours import INK_COLOUR
+from mixseq.pictures.page import DPI, Target, import_matplotlib
 from mixseq.pictures.scene import Limits
 from mixseq.sequence.frame_rates import frames_between, number_at
 from mixseq.signals.model import Model
@@ -76,20 +76,20 @@ def _gaps(middles: Float, size: Float, points: Float) -> Float:
 Format = Literal["png", "svg"]
 FORMATS: tuple[Format, ...] = get_args(Format)
 
-LINES = ("#31688e", "#d08c2c", "#4a9d6e", "#8d5fa8", "#8a8a8a")
+LINE_COLOURS = ("#31688e", "#d08c2c", "#4a9d6e", "#8d5fa8", "#8a8a8a")
 """Colours of lines, different from the red of the joints."""
 
-FAINT = "#b9b6b0"
+FAINT_COLOUR = "#b9b6b0"
 
 _STYLE = {
     "axes.axisbelow": True,
-    "axes.edgecolor": INK,
+    "axes.edgecolor": INK_COLOUR,
     "axes.grid": True,
-    "axes.labelcolor": INK,
+    "axes.labelcolor": INK_COLOUR,
     "axes.labelsize": 9,
     "axes.spines.right": False,
     "axes.spines.top": False,
-    "axes.titlecolor": INK,
+    "axes.titlecolor": INK_COLOUR,
     "axes.titlelocation": "left",
     "axes.titlesize": 11,
     "figure.titlesize": 13,
@@ -97,12 +97,12 @@ _STYLE = {
     "grid.linewidth": 0.6,
     "legend.fontsize": 8,
     "legend.frameon": False,
-    "legend.labelcolor": INK,
+    "legend.labelcolor": INK_COLOUR,
     "svg.hashsalt": "mixseq",  # names of clip paths and the like, by chance without it
-    "text.color": INK,
-    "xtick.color": INK,
+    "text.color": INK_COLOUR,
+    "xtick.color": INK_COLOUR,
     "xtick.labelsize": 8,
-    "ytick.color": INK,
+    "ytick.color": INK_COLOUR,
     "ytick.labelsize": 8,
 }
 
@@ -110,15 +110,15 @@ _STYLE = {
 @contextmanager
 def chart_style() -> Iterator[None]:
     """Set one style inside the block, independent of the user's matplotlib settings."""
-    with matplotlib_module("style").context(["default", _STYLE]), warnings.catch_warnings():
+    with import_matplotlib("style").context(["default", _STYLE]), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)  # names may be in any script
         yield
 
 
 def new_page(width: float, height: float, title: str) -> Figure:
     """Return an empty page of a size in inches, with automatic layout of panels."""
-    engine = matplotlib_module("layout_engine").ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.1)
-    page: Figure = matplotlib_module("figure").Figure(figsize=(width, height), layout=engine)
+    engine = import_matplotlib("layout_engine").ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.1)
+    page: Figure = import_matplotlib("figure").Figure(figsize=(width, height), layout=engine)
     page.suptitle(title, x=0.1 / width, ha="left", parse_math=False)
     return page
 
@@ -187,12 +187,12 @@ def draw_embedding(ax: Axes, model: Model, frames: Sequence[int] | None = None) 
     marked = round_frames(count, MARKED, first) if frames is None else existing_frames(frames, count)
     curve, dots = model.embedding(dense_times(model)), model.embedding(model.times)
     x, y = dots.T
-    ax.plot(*curve.T, color=FAINT, linewidth=1.2, zorder=2)
+    ax.plot(*curve.T, color=FAINT_COLOUR, linewidth=1.2, zorder=2)
     shown = ax.scatter(
         x, y, c=model.times, s=24, cmap="viridis", edgecolors="white", linewidths=0.5, zorder=3
     )
     for frame, marker in ((0, "o"), (count - 1, "s")):
-        ax.plot(*dots[frame], marker, ms=9, mfc="none", mec=INK, mew=1.2, zorder=4)
+        ax.plot(*dots[frame], marker, ms=9, mfc="none", mec=INK_COLOUR, mew=1.2, zorder=4)
 
     left, right, bottom, top = limits = embedding_limits(model)
     ax.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", anchor="N")
@@ -234,8 +234,8 @@ def draw_coefficients(ax: Axes, model: Model) -> None:
     times = dense_times(model)
     knots = model.time.times[(model.time.times >= model.start) & (model.time.times <= model.end)]
     lines, dots = model.time(times)[:, chosen] * units, model.time(knots)[:, chosen] * units
-    ax.axhline(0, color=FAINT, linewidth=0.8)
-    for colour, number, line, dot in zip(LINES, chosen, lines.T, dots.T, strict=False):
+    ax.axhline(0, color=FAINT_COLOUR, linewidth=0.8)
+    for colour, number, line, dot in zip(LINE_COLOURS, chosen, lines.T, dots.T, strict=False):
         ax.plot(times, line, color=colour, linewidth=1.4, label=f"coordinate {number + 1}")
         ax.plot(knots, dot, "o", color=colour, markersize=3)
     time_axis(ax, model.start, model.end, model.header.fps)
@@ -253,12 +253,12 @@ def draw_singular_values(ax: Axes, model: Model) -> None:
         return
     numbers = np.arange(1, len(sizes) + 1)
     rest = np.sqrt(np.cumsum(np.square(sizes[::-1])))[::-1][1:]  # norm of all later modes
-    ax.plot(numbers, sizes, "o-", color=LINES[0], markersize=3.5, linewidth=0.8, label="the mode")
+    ax.plot(numbers, sizes, "o-", color=LINE_COLOURS[0], markersize=3.5, linewidth=0.8, label="the mode")
     if rest.size:
-        ax.plot(numbers[:-1], rest, color=LINES[1], linewidth=1.4, label="all later modes together")
+        ax.plot(numbers[:-1], rest, color=LINE_COLOURS[1], linewidth=1.4, label="all later modes together")
     log_axis(ax, np.concatenate([sizes, rest]))
     ax.set_xlim(0.5, max(len(sizes), 2) + 0.5)
-    ax.xaxis.set_major_locator(matplotlib_module("ticker").MaxNLocator(integer=True, min_n_ticks=1))
+    ax.xaxis.set_major_locator(import_matplotlib("ticker").MaxNLocator(integer=True, min_n_ticks=1))
     whole = float(np.linalg.norm(sizes))
     scale: Scale = (lambda size: 100 * size / whole, lambda percent: percent * whole / 100)
     share = ax.secondary_yaxis("right", functions=scale)

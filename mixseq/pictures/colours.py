@@ -46,9 +46,9 @@ from mixseq.types import Float, FloatArray, Index, IntArray
 
 Bytes = NDArray[np.uint8]
 
-CLAY = (0.80, 0.77, 0.72)
+CLAY_COLOUR = (0.80, 0.77, 0.72)
 JOINT_RED = (0.85, 0.20, 0.13)
-INK = "#3a3a3a"
+INK_COLOUR = "#3a3a3a"
 
 FIRST_HUE, LAST_HUE = 90.0, 330.0
 """Degrees on the OKLCH circle, from straw to mauve, equally far from the red of the joints at 30."""
@@ -298,7 +298,9 @@ class Colouring:
     measure: Numbers | None = None
     top: float = 1.0  # number of the last colour; 0 has the first
     unit: str = ""  # unit of the numbers
-    of_faces: ArrayLike = CLAY  # (3,) RGB in 0..1 of the mesh or of each face, where nothing is measured
+    of_faces: ArrayLike = (
+        CLAY_COLOUR  # (3,) RGB in 0..1 of the mesh or of each face, where nothing is measured
+    )
 
     def __post_init__(self) -> None:
         if (self.fixed is None) == (self.measure is None):
@@ -338,10 +340,10 @@ class Colouring:
 
 def clay(count: int) -> Colouring:
     """Return the uniform colouring of `count` vertices."""
-    return Colouring("clay", _bytes(np.tile(CLAY, (256, 1))), _fixed(np.zeros(count)))
+    return Colouring("clay", _bytes(np.tile(CLAY_COLOUR, (256, 1))), _fixed(np.zeros(count)))
 
 
-def colourings_of(
+def available_colourings(
     header: SequenceHeader,
     rest: FloatArray,
     decomposition: Decomposition | None = None,
@@ -355,7 +357,7 @@ def colourings_of(
         "error": original is not None,
     }
     found: dict[str, Colouring] = {
-        name: colouring_of(name, header, rest, decomposition, original)
+        name: make_colouring(name, header, rest, decomposition, original)
         for name in COLOURS
         if there.get(name, True)
     }
@@ -365,14 +367,14 @@ def colourings_of(
     return {name: each if each.constant else each.scaled(tops[name]) for name, each in found.items()}
 
 
-def colouring_of(
+def make_colouring(
     name: Colour,
     header: SequenceHeader,
     rest: FloatArray,
     decomposition: Decomposition | None = None,
     original: Original | None = None,
 ) -> Colouring:
-    """Return one of `colourings_of`; a scale ends at `LEAST` or above."""
+    """Return one of `available_colourings`; a scale ends at `LEAST` or above."""
     faces, count = header.faces, header.vertex_count
     _check("the pose at rest", rest, count)
     if name == "clay":
@@ -475,10 +477,10 @@ class SceneColours:
         """Return all colourings of a mesh."""
         if index not in self._found:
             item = self.scene.items[index]
-            moments = (self.scene.elapsed(frame) for frame in self.scene.samples(SAMPLES))
+            moments = (self.scene.elapsed(frame) for frame in self.scene.sample_frames(SAMPLES))
             poses = ((elapsed, item.pose(elapsed)) for elapsed in moments)
             original = self._original_of(item)
-            self._found[index] = colourings_of(
+            self._found[index] = available_colourings(
                 item.header, item.pose(0.0), item.decomposition, original, poses
             )
         return self._found[index]

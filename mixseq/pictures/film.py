@@ -17,9 +17,9 @@ from scipy.ndimage import gaussian_filter1d
 
 from mixseq.choices import COLOURS, Colour
 from mixseq.errors import SettingsError
-from mixseq.pictures.colours import INK, Bytes, Colouring, colouring_of, two_digits
+from mixseq.pictures.colours import INK_COLOUR, Bytes, Colouring, make_colouring, two_digits
 from mixseq.pictures.film_encoding import check_film, encode_film, film_format, pillow_module
-from mixseq.pictures.page import matplotlib_module
+from mixseq.pictures.page import import_matplotlib
 from mixseq.pictures.raster import Picture, blank, render_mesh
 from mixseq.pictures.scene import (
     Camera,
@@ -28,10 +28,10 @@ from mixseq.pictures.scene import (
     SceneItem,
     check_starts,
     nearest_frames,
+    resolve_view,
     same_mesh,
-    seen_from,
     shared_limits,
-    y_up,
+    to_y_up,
 )
 from mixseq.runtime.parallel import Executor, on_threads, one_blas_thread
 from mixseq.runtime.progress import Progress, silent
@@ -101,13 +101,13 @@ def film(
     check_film(form, chosen.size, chosen.fps)
     check_shown(shown, chosen, against)
     work = workers or on_threads()
-    items = tuple(item.stored(progress) for item in shown)
+    items = tuple(item.with_random_access(progress) for item in shown)
     scene = Scene(items, chosen.fps, chosen.seconds)
     times, fps = scene.times, scene.fps
     check_film(form, chosen.size, fps)
     original = None
     if against is not None:
-        original = SceneItem("the original", against).stored(progress)
+        original = SceneItem("the original", against).with_random_access(progress)
         check_starts(items, original.header)
         times = original.elapsed[nearest_frames(original.header, times)]
     decoded = [item.decode(times, progress, work) for item in items]
@@ -164,7 +164,7 @@ def _colourings(
             _check_mesh(item, original.header)
     before = None if original is None else original.exact_pose
     return [
-        colouring_of(colour, each.header, each.pose(0), own, before)
+        make_colouring(colour, each.header, each.pose(0), own, before)
         for each, own in zip(decoded, parts, strict=True)
     ]
 
@@ -212,7 +212,7 @@ def _layout(
         panels.append(Panel(item.header, colouring.of_faces, fitted, place))
     if not meaning:
         return Layout(panels, backdrop_of(width, height, places, names))
-    scale = matplotlib_module("cm").ScalarMappable(None, "viridis").get_cmap()
+    scale = import_matplotlib("cm").ScalarMappable(None, "viridis").get_cmap()
     palette = np.asarray(scale(np.arange(256))[:, :3], dtype=np.float64)
     backdrop = backdrop_of(width, height, places, names, palette, colourings[0].top / part, meaning)
     return Layout(panels, backdrop, palette)
@@ -241,18 +241,18 @@ def _camera(items: Sequence[DecodedItem], settings: FilmSettings, fps: float) ->
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for item in items:
         for frame in range(frames) if settings.follow else item.shown_first.tolist():
-            world = y_up(item.pose(frame), item.header.up_axis) - path[frame]
+            world = to_y_up(item.pose(frame), item.header.up_axis) - path[frame]
             low, high = np.minimum(low, world.min(axis=0)), np.maximum(high, world.max(axis=0))
     ground = float(low[1])
     ends = np.stack([first.pose(0), first.pose(frames - 1)])
-    view = seen_from(ends, first.header.up_axis, settings.camera)
+    view = resolve_view(ends, first.header.up_axis, settings.camera)
     camera = Camera(view, settings.turn, path + (low + high) / 2, ground, (0.0, 1.0, 0.0, 1.0))
     limits = []
     for item in items:
         # while the camera turns or follows, every frame is another picture
         for frame in range(frames) if settings.turn or settings.follow else item.shown_first.tolist():
             centre = camera.centres[frame]
-            world = y_up(item.pose(frame), item.header.up_axis) - centre
+            world = to_y_up(item.pose(frame), item.header.up_axis) - centre
             below = np.array([[0, ground - centre[1], 0]])
             limits.append(shared_limits(np.concatenate([world, below]), "Y", camera.at(frame)))
     left, right, bottom, top = zip(*limits, strict=True)
@@ -262,7 +262,10 @@ def _camera(items: Sequence[DecodedItem], settings: FilmSettings, fps: float) ->
 def travel_path(item: DecodedItem, fps: float) -> Float:
     """Return the smoothed path ``(N, 3)`` of a mesh over the ground in a film, Y up, from its first place."""
     middles = np.stack(
-        [y_up(item.pose(frame), item.header.up_axis).mean(axis=0) for frame in range(len(item.pose_of_frame))]
+        [
+            to_y_up(item.pose(frame), item.header.up_axis).mean(axis=0)
+            for frame in range(len(item.pose_of_frame))
+        ]
     )
     middles = (middles - middles[0]) * [1, 0, 1]
     straight = np.linspace(0, 1, len(middles))[:, None] * middles[-1]
@@ -333,7 +336,7 @@ def backdrop_of(
         if name:
             room = columns.stop - columns.start - strip
             middle = (columns.start + columns.stop) / 2
-            draw.text((middle, rows.start - strip / 2), _shortened(name, font, room), INK, font, "mm")
+            draw.text((middle, rows.start - strip / 2), _shortened(name, font, room), INK_COLOUR, font, "mm")
     if palette is not None:
         _draw_bar(image, draw, font, palette, top, meaning)
     return np.array(image)
@@ -350,13 +353,13 @@ def _draw_bar(
     rows = np.broadcast_to(np.rint(255 * bar).astype(np.uint8), (thick, long, 3))
     upper = round(middle - thick / 2)
     image.paste(pillow_module("Image").fromarray(np.ascontiguousarray(rows)), (left, upper))
-    draw.text((left - letters / 2, middle), "0", INK, font, "rm")
-    draw.text((left + long + letters / 2, middle), f"{two_digits(top)} {meaning}", INK, font, "lm")
+    draw.text((left - letters / 2, middle), "0", INK_COLOUR, font, "rm")
+    draw.text((left + long + letters / 2, middle), f"{two_digits(top)} {meaning}", INK_COLOUR, font, "lm")
 
 
 def _font(size: int) -> FreeTypeFont:
     """Return the font of the charts, from matplotlib, with equal layout on all machines."""
-    folder = Path(matplotlib_module("_api").__file__).parents[1] / "mpl-data" / "fonts" / "ttf"
+    folder = Path(import_matplotlib("_api").__file__).parents[1] / "mpl-data" / "fonts" / "ttf"
     fonts = pillow_module("ImageFont")
     font: FreeTypeFont = fonts.truetype(folder / "DejaVuSans.ttf", size, layout_engine=fonts.Layout.BASIC)
     return font
@@ -422,7 +425,7 @@ def draw_moment(layout: Layout, moment: Moment) -> Picture:
         if entries is not None and layout.palette is not None:
             colours, contrast = layout.palette[entries[faces]], HEAT_CONTRAST
         centre = camera.centres[frame]
-        world = y_up(points, panel.header.up_axis) - centre
+        world = to_y_up(points, panel.header.up_axis) - centre
         view = camera.at(frame)
         ground = float(camera.ground - centre[1])
         render_mesh(picture[panel.place], world, faces, view, camera.limits, colours, ground, contrast)

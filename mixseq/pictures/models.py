@@ -16,7 +16,7 @@ from scipy.ndimage import distance_transform_edt
 from mixseq.choices import PICTURES, PictureKind
 from mixseq.errors import SettingsError
 from mixseq.pictures.charts import (
-    LINES,
+    LINE_COLOURS,
     Format,
     chart_style,
     draw_coefficients,
@@ -30,10 +30,10 @@ from mixseq.pictures.charts import (
     save_page,
     time_axis,
 )
-from mixseq.pictures.colours import INK, JOINT_RED, distances, part_colours, segmentation_colours
-from mixseq.pictures.page import Target, draw_mesh, error_map, matplotlib_module
-from mixseq.pictures.scene import Limits, View, aspect_of, seen_from, y_up
-from mixseq.pictures.sheets import height_per_width, two_sides
+from mixseq.pictures.colours import INK_COLOUR, JOINT_RED, distances, part_colours, segmentation_colours
+from mixseq.pictures.page import Target, draw_mesh, error_map, import_matplotlib
+from mixseq.pictures.scene import Limits, View, aspect_ratio, resolve_view, to_y_up
+from mixseq.pictures.sheets import opposite_views, views_aspect
 from mixseq.runtime.progress import Progress, silent
 from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence.frame_rates import frame_text
@@ -99,11 +99,13 @@ def draw_frame_errors(
 ) -> None:
     """Draw the largest and the root mean square error of every frame over time: times ``(T,)``."""
     largest, rms = (np.maximum(values, ROUNDING) for values in (errors.largest, errors.rms))
-    ax.plot(times, largest, "o-", color=LINES[0], markersize=3.5, linewidth=1.2, label="largest")
-    ax.plot(times, rms, "o-", color=LINES[1], markersize=3.5, linewidth=1.2, label="root mean square")
+    ax.plot(times, largest, "o-", color=LINE_COLOURS[0], markersize=3.5, linewidth=1.2, label="largest")
+    ax.plot(times, rms, "o-", color=LINE_COLOURS[1], markersize=3.5, linewidth=1.2, label="root mean square")
     shown = [largest, rms]
     if tolerance is not None:
-        ax.axhline(tolerance, color=INK, linestyle="--", linewidth=1.0, label=f"tolerance, {tolerance:g}")
+        ax.axhline(
+            tolerance, color=INK_COLOUR, linestyle="--", linewidth=1.0, label=f"tolerance, {tolerance:g}"
+        )
         shown.append(np.array([tolerance]))
     worst = errors.worst
     number = f"{worst}" if fps is None else frame_text(times[worst], fps)
@@ -113,7 +115,7 @@ def draw_frame_errors(
         "o",
         ms=9,
         mfc="none",
-        mec=INK,
+        mec=INK_COLOUR,
         clip_on=False,
         label=f"worst frame, {number}",
     )
@@ -138,14 +140,14 @@ def draw_vertex_errors(
     _, *single = rows = drawn_frames(errors, frames)
     values = [errors.by_vertex, *(errors.by_frame[frame] for frame in single)]
     titles = ["largest of all frames", *(_title(errors, original, frame) for frame in single)]
-    sides = two_sides(original.points[rows], original.up_axis, near)
+    sides = opposite_views(original.points[rows], original.up_axis, near)
     for axes, frame, error, title, pair in zip(panels, rows, values, titles, sides, strict=True):
         points, most = original.points[frame], int(error.argmax())
         colours = heat.to_rgba(error[original.faces].max(axis=1))[:, :3]
         for ax, (view, limits) in zip(axes, pair, strict=True):
             draw_mesh(ax, points, original.faces, colours, original.up_axis, view, limits, contrast=0.25)
             ax.set_rasterization_zorder(3)  # in SVG too: thousands of triangles are better pixels
-            screen = y_up(points, original.up_axis) @ view.rows.T
+            screen = to_y_up(points, original.up_axis) @ view.rotation.T
             if not _hidden(most, screen, original.faces):
                 _ring(ax, screen[most])
         axes[0].set_title(f"Error per vertex: {title}\nmost at vertex {most}", fontsize=10)
@@ -163,7 +165,7 @@ def _title(errors: VertexErrors, original: MeshSequence, frame: int) -> str:
 
 
 def _ring(ax: Axes, place: Float) -> None:
-    for colour, width in (("white", 3.5), (INK, 1.5)):
+    for colour, width in (("white", 3.5), (INK_COLOUR, 1.5)):
         ax.plot(place[0], place[1], "o", ms=12, mfc="none", mec=colour, mew=width, zorder=4)
 
 
@@ -200,13 +202,13 @@ def draw_parts(panels: Sequence[Axes], model: Model, points: FloatArray, near: V
     """Draw a pose ``(V, 3)`` from two opposite sides, coloured by part, joints in red, with part numbers."""
     parts, header = model.decomposition, model.header
     colours = segmentation_colours(parts.part_of_face, parts.joint_of_face)
-    path_effects = matplotlib_module("patheffects")
+    path_effects = import_matplotlib("patheffects")
     halo = [path_effects.withStroke(linewidth=2, foreground="white")]
     numbered = np.where(parts.joint_of_face >= 0, -1, parts.part_of_face)
-    for ax, (view, limits) in zip(panels, two_sides(points[None], header.up_axis, near)[0], strict=True):
+    for ax, (view, limits) in zip(panels, opposite_views(points[None], header.up_axis, near)[0], strict=True):
         draw_mesh(ax, points, header.faces, colours, header.up_axis, view, limits)
         ax.set_rasterization_zorder(3)  # in SVG too: thousands of triangles are better pixels
-        screen = y_up(points, header.up_axis) @ view.rows.T
+        screen = to_y_up(points, header.up_axis) @ view.rotation.T
         for part, (x, y) in _number_places(screen, header.faces, numbered, limits).items():
             ax.text(x, y, f"{part}", fontsize=8, ha="center", va="center", path_effects=halo, zorder=4)
     panels[0].set_title("Parts and joints")
@@ -214,7 +216,7 @@ def draw_parts(panels: Sequence[Axes], model: Model, points: FloatArray, near: V
 
 def draw_parts_legend(ax: Axes, parts: Decomposition, columns: int) -> None:
     """List parts with their colours and vertex counts, then joints."""
-    patch = matplotlib_module("patches").Patch
+    patch = import_matplotlib("patches").Patch
     named = _named(parts)
     handles = [
         patch(color=colour, label=f"part {number}: {_count(len(part), 'vertex', 'vertices')}")
@@ -270,15 +272,15 @@ def _number_places(
 
 def _seen_parts(screen: Float, faces: IntArray, part_of_face: IntArray, limits: Limits) -> NDArray[np.int64]:
     """Paint part numbers from back to front: an image, lowest row first, -1 for background."""
-    size = _PIXELS, max(1, round(_PIXELS * aspect_of(limits)))
-    figure = matplotlib_module("figure").Figure(figsize=size, dpi=1, facecolor="black")
-    canvas = matplotlib_module("backends.backend_agg").FigureCanvasAgg(figure)
+    size = _PIXELS, max(1, round(_PIXELS * aspect_ratio(limits)))
+    figure = import_matplotlib("figure").Figure(figsize=size, dpi=1, facecolor="black")
+    canvas = import_matplotlib("backends.backend_agg").FigureCanvasAgg(figure)
     ax = figure.add_axes((0, 0, 1, 1), xlim=limits[:2], ylim=limits[2:])
     ax.set_axis_off()
     order = np.argsort(screen[faces, 2].mean(axis=1), kind="stable")
     codes = (part_of_face[order, None] + 1) >> np.array([16, 8, 0]) & 255  # as red, green and blue
     ax.add_collection(
-        matplotlib_module("collections").PolyCollection(
+        import_matplotlib("collections").PolyCollection(
             screen[faces[order], :2], facecolors=codes / 255, edgecolors="none", antialiaseds=False
         )
     )
@@ -409,14 +411,14 @@ def _content(
             return _coefficients(model)
         case "singular-values":
             return _singular_values(model)
-    near = seen_from(np.stack([model(model.start), model(model.end)]), model.header.up_axis, camera)
+    near = resolve_view(np.stack([model(model.start), model(model.end)]), model.header.up_axis, camera)
     if kind == "parts":
         return _parts(model, near)
     rows = []
     if kind is None:
         charts = arranged(_coefficients(model, 2.7), _singular_values(model, 2.7))
         rows.append(arranged(_embedding(model, frames), charts, beside=True))
-        if model.space.decomposed:
+        if model.space.segmentation:
             rows.append(_parts(model, near, 5.0))
     if against is not None:
         own = kind == "error-vertices" and frames is not None
@@ -434,7 +436,7 @@ def _content(
 
 
 def _embedding(model: Model, frames: Sequence[int] | None) -> Section:
-    height = 4.6 * aspect_of(embedding_limits(model)) + 1.0
+    height = 4.6 * aspect_ratio(embedding_limits(model)) + 1.0
     return Section(6.0, height, lambda page: draw_embedding(page.subplots(), model, frames))
 
 
@@ -482,7 +484,7 @@ def _vertex_errors(
 
 def _picture_height(poses: FloatArray, up_axis: str, near: View, width: float) -> float:
     """Return the height of a mesh picture of a width; tall ones are drawn smaller."""
-    return width * float(np.clip(height_per_width(two_sides(poses, up_axis, near)), 0.3, 0.9))
+    return width * float(np.clip(views_aspect(opposite_views(poses, up_axis, near)), 0.3, 0.9))
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 
 from mixseq.errors import MissingExtraError
 from mixseq.mesh.topology import Topology
-from mixseq.pictures.colours import CLAY, INK
+from mixseq.pictures.colours import CLAY_COLOUR, INK_COLOUR
 from mixseq.pictures.raster import area_normals, ground_shadow, shade, smooth_normals
-from mixseq.pictures.scene import Limits, View, shared_limits, three_quarter_view, y_up
+from mixseq.pictures.scene import Limits, View, shared_limits, three_quarter_view, to_y_up
 from mixseq.types import Float, FloatArray, Index, IntArray
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ class Sheet:
     panels: list[list[Axes]]  # the panels, row by row, without frames
 
     @classmethod
-    def of(
+    def from_grid(
         cls, rows: int, columns: int, aspect: float, title: str, left: float = 0.1, right: float = 0.1
     ) -> Sheet:
         """Lay out a page of panels with a height per width, moderated; margins left and right in inches."""
@@ -47,8 +47,8 @@ class Sheet:
         height = width * float(np.clip(aspect, 0.3, 2.5))
         page = top + rows * (height + GAP) - GAP + BOTTOM
 
-        figure: Figure = matplotlib_module("figure").Figure(figsize=(WIDTH, page), facecolor="white")
-        figure.text(0.1 / WIDTH, 1 - 0.1 / page, title, fontsize=13, color=INK, va="top")
+        figure: Figure = import_matplotlib("figure").Figure(figsize=(WIDTH, page), facecolor="white")
+        figure.text(0.1 / WIDTH, 1 - 0.1 / page, title, fontsize=13, color=INK_COLOUR, va="top")
 
         def panel(row: int, column: int) -> Axes:
             x, y = left + column * width, BOTTOM + (rows - 1 - row) * (height + GAP)
@@ -69,26 +69,26 @@ class Sheet:
             ha="right",
             va="center",
             fontsize=10,
-            color=INK,
+            color=INK_COLOUR,
         )
 
     def add_colour_bar(self, mappable: Any, label: str) -> None:
         """Add a colour bar in scientific notation to the right of the last row."""
-        ticker = matplotlib_module("ticker")
+        ticker = import_matplotlib("ticker")
         box = self.panels[-1][-1].get_position(original=True)
         place = box.x1 + 0.08 / WIDTH, box.y0 + 0.1 * box.height, 0.12 / WIDTH, 0.8 * box.height
         bar = self.figure.colorbar(mappable, cax=self.figure.add_axes(place), ticks=ticker.LinearLocator(3))
         bar.ax.yaxis.set_major_formatter(lambda value, _: f"{value:.1e}" if value else "0")
-        bar.ax.tick_params(labelsize=7, colors=INK, length=2)
+        bar.ax.tick_params(labelsize=7, colors=INK_COLOUR, length=2)
         bar.outline.set_visible(False)
-        bar.set_label(label, fontsize=7, color=INK)
+        bar.set_label(label, fontsize=7, color=INK_COLOUR)
 
     def save(self, target: Target) -> None:
         """Write the PNG without date and version, so that equal pictures are equal files."""
         self.figure.savefig(target, format="png", dpi=DPI, metadata={"Software": None})
 
 
-def matplotlib_module(name: str) -> Any:
+def import_matplotlib(name: str) -> Any:
     """Import a module of matplotlib on first use."""
     try:
         return import_module(f"matplotlib.{name}")
@@ -100,14 +100,14 @@ def matplotlib_module(name: str) -> Any:
 
 def error_map(top: float) -> Any:
     """Return the colours of errors from 0 to `top`, a matplotlib ScalarMappable."""
-    return matplotlib_module("cm").ScalarMappable(matplotlib_module("colors").Normalize(0, top), "viridis")
+    return import_matplotlib("cm").ScalarMappable(import_matplotlib("colors").Normalize(0, top), "viridis")
 
 
 def draw_mesh(
     ax: Axes,
     points: FloatArray,
     faces: IntArray,
-    colours: ArrayLike = CLAY,
+    colours: ArrayLike = CLAY_COLOUR,
     up_axis: str = "Y",
     view: View | None = None,
     limits: Limits | None = None,
@@ -139,18 +139,18 @@ def draw_mesh(
     """
     view = view or three_quarter_view(points, up_axis)
     limits = limits or shared_limits(points, up_axis, view)
-    world = y_up(points, up_axis)
+    world = to_y_up(points, up_axis)
     floor = float(world[:, 1].min()) if ground is None else ground
     shadow = ground_shadow(world, faces, floor, view, limits)
     ax.imshow(shadow, extent=limits, origin="lower", interpolation="bilinear", zorder=1)
 
-    screen = world @ view.rows.T
+    screen = world @ view.rotation.T
     normals = area_normals(screen, faces)
     order = _back_to_front(screen, faces, normals)
     to_camera = np.where(normals[:, 2:] < 0, -1, 1)
     rgb = np.broadcast_to(np.asarray(colours, dtype=np.float64), (len(faces), 3))
     lit = shade(rgb, to_camera * smooth_normals(normals, faces, len(points)), contrast)[order]
-    polygons = matplotlib_module("collections").PolyCollection(
+    polygons = import_matplotlib("collections").PolyCollection(
         screen[faces[order], :2], facecolors=lit, edgecolors=lit, linewidths=0.25, zorder=2
     )
     ax.add_collection(polygons, autolim=False)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
-from mixseq.pictures.colours import CLAY, Bytes
+from mixseq.pictures.colours import CLAY_COLOUR, Bytes
 from mixseq.pictures.scene import Limits, View
 from mixseq.runtime.jit import compiled
 from mixseq.sequence.sequence import bounding_diagonal
@@ -177,7 +177,7 @@ def ground_shadow(world: Float, faces: IntArray, floor: float, view: View, limit
     centre = world[faces].mean(axis=1)
     dark = 0.25 + np.exp((floor - centre[:, 1]) / (0.05 * size))
     area = np.abs(area_normals(world, faces)[:, 1]) / 4  # half of it faces down
-    spot = (centre * [1, 0, 1] + [0, floor, 0]) @ view.rows.T
+    spot = (centre * [1, 0, 1] + [0, floor, 0]) @ view.rotation.T
     cover = np.histogram2d(
         spot[:, 1], spot[:, 0], bins=shape, range=[[bottom, top], [left, right]], weights=area * dark
     )[0]
@@ -213,7 +213,7 @@ def render_mesh(
     faces: IntArray,
     view: View,
     limits: Limits,
-    colours: ArrayLike = CLAY,
+    colours: ArrayLike = CLAY_COLOUR,
     ground: float | None = None,
     contrast: float = 1.0,
 ) -> None:
@@ -230,7 +230,7 @@ def render_mesh(
 
     x, y, z = world.T
     # summed in a fixed order
-    screen = np.stack([x * row[0] + y * row[1] + z * row[2] for row in view.rows], axis=1)
+    screen = np.stack([x * row[0] + y * row[1] + z * row[2] for row in view.rotation], axis=1)
     left, right, bottom, top = limits
     scale = SIDE * SUBPIXELS * np.array([columns / (right - left), -rows / (top - bottom)])
     places = np.rint((screen[:, :2] - [left, top]) * scale).astype(np.int64)

@@ -41,7 +41,7 @@ class View:
     elevation: float = 14.0
 
     @property
-    def rows(self) -> Float:
+    def rotation(self) -> Float:
         """Rotation ``(3, 3)`` from a Y-up world to the screen: right, up, towards the camera."""
         # without full turns, which are not exact in radians
         a, e = np.radians([remainder(self.azimuth, 360), self.elevation])
@@ -67,20 +67,20 @@ class Camera:
     @property
     def aspect(self) -> float:
         """Height per width of the view."""
-        return aspect_of(self.limits)
+        return aspect_ratio(self.limits)
 
     def fitted(self, aspect: float) -> Camera:
         """Return a camera that is widened to an aspect."""
-        return replace(self, limits=of_aspect(self.limits, aspect))
+        return replace(self, limits=widen_to_aspect(self.limits, aspect))
 
 
-def facing(poses: FloatArray, up_axis: str = "Y") -> float:
+def front_azimuth(poses: FloatArray, up_axis: str = "Y") -> float:
     """Return the azimuth in degrees from which a body in poses ``(n, V, 3)`` is seen from the front.
 
     It faces its travel direction, or else the front of modellers and formats: +z with Y up (glTF 2.0, section 3.4), -y
     with Z up (Blender, Maya), where +x is to its left in both.
     """
-    ends = y_up(poses[[0, -1]], up_axis)
+    ends = to_y_up(poses[[0, -1]], up_axis)
     x, _, z = ends[1].mean(axis=0) - ends[0].mean(axis=0)
     if np.hypot(x, z) < TRAVELS * np.linalg.norm(np.ptp(ends[0], axis=0)) or x == z == 0:
         return -90.0 if up_axis == "Z" else 0.0
@@ -95,8 +95,8 @@ def three_quarter_view(
     Of the left and the right view, it is the one with +x more to the right, and +z more to the camera, with Y up.
     """
     poses = poses.reshape(-1, *poses.shape[-2:])
-    front = facing(poses, up_axis)
-    first = y_up(poses[0], up_axis)
+    front = front_azimuth(poses, up_axis)
+    first = to_y_up(poses[0], up_axis)
     forwards = np.array([np.sin(np.radians(front)), np.cos(np.radians(front))])
     along, across = np.ptp(first[:, [0, 2]] @ np.stack([forwards, forwards[::-1] * [1, -1]], axis=1), axis=0)
     away = turn if across >= along else 90.0 - turn
@@ -104,32 +104,32 @@ def three_quarter_view(
     return View(min(sides, key=lambda azimuth: abs((azimuth - 45 + 180) % 360 - 180)), elevation)
 
 
-def seen_from(ends: FloatArray, up_axis: str, camera: tuple[float, float] | None) -> View:
+def resolve_view(ends: FloatArray, up_axis: str, camera: tuple[float, float] | None) -> View:
     """Return the view at `camera` (two angles in degrees), by default a `three_quarter_view` of ends ``(2, V, 3)``."""
     if camera is None:
         return three_quarter_view(ends, up_axis)
-    return View(facing(ends, up_axis) + camera[0], camera[1])
+    return View(front_azimuth(ends, up_axis) + camera[0], camera[1])
 
 
 def shared_limits(
     points: FloatArray, up_axis: str = "Y", view: View | None = None, margin: float = 0.04
 ) -> Limits:
     """Return the screen rectangle of all poses and their shadows: points ``(..., V, 3)``."""
-    world = y_up(points, up_axis).reshape(-1, 3)
+    world = to_y_up(points, up_axis).reshape(-1, 3)
     shadow = world * [1, 0, 1] + [0, world[:, 1].min(), 0]
-    screen = np.concatenate([world, shadow]) @ (view or three_quarter_view(points, up_axis)).rows.T
+    screen = np.concatenate([world, shadow]) @ (view or three_quarter_view(points, up_axis)).rotation.T
     low, high = screen[:, :2].min(axis=0), screen[:, :2].max(axis=0)
     space = margin * (float((high - low).max()) or 1.0)  # a single point still gets a rectangle
     return low[0] - space, high[0] + space, low[1] - space, high[1] + space
 
 
-def aspect_of(limits: Limits) -> float:
+def aspect_ratio(limits: Limits) -> float:
     """Return the height per width of a rectangle."""
     left, right, bottom, top = limits
     return (top - bottom) / (right - left)
 
 
-def of_aspect(limits: Limits, aspect: float) -> Limits:
+def widen_to_aspect(limits: Limits, aspect: float) -> Limits:
     """Widen a rectangle about its middle to a height per width."""
     left, right, bottom, top = limits
     width, height = max(right - left, (top - bottom) / aspect), max(top - bottom, (right - left) * aspect)
@@ -137,7 +137,7 @@ def of_aspect(limits: Limits, aspect: float) -> Limits:
     return x - width / 2, x + width / 2, y - height / 2, y + height / 2
 
 
-def y_up(points: FloatArray, up_axis: str) -> Float:
+def to_y_up(points: FloatArray, up_axis: str) -> Float:
     """Permute the axes so that Y is up, keeping right-handedness."""
     up = UP_AXES.index(up_axis)
     return np.asarray(points[..., [(up - 1) % 3, up, (up + 1) % 3]], dtype=np.float64)
@@ -220,9 +220,9 @@ class SceneItem:
     @property
     def decomposition(self) -> Decomposition | None:
         """Parts and joints, if it is a model with parts."""
-        return self.model.space.decomposed if self.model is not None else None
+        return self.model.space.segmentation if self.model is not None else None
 
-    def stored(self, progress: Progress = silent) -> SceneItem:
+    def with_random_access(self, progress: Progress = silent) -> SceneItem:
         """Return the item with a streaming sequence copied, for random access."""
         return self if self.model is not None else replace(self, motion=self._frames(progress))
 
@@ -313,7 +313,7 @@ class Scene:
         """Number of frames."""
         return len(self.times)
 
-    def checked(self) -> Scene:
+    def validated(self) -> Scene:
         """Return the scene; SettingsError if it has too few or too many frames at its rate."""
         _ = self._timeline
         return self
@@ -332,9 +332,9 @@ class Scene:
         items[index] = replace(items[index], motion=motion)
         return replace(self, items=tuple(items))
 
-    def samples(self, most: int) -> Sequence[int]:
+    def sample_frames(self, max_count: int) -> Sequence[int]:
         """Return at most `most` evenly spaced frames, with the first."""
-        return [int(frame) for frame in evenly(self.count, most)]
+        return [int(frame) for frame in evenly(self.count, max_count)]
 
 
 def same_mesh(one: SequenceHeader, other: SequenceHeader) -> bool:
@@ -404,19 +404,19 @@ class Arrangement:
 
     def placed(self, index: int, points: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return points ``(V, 3)`` of a mesh in scene coordinates."""
-        placed = self.scale * y_up(points, self.up_axes[index]) + self.offsets[index]
+        placed = self.scale * to_y_up(points, self.up_axes[index]) + self.offsets[index]
         return np.asarray(placed, dtype=np.float32)
 
     def camera(self, aspect: float) -> tuple[Float, Float]:
         """Return the camera position and its target, ``(3,)`` each, for a picture of the given width per height."""
         centre = (self.low + self.high) / 2
-        rows = self.view.rows
+        rotation = self.view.rotation
         corners = np.array(list(product(*np.stack([self.low, self.high], axis=1)))) - centre
-        right, up, near = rows @ corners.T
+        right, up, near = rotation @ corners.T
         tangent = np.tan(np.radians(FIELD) / 2)
         # what is at most so far to the side, or above, as the picture reaches where it is
         distance = (near + MARGIN * np.maximum(np.abs(up), np.abs(right) / aspect) / tangent).max()
-        return centre + distance * rows[2], centre
+        return centre + distance * rotation[2], centre
 
     def turned(self, azimuth: float, looked_at: Float, distance: float) -> Arrangement:
         """Return the meshes in a row across another view, so that none hides another.
@@ -435,16 +435,16 @@ class Arrangement:
 
 
 def arranged(scene: Scene, side_by_side: bool, camera: tuple[float, float] | None = None) -> Arrangement:
-    """Place the meshes of a scene, without overlap if side by side; `camera` as in `seen_from`."""
+    """Place the meshes of a scene, without overlap if side by side; `camera` as in `resolve_view`."""
     up_axes = tuple(item.header.up_axis for item in scene.items)
     boxes = []
     for item, up in zip(scene.items, up_axes, strict=True):
-        poses = [y_up(item.pose(scene.elapsed(frame)), up) for frame in scene.samples(SAMPLES)]
+        poses = [to_y_up(item.pose(scene.elapsed(frame)), up) for frame in scene.sample_frames(SAMPLES)]
         boxes.append((np.min(poses, axis=(0, 1)), np.max(poses, axis=(0, 1))))
     spans = np.array(boxes)
     first = scene.items[0]
     ends = np.stack([first.pose(0.0), first.pose(float(first.elapsed[-1]))])
-    view = seen_from(ends, up_axes[0], camera)
+    view = resolve_view(ends, up_axes[0], camera)
     ground = float(spans[:, 0, 1].min())
     offsets = _row(spans, view.azimuth) if side_by_side else np.tile([0.0, -ground, 0.0], (len(spans), 1))
     low, high = (spans[:, 0] + offsets).min(axis=0), (spans[:, 1] + offsets).max(axis=0)

@@ -10,9 +10,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import SettingsError
-from mixseq.pictures.colours import CLAY, INK, part_colours, segmentation_colours
+from mixseq.pictures.colours import CLAY_COLOUR, INK_COLOUR, part_colours, segmentation_colours
 from mixseq.pictures.page import Sheet, Target, draw_mesh, error_map
-from mixseq.pictures.scene import Limits, View, aspect_of, of_aspect, shared_limits, three_quarter_view, y_up
+from mixseq.pictures.scene import (
+    Limits,
+    View,
+    aspect_ratio,
+    shared_limits,
+    three_quarter_view,
+    to_y_up,
+    widen_to_aspect,
+)
 from mixseq.sequence.frame_rates import frame_text
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MeshSequence
@@ -33,14 +41,14 @@ def draw_segmentation(
 ) -> None:
     """Draw parts and joints ``(F,)`` of a pose ``(V, 3)`` from two opposite sides, as a PNG."""
     colours = segmentation_colours(part_of_face, joint_of_face)
-    sides = two_sides(points[None], up_axis)
-    sheet = Sheet.of(1, 2, height_per_width(sides), title or "")
+    sides = opposite_views(points[None], up_axis)
+    sheet = Sheet.from_grid(1, 2, views_aspect(sides), title or "")
     for ax, (view, limits) in zip(sheet.panels[0], sides[0], strict=True):
         draw_mesh(ax, points, faces, colours, up_axis, view, limits)
     sheet.save(target)
 
 
-def two_sides(
+def opposite_views(
     poses: FloatArray, up_axis: str = "Y", near: View | None = None
 ) -> list[list[tuple[View, Limits]]]:
     """Return the cameras and screen rectangles of two opposite views of poses ``(n, V, 3)``."""
@@ -58,9 +66,9 @@ def two_sides(
     ]
 
 
-def height_per_width(sides: list[list[tuple[View, Limits]]]) -> float:
-    """Return the height per width of the rectangles of `two_sides`."""
-    return aspect_of(sides[0][0][1])
+def views_aspect(sides: list[list[tuple[View, Limits]]]) -> float:
+    """Return the height per width of the rectangles of `opposite_views`."""
+    return aspect_ratio(sides[0][0][1])
 
 
 def transfer_sheet(
@@ -91,13 +99,13 @@ def transfer_sheet(
     limits = [
         shared_limits(x, header.up_axis, view) for x, header, view in zip(poses, headers, views, strict=True)
     ]
-    aspect = max(map(aspect_of, limits))
+    aspect = max(map(aspect_ratio, limits))
     names = title or f"{here.name}: its motion on {there.name}"
-    sheet = Sheet.of(2, 1 + len(frames), aspect, names, left=1.25)
+    sheet = Sheet.from_grid(2, 1 + len(frames), aspect, names, left=1.25)
     for row, (what, header) in enumerate(zip(("source", "target"), headers, strict=True)):
         sheet.label_row(row, f"{what}\n{header.vertex_count:,}\nvertices")
-        ground = float(y_up(poses[row], header.up_axis)[..., 1].min())
-        look = header.up_axis, views[row], of_aspect(limits[row], aspect), ground
+        ground = float(to_y_up(poses[row], header.up_axis)[..., 1].min())
+        look = header.up_axis, views[row], widen_to_aspect(limits[row], aspect), ground
         for ax, x in zip(sheet.panels[row], poses[row], strict=True):
             draw_mesh(ax, x, header.faces, palette[labels[row]], *look)
     columns = [
@@ -105,7 +113,7 @@ def transfer_sheet(
         *(f"frame {here.frame_number(frame)}, {here.times[frame]:.3f} s" for frame in frames),
     ]
     for ax, text in zip(sheet.panels[0], columns, strict=True):
-        ax.set_title(text, fontsize=9, color=INK, pad=2)
+        ax.set_title(text, fontsize=9, color=INK_COLOUR, pad=2)
     sheet.save(target)
 
 
@@ -114,22 +122,22 @@ def parts_of_both(transfer: Transfer) -> tuple[Index, Index]:
 
     For transfers by gradients the parts of the source are found from its motion and mapped to the target.
     """
-    from mixseq.retargeting.parts import carry_labels
+    from mixseq.retargeting.parts import transfer_labels
 
     parts = transfer.method.parts
     if parts is not None:
         return parts.part_of_face
     labels = transfer.source.part_of_face()
-    return labels, carry_labels(labels, transfer.correspondence, transfer.header.faces)
+    return labels, transfer_labels(labels, transfer.correspondence, transfer.header.faces)
 
 
 def heading(transfer: Transfer) -> float:
     """Return the best-fit turn of the target at rest from the source about the up axis, in degrees, 0 if unknown."""
     matched = transfer.correspondence.matched
-    source = y_up(
-        transfer.correspondence.carry(transfer.source.rest)[matched], transfer.source.header.up_axis
+    source = to_y_up(
+        transfer.correspondence.interpolate(transfer.source.rest)[matched], transfer.source.header.up_axis
     )
-    target = y_up(transfer.target[matched], transfer.header.up_axis)
+    target = to_y_up(transfer.target[matched], transfer.header.up_axis)
     a, b = ((x - x.mean(axis=0))[:, [0, 2]] for x in (source, target))
     along, across = float((a * b).sum()), float((a[:, 1] * b[:, 0] - a[:, 0] * b[:, 1]).sum())
     return float(np.degrees(np.arctan2(across, along)))
@@ -175,7 +183,7 @@ def contact_sheet(
     between = frames_between(original, decoded, here)
     heat_map, heat = _error_colours(original, decoded, here, there)
     at_here, at_there = dict(enumerate(here)), dict(enumerate(there))
-    clay = [CLAY] * len(here)
+    clay = [CLAY_COLOUR] * len(here)
     parts = [segmentation_colours(part_of_face, joint_of_face)] * len(here)
     rows = [
         _Row("original", original, at_here, clay, show_times=True),
@@ -217,9 +225,9 @@ def _draw_rows(rows: list[_Row], title: str) -> Sheet:
     shown = np.concatenate([row.sequence.points[list(row.frames.values())] for row in rows])
     view = three_quarter_view(first.points[[0, -1]], first.up_axis)
     limits = shared_limits(shown, first.up_axis, view)
-    ground = float(y_up(shown, first.up_axis)[..., 1].min())
+    ground = float(to_y_up(shown, first.up_axis)[..., 1].min())
 
-    sheet = Sheet.of(len(rows), len(rows[0].frames), aspect_of(limits), title, left=1.25, right=1.0)
+    sheet = Sheet.from_grid(len(rows), len(rows[0].frames), aspect_ratio(limits), title, left=1.25, right=1.0)
     for number, row in enumerate(rows):
         sheet.label_row(number, row.label)
         for column, frame in row.frames.items():
@@ -229,7 +237,7 @@ def _draw_rows(rows: list[_Row], title: str) -> Sheet:
             if row.show_times:
                 time = float(row.sequence.times[frame])
                 when = f"frame {frame_text(time, first.fps)}, {time:.3f} s"
-                ax.set_title(when, fontsize=9, color=INK, pad=2)
+                ax.set_title(when, fontsize=9, color=INK_COLOUR, pad=2)
     return sheet
 
 

@@ -40,7 +40,7 @@ from mixseq.retargeting.markers import Correspondence
 from mixseq.segmentation.elements import Boundaries
 from mixseq.segmentation.joints import FLAT, Decomposition, Observed, decompose
 from mixseq.shells.solvers import Factor, factorise
-from mixseq.spaces.pieces import registered
+from mixseq.spaces.pieces import register_parts
 from mixseq.types import Float, Index, IntArray
 
 SMALL = 0.1
@@ -75,7 +75,7 @@ class RestShapes:
 
     def register(self, x: Float) -> tuple[Float, PartPoses]:
         """Return a frame's parts aligned to their shapes ``(N, 3)``, and their poses."""
-        aligned, rotations, centres = registered(self.shapes, self.vertices, x)
+        aligned, rotations, centres = register_parts(self.shapes, self.vertices, x)
         return aligned, PartPoses(rotations, centres)
 
 
@@ -103,7 +103,7 @@ def carry_parts(
 ) -> PartCorrespondence:
     """Cut a target at rest ``(V', 3)`` as its source; part rotations ``(T, p, 3, 3)`` determine the joint widths."""
     faces = topology.faces
-    labels = carry_labels(source.part_of_face, correspondence, faces)
+    labels = transfer_labels(source.part_of_face, correspondence, faces)
     labels = without_small_regions(topology, labels, TriangleMesh(rest, topology).face_areas)
     parts = split_labels(topology, labels)
     sources = labels[np.unique(parts, return_index=True)[1]]
@@ -113,7 +113,7 @@ def carry_parts(
     return PartCorrespondence(source, decomposition, np.append(sources, np.zeros(loose, dtype=np.int64)))
 
 
-def carry_labels(labels: Index, correspondence: Correspondence, faces: IntArray) -> Index:
+def transfer_labels(labels: Index, correspondence: Correspondence, faces: IntArray) -> Index:
     """Transfer labels ``(F,)`` of the source's triangles to the target's ``(F',)``: faces ``(F', 3)``."""
     known = np.flatnonzero(correspondence.faces >= 0)
     result = np.zeros(len(faces), dtype=np.int64)

@@ -17,7 +17,7 @@ rounding; only a change of unit rounds.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
@@ -25,6 +25,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mixseq.choices import UNITS
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.mesh.measures import Diagonal
 from mixseq.mesh.polygons import Polygons, frozen
@@ -160,6 +161,18 @@ class Frames(Protocol):
 
     def blocks(self, size: int = ...) -> Iterator[FloatArray]:
         """Iterate over the points in blocks ``(B, V, 3)`` of at most `size` frames, from the first one on."""
+
+
+@dataclass(frozen=True, eq=False)
+class LazyFrames:
+    """`Frames` computed on demand: `make` yields the points in blocks of at most a given number of frames."""
+
+    header: SequenceHeader
+    make: Callable[[int], Iterator[FloatArray]]
+
+    def blocks(self, size: int = 16) -> Iterator[FloatArray]:
+        """Yield the points in blocks ``(B, V, 3)`` of at most `size` frames."""
+        return self.make(size)
 
 
 def bounding_diagonal(points: FloatArray) -> float:
@@ -336,9 +349,6 @@ def blocks_of(points: LargeArray) -> Iterator[FloatArray]:
     for start in range(0, len(points), size):
         yield points[start : start + size]
 
-
-UNITS = {"mm": 0.001, "cm": 0.01, "m": 1.0, "km": 1000.0, "in": 0.0254, "ft": 0.3048, "yd": 0.9144}
-"""Units of length by name, in metres."""
 
 _UNITS_NOT_TOLD = ("Alembic",)
 """Formats without units in their files, whose writers cannot detect another unit."""

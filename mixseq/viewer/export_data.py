@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import codecs
 import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -28,12 +28,12 @@ from mixseq.compression.numbering import cheapest_numbering
 from mixseq.errors import InvalidSequenceError
 from mixseq.mesh.surface import Surface
 from mixseq.pictures.colours import MEASURES, Colouring, SceneColours
-from mixseq.pictures.scene import SceneItem, View, seen_from, y_up
+from mixseq.pictures.scene import SceneItem, View, resolve_view, to_y_up
 from mixseq.runtime.low_memory import LargeArray, new_large_array
 from mixseq.runtime.parallel import Executor
 from mixseq.runtime.progress import Progress, silent
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import blocks_of, check_block
+from mixseq.sequence.sequence import LazyFrames, blocks_of, check_block
 from mixseq.types import Float, FloatArray, Index
 from mixseq.viewer.session import signals_of
 from mixseq_io.coded.packing import pack
@@ -132,7 +132,7 @@ class Extent:
     def rectangles(self, views: Sequence[View]) -> Float:
         """Return left, right, bottom and top ``(views, 4)`` of the mesh and of its shadow on the ground."""
         floors = [
-            view.rows[1, 1] * self.low[1] + seen[4] for view, seen in zip(views, self.seen, strict=True)
+            view.rotation[1, 1] * self.low[1] + seen[4] for view, seen in zip(views, self.seen, strict=True)
         ]
         left, right, bottom, top, _ = self.seen.T
         return np.stack([left, right, np.minimum(bottom, floors), top], axis=1)
@@ -176,11 +176,11 @@ def gather(
                 own = first[1].views[0]
             else:
                 end = next(item.poses(elapsed[-1:]))[-1]
-                own = seen_from(np.stack([block[0], end]), header.up_axis, camera)
+                own = resolve_view(np.stack([block[0], end]), header.up_axis, camera)
             views = own, first[1].views[0] if first else own
         table[done : done + len(block)] = block
         done += len(block)
-        world = y_up(block, header.up_axis)
+        world = to_y_up(block, header.up_axis)
         still = extent_of(world, views).joined(still)
         path = world.mean(axis=1, keepdims=True, dtype=np.float64) * [1, 0, 1]
         following = extent_of(world - path, views).joined(following)
@@ -195,7 +195,7 @@ def extent_of(world: FloatArray, views: Sequence[View]) -> Extent:
     """Return the extent of poses ``(B, V, 3)``, Y up, in some views."""
     seen = []
     for view in views:
-        right, up, _ = view.rows
+        right, up, _ = view.rotation
         # sums in a fixed order: a page has the same bytes on every machine
         x, y, z = world[..., 0], world[..., 1], world[..., 2]
         across, flat = x * right[0] + z * right[2], x * up[0] + z * up[2]
@@ -265,7 +265,7 @@ def page_mesh(
         "times": None if own else np.round(elapsed, 9).tolist(),
         "start": float(header.times[0]),
         "fps": header.fps,
-        "centre": y_up(centre, header.up_axis).tolist(),
+        "centre": to_y_up(centre, header.up_axis).tolist(),
         "likeFirst": gathered.like_first,
         "azimuth": gathered.views[0].azimuth,
         "elevation": gathered.views[0].elevation,
@@ -280,21 +280,6 @@ def page_mesh(
     return description, [container.streams, *stored], report
 
 
-@dataclass(frozen=True, eq=False)
-class _Centred:
-    """Gathered poses as a sequence around the origin, as the page computes in single precision."""
-
-    header: SequenceHeader
-    gathered: Gathered
-    centre: Float
-
-    def blocks(self, size: int = 16) -> Iterator[FloatArray]:
-        """Yield blocks of points ``(B, V, 3)``."""
-        poses = self.gathered.poses
-        for start in range(0, len(poses), size):
-            yield poses[start : start + size].astype(np.float64) - self.centre
-
-
 def _compressed(
     header: SequenceHeader,
     elapsed: Float,
@@ -307,7 +292,15 @@ def _compressed(
     regular, rate = _regular(elapsed, header.fps)
     plain = replace(header.with_times(regular, rate), surface=Surface(), name="")
     numbering = cheapest_numbering(plain, "free")
-    frames = numbering.of_frames(_Centred(plain, gathered, centre))
+    # Around the origin, as the page computes in single precision.
+    centred = LazyFrames(
+        plain,
+        lambda size: (
+            gathered.poses[start : start + size].astype(np.float64) - centre
+            for start in range(0, plain.frame_count, size)
+        ),
+    )
+    frames = numbering.renumber_frames(centred)
     return compress(frames, max_error=max_error, progress=progress, uvs=False), numbering.vertices
 
 

@@ -415,7 +415,7 @@ class Session(Jobs[_Job]):
     def _do(self, job: _Job) -> None:
         try:
             history = job.change(self._histories[job.index])
-            scene = self._playback.scene.with_item(job.index, history.model).checked()
+            scene = self._playback.scene.with_item(job.index, history.model).validated()
         except Exception as error:
             model = self._histories[job.index].model
             self._playback.change(self._playback.scene.with_item(job.index, model))

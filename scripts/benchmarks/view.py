@@ -95,7 +95,9 @@ def sending(item: SceneItem, colour: str) -> float:
         server = ViserServer("127.0.0.1", 8500, verbose=False)
         stage = LiveStage(server, SceneColours(scene), "standard", False, lambda moment: None)
         stage.colour(colour)
-        moments = [Moment(scene, frame, (item.pose(scene.elapsed(frame)),)) for frame in scene.samples(24)]
+        moments = [
+            Moment(scene, frame, (item.pose(scene.elapsed(frame)),)) for frame in scene.sample_frames(24)
+        ]
         stage.show(moments[0])  # works out the colours
         seconds = []
         for moment in moments:

@@ -16,7 +16,7 @@ from mixseq.blender.motion import (
     MeshParts,
     Models,
     Motion,
-    Placing,
+    Placement,
     fitting,
     part_names,
     part_of,
@@ -56,18 +56,18 @@ def test_seconds_are_those_of_caches_in_blender() -> None:
 
 
 def test_points_are_turned_and_scaled(pair: Model) -> None:
-    points = Motion(pair, Placing("Y", 0.01)).points(1 / 2)
+    points = Motion(pair, Placement("Y", 0.01)).points(1 / 2)
     assert points.dtype == np.float32
     assert points.flags.c_contiguous
     np.testing.assert_allclose(
         points[2], [0.015, -0.01, 0], atol=1e-8
     )  # (1.5, 0, 1) cm, z down where y was up
-    np.testing.assert_allclose(Motion(pair, Placing("Z", 1)).points(1 / 2)[2], [1.5, 0, 1], atol=1e-6)
+    np.testing.assert_allclose(Motion(pair, Placement("Z", 1)).points(1 / 2)[2], [1.5, 0, 1], atol=1e-6)
 
 
 @pytest.mark.parametrize(("time", "shown"), [(-1, 0), (0.25, 0.25), (7, 1)])
 def test_ends_are_held(pair: Model, time: float, shown: float) -> None:
-    motion = Motion(pair, Placing("Z", 1))
+    motion = Motion(pair, Placement("Z", 1))
     assert motion.held(time) == shown
     assert motion.points(time)[0, 0] == pytest.approx(3 * shown, abs=1e-6)
 
@@ -85,9 +85,9 @@ def test_one_mesh_needs_no_name(bar_model: Model) -> None:
 
 
 @pytest.mark.parametrize(
-    "placing", [Placing("Y", 0.01), Placing("Z", 0.01), Placing("Y", 1), Placing("Z", 1)]
+    "placing", [Placement("Y", 0.01), Placement("Z", 0.01), Placement("Y", 1), Placement("Z", 1)]
 )
-def test_a_mesh_is_found_as_importers_leave_it(pair: Model, placing: Placing) -> None:
+def test_a_mesh_is_found_as_importers_leave_it(pair: Model, placing: Placement) -> None:
     mesh = placing.conversion(pair.header).values(pair(2 / 3))[3:]
     assert fitting(pair, mesh.astype(np.float64)) == ("/rig/sword", placing)
 
@@ -99,8 +99,8 @@ def test_another_number_of_vertices_is_told(pair: Model) -> None:
 
 def test_a_model_that_does_not_tell_more_stands_upright_in_metres(bar_model: Model) -> None:
     header = replace(bar_model.header, up_axis="Z", metres_per_unit=1)
-    assert Placing.as_told(header) == Placing("Z", 1)
-    assert not Placing.as_told(header).conversion(header).changes
+    assert Placement.from_header(header) == Placement("Z", 1)
+    assert not Placement.from_header(header).conversion(header).changes
 
 
 # What is kept: frames up to a limit, models until their files change

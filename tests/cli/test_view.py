@@ -90,7 +90,7 @@ def test_failure(
     run: Run, contents: Contents, monkeypatch: pytest.MonkeyPatch, line: str, message: str
 ) -> None:
     monkeypatch.setattr(live, "check_viser", lambda: None)
-    monkeypatch.setattr(live, "viewer", None)  # nothing gets so far
+    monkeypatch.setattr(live, "run_viewer", None)  # nothing gets so far
     before = contents()
     result = run(*line.split())
     assert (result.exit_code, result.stdout) == (2, ""), result.output
@@ -177,7 +177,7 @@ class Room:
         self.colours: SceneColours
         self.settings: live.ViewSettings
         self.save: Save
-        monkeypatch.setattr(live, "viewer", self._viewer)
+        monkeypatch.setattr(live, "run_viewer", self._viewer)
         monkeypatch.setattr(webbrowser, "open", self.opened.append)
         monkeypatch.setattr(module, "threading", SimpleNamespace(Event=lambda: self))
 

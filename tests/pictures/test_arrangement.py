@@ -22,7 +22,7 @@ from mixseq.pictures.scene import (
     SceneItem,
     View,
     arranged,
-    facing,
+    front_azimuth,
     shared_limits,
     three_quarter_view,
 )
@@ -218,13 +218,13 @@ def test_what_is_looked_at_stays() -> None:
 
 @pytest.mark.parametrize("view", [View(), View(120, 40), View(-30, 0)])
 def test_camera_is_a_rotation(view: View) -> None:
-    assert np.allclose(view.rows @ view.rows.T, np.eye(3))
-    assert np.linalg.det(view.rows) == pytest.approx(1)
-    assert view.rows[1, 1] > 0
+    assert np.allclose(view.rotation @ view.rotation.T, np.eye(3))
+    assert np.linalg.det(view.rotation) == pytest.approx(1)
+    assert view.rotation[1, 1] > 0
 
 
 def test_camera_of_zero_degrees_looks_along_minus_z() -> None:
-    assert np.allclose(View(0, 0).rows, np.eye(3))
+    assert np.allclose(View(0, 0).rotation, np.eye(3))
 
 
 @pytest.mark.parametrize("order", [[0, 1, 2], [2, 1, 0]])
@@ -245,7 +245,9 @@ def test_who_stays_faces_as_formats_do() -> None:
     neck, nose = np.zeros(3), {"Y": [0.0, 0, 1], "Z": [0.0, -1, 0]}
     for up, tip in nose.items():
         body = np.array([neck, tip, [0.4, 0, 0], [-0.4, 0, 0]])
-        near = (body[:, [0, 1, 2] if up == "Y" else [1, 2, 0]] @ View(facing(body[None], up), 0).rows.T)[:, 2]
+        near = (
+            body[:, [0, 1, 2] if up == "Y" else [1, 2, 0]] @ View(front_azimuth(body[None], up), 0).rotation.T
+        )[:, 2]
         assert near[1] - near[0] == pytest.approx(1)
 
 
@@ -255,13 +257,13 @@ def test_who_travels_is_seen_from_the_front_and_the_longer_side(heading: float) 
     forwards = np.array([np.sin(a), 0, np.cos(a)])
     body = np.multiply.outer([-1.0, 1.0], forwards)
     view = three_quarter_view(np.stack([body, body + 3 * forwards]))
-    _, _, towards = view.rows @ forwards
+    _, _, towards = view.rotation @ forwards
     assert 0.4 < towards < 0.5  # the cosine of 60 degrees, from a little above
 
 
 def test_a_step_is_no_travel() -> None:
     body = np.array([[0.0, 0, 0], [0, 2, 0], [0, 0, 1]])
-    assert facing(np.stack([body, body + np.array([0.3, 0, 0])])) == 0
+    assert front_azimuth(np.stack([body, body + np.array([0.3, 0, 0])])) == 0
 
 
 def test_shared_limits_hold_every_pose(gem: MeshSequence) -> None:
@@ -378,4 +380,4 @@ def test_another_motion_of_one_of_the_meshes(sequence: MeshSequence, bar_model: 
 
 @pytest.mark.parametrize(("most", "frames"), [(1, [0]), (2, [0, 4]), (3, [0, 2, 4]), (99, [0, 1, 2, 3, 4])])
 def test_frames_spread_over_a_shot(sequence: MeshSequence, most: int, frames: list[int]) -> None:
-    assert list(Scene((SceneItem("bar", frame_store(sequence)),)).samples(most)) == frames
+    assert list(Scene((SceneItem("bar", frame_store(sequence)),)).sample_frames(most)) == frames

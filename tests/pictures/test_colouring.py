@@ -19,7 +19,7 @@ from mixseq.mesh.measures import dihedral_angles, wrap
 from mixseq.mesh.surface import CornerValues, Surface
 from mixseq.mesh.topology import Topology
 from mixseq.pictures.colours import (
-    CLAY,
+    CLAY_COLOUR,
     ENTRIES,
     JOINT,
     JOINT_RED,
@@ -29,9 +29,9 @@ from mixseq.pictures.colours import (
     Colouring,
     Curvature,
     Strain,
-    colouring_of,
-    colourings_of,
+    available_colourings,
     distances,
+    make_colouring,
     own_colours,
     part_colours,
     segmentation_colours,
@@ -76,8 +76,8 @@ def cut(part_of_face: list[int]) -> tuple[MeshSequence, Decomposition]:
 
 
 def test_there_are_those_that_can_be_shown() -> None:
-    assert list(colourings_of(BAR.header, REST)) == ["clay", "strain", "curvature"]
-    everything = colourings_of(BAR.header, REST, halves(), original, poses())
+    assert list(available_colourings(BAR.header, REST)) == ["clay", "strain", "curvature"]
+    everything = available_colourings(BAR.header, REST, halves(), original, poses())
     assert list(everything) == ["clay", "parts", "error", "strain", "curvature"]
     for name, colouring in everything.items():
         assert colouring.name == name
@@ -90,15 +90,15 @@ def test_there_are_those_that_can_be_shown() -> None:
 
 
 def test_clay_is_clay() -> None:
-    clay = colourings_of(BAR.header, REST)["clay"]
-    assert np.allclose(clay.palette[clay.indices(REST, 0)] / 255, CLAY, atol=0.5 / 255)
+    clay = available_colourings(BAR.header, REST)["clay"]
+    assert np.allclose(clay.palette[clay.indices(REST, 0)] / 255, CLAY_COLOUR, atol=0.5 / 255)
 
 
 # Parts
 
 
 def test_joints_are_red_and_parts_are_not() -> None:
-    parts = colourings_of(BAR.header, REST, halves())["parts"]
+    parts = available_colourings(BAR.header, REST, halves())["parts"]
     entries = parts.indices(REST, 0.0)
     joint = np.zeros(BAR.vertex_count, dtype=bool)
     joint[BAR.faces[halves().joint_of_face >= 0]] = True
@@ -112,14 +112,14 @@ def test_joints_are_red_and_parts_are_not() -> None:
 def test_most_faces_of_a_vertex_tell_its_part() -> None:
     # triangles 0 1 4, 0 4 3, 1 2 5, 1 5 4
     strip, decomposition = cut([2, 1, 2, 1])
-    parts = colourings_of(strip.header, strip.points[0], decomposition)["parts"]
+    parts = available_colourings(strip.header, strip.points[0], decomposition)["parts"]
     # 0: 2 and 1; 1: 2, 2 and 1; 2: 2; 3: 1; 4: 2, 1 and 1; 5: 2 and 1
     assert parts.indices(strip.points[0], 0).tolist() == [1, 2, 2, 1, 1, 1]
 
 
 def test_numbers_of_parts_go_around_below_the_joints() -> None:
     strip, decomposition = cut([254, 255, 254, 256])
-    parts = colourings_of(strip.header, strip.points[0], decomposition)["parts"]
+    parts = available_colourings(strip.header, strip.points[0], decomposition)["parts"]
     # ties are of the lowest part, not of the lowest entry
     assert parts.indices(strip.points[0], 0).tolist() == [254, 254, 254, 0, 254, 254]
 
@@ -128,19 +128,19 @@ def test_vertices_without_faces_are_survived() -> None:
     strip, decomposition = cut([3, 3, 3, 3])
     points = np.concatenate([strip.points, [[[9.0, 9, 9]]]], axis=1)
     loose = MeshSequence.from_arrays(points, strip.faces)
-    assert colourings_of(loose.header, points[0], decomposition)["parts"].indices(points[0], 0)[6] == 0
+    assert available_colourings(loose.header, points[0], decomposition)["parts"].indices(points[0], 0)[6] == 0
 
 
 def test_shared_colours_cannot_be_written_to() -> None:
     with pytest.raises(ValueError, match="read-only"):
-        colourings_of(BAR.header, REST)["clay"].indices(REST, 0)[0] = 1
+        available_colourings(BAR.header, REST)["clay"].indices(REST, 0)[0] = 1
 
 
 # Numbers
 
 
 def test_scales_reach_what_is_shown() -> None:
-    found = colourings_of(BAR.header, REST, original=original, poses=poses())
+    found = available_colourings(BAR.header, REST, original=original, poses=poses())
     strain, curvature = Strain.of(REST, BAR.faces), Curvature.of(REST, BAR.faces)
     assert np.isclose(found["strain"].top, max(100 * np.quantile(strain(x), SHARE) for x in BAR.points))
     assert np.isclose(found["curvature"].top, max(np.quantile(curvature(x), SHARE) for x in BAR.points))
@@ -154,7 +154,7 @@ def test_errors_are_at_the_same_time_in_diagonals() -> None:
     moved = MeshSequence.from_arrays(
         BAR.points + np.array([0.1 * diagonal, 0, 0]), BAR.faces, fps=BAR.fps, times=BAR.times + 5
     )
-    error = colourings_of(moved.header, moved.points[0], None, original, poses(moved))["error"]
+    error = available_colourings(moved.header, moved.points[0], None, original, poses(moved))["error"]
     assert np.isclose(error.top, 0.1)
     assert np.array_equal(error.scaled(0.4).indices(moved.points[2], 0.2), np.full(BAR.vertex_count, 64))
     assert error.scaled(0.4).indices(moved.points[2], 0.0).max() > 64
@@ -182,14 +182,14 @@ def test_poses_are_used_once_and_one_by_one() -> None:
             yield elapsed, points
 
     iterator = once()
-    colourings_of(BAR.header, REST, None, original, iterator)
+    available_colourings(BAR.header, REST, None, original, iterator)
     assert len(alive) == BAR.frame_count
     assert next(iterator, None) is None
 
 
 def test_a_rigid_motion_has_no_colours() -> None:
     moved = (REST @ rotation((0.3, 1, 2)).T + [1, 2, 3]).astype(np.float32)
-    found = colourings_of(BAR.header, REST.astype(np.float32), poses=[(0.0, REST), (1.0, moved)])
+    found = available_colourings(BAR.header, REST.astype(np.float32), poses=[(0.0, REST), (1.0, moved)])
     for name in ("strain", "curvature"):
         assert found[name].top == LEAST[name]
         assert found[name].indices(moved, 1.0).max() < 20
@@ -206,12 +206,12 @@ def test_ends_of_scales_have_two_digits() -> None:
 @pytest.mark.parametrize("top", [0, -1, np.nan, np.inf])
 def test_scales_are_positive(top: float) -> None:
     with pytest.raises(SettingsError, match="a positive number is expected"):
-        colourings_of(BAR.header, REST)["strain"].scaled(top)
+        available_colourings(BAR.header, REST)["strain"].scaled(top)
 
 
 def test_what_means_no_numbers_has_no_scale() -> None:
     with pytest.raises(SettingsError, match="clay has no scale; choose a colour that means numbers"):
-        colourings_of(BAR.header, REST)["clay"].scaled(1)
+        available_colourings(BAR.header, REST)["clay"].scaled(1)
 
 
 def test_colours_are_fixed_or_measured() -> None:
@@ -225,12 +225,12 @@ def test_other_meshes_are_refused() -> None:
     with pytest.raises(
         SettingsError, match=r"the pose at rest has the shape \(7, 3\), the mesh 202 vertices"
     ):
-        colourings_of(BAR.header, REST[:7])
+        available_colourings(BAR.header, REST[:7])
     with pytest.raises(SettingsError, match=r"the original has the shape \(7, 3\)"):
-        colourings_of(BAR.header, REST, original=lambda elapsed: REST[:7])
+        available_colourings(BAR.header, REST, original=lambda elapsed: REST[:7])
     decomposition = replace(halves(), part_of_face=np.zeros(7, dtype=np.int64))
     with pytest.raises(SettingsError, match="the parts are of 7 triangles, the mesh has 400"):
-        colourings_of(BAR.header, REST, decomposition)
+        available_colourings(BAR.header, REST, decomposition)
 
 
 def test_they_need_no_matplotlib() -> None:
@@ -308,7 +308,7 @@ def test_faces_of_films_have_the_mean_of_their_vertices() -> None:
     values = np.ones((4, 4))
     values[0, 1:3] = 0
     sequence = painted(MeshSequence.from_arrays(points[None], faces), values)
-    colouring = colouring_of("own", sequence.header, points)
+    colouring = make_colouring("own", sequence.header, points)
     expected = np.where((sequence.faces == 0).any(axis=1)[:, None], [1, 2 / 3, 2 / 3], [1.0, 1, 1])
     np.testing.assert_allclose(np.asarray(colouring.of_faces), expected, atol=1e-6)
     assert colouring.constant

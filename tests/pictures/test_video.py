@@ -12,7 +12,7 @@ import pytest
 
 from mixseq.errors import MissingExtraError, OutputError, SettingsError
 from mixseq.pictures import film_encoding as encoding
-from mixseq.pictures.colours import MEASURES, colouring_of
+from mixseq.pictures.colours import MEASURES, make_colouring
 from mixseq.pictures.film import FilmSettings, backdrop_of, cameras_of, film, panels_of, travel_path
 from mixseq.pictures.film_encoding import check_film, encode_film, film_format
 from mixseq.pictures.raster import Picture, blank
@@ -190,7 +190,7 @@ def test_changes_are_since_the_first_frame(gem: MeshSequence, colour: str) -> No
         gem.points * np.linspace(1, 0.5, 9)[:, None, None] ** [0, 1, 0], gem.faces
     )
     track = decoded(squeezed, squeezed.times[3:])
-    change = colouring_of(colour, gem.header, track.pose(0))  # type: ignore[arg-type]
+    change = make_colouring(colour, gem.header, track.pose(0))  # type: ignore[arg-type]
     part = 100 if colour == "strain" else 1  # percent
     assert change.measure is not None
     assert np.array_equal(change.measure(track.pose(0), 0), np.zeros(6))
@@ -202,7 +202,7 @@ def test_changes_are_since_the_first_frame(gem: MeshSequence, colour: str) -> No
 
 def test_errors_are_in_diagonals(gem: MeshSequence) -> None:
     item = SceneItem("gem", gem)
-    error = colouring_of("error", gem.header, gem.points[0], original=item.exact_pose)
+    error = make_colouring("error", gem.header, gem.points[0], original=item.exact_pose)
     assert error.measure is not None
     moved = gem.points[3] + np.array([gem.diagonal, 0, 0])
     assert np.allclose(error.measure(moved, gem.times[3]), 1)

@@ -23,8 +23,8 @@ from mixseq.compression.encoder.compress import compress
 from mixseq.compression.numbering import cheapest_numbering
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.mesh.surface import CornerValues, Surface
-from mixseq.pictures.colours import Colouring, SceneColours, colourings_of
-from mixseq.pictures.scene import Scene, SceneItem, View, shared_limits, three_quarter_view, y_up
+from mixseq.pictures.colours import Colouring, SceneColours, available_colourings
+from mixseq.pictures.scene import Scene, SceneItem, View, shared_limits, three_quarter_view, to_y_up
 from mixseq.runtime import low_memory
 from mixseq.runtime.parallel import Executor
 from mixseq.sequence.sequence import FrameStore, MeshSequence, bounding_diagonal
@@ -71,12 +71,12 @@ def given_poses(item: PageItem, blocks: Iterable[FloatArray]) -> PageItem:
 def exported(sequence: MeshSequence, name: str = "bar") -> PageItem:
     elapsed = sequence.times - sequence.times[0]
     poses = zip(elapsed.tolist(), sequence.points, strict=True)
-    colours = colourings_of(sequence.header, sequence.points[0], poses=poses)
+    colours = available_colourings(sequence.header, sequence.points[0], poses=poses)
     return PageItem(SceneItem(name, sequence), colours)
 
 
 def exported_model(model: Model, name: str = "model") -> PageItem:
-    colours = colourings_of(model.header, model(model.start))
+    colours = available_colourings(model.header, model(model.start))
     return PageItem(SceneItem(name, model), colours, signals_of(model))
 
 
@@ -116,7 +116,7 @@ def test_rows_of_colours_come_back(rows: NDArray[np.uint8]) -> None:
 
 @pytest.mark.parametrize("view", [View(), View(60, 14), View(-100, 40)])
 def test_extents_hold_all_poses_and_shadows(view: View) -> None:
-    world = y_up(bar().points, "Z")
+    world = to_y_up(bar().points, "Z")
     parts = [extent_of(world[:2], [view]), extent_of(world[2:], [view])]
     whole = parts[1].joined(parts[0])
     assert np.allclose(whole.rectangles([view])[0], shared_limits(world, "Y", view, margin=0))
@@ -136,7 +136,7 @@ def test_pages_hold_what_was_given(tmp_path: Path, name: str) -> None:
     faces = vertices[item.model.header.faces]
     assert sorted(map(sorted, faces.tolist())) == sorted(map(sorted, sequence.faces.tolist()))
     assert np.allclose(item.times, sequence.times - sequence.times[0], atol=1e-9)
-    off = np.linalg.norm(item.points - y_up(sequence.points, sequence.up_axis)[:, vertices], axis=2).max()
+    off = np.linalg.norm(item.points - to_y_up(sequence.points, sequence.up_axis)[:, vertices], axis=2).max()
     assert off <= report.error * (1 + 1e-6)
     assert report.error == pytest.approx(1e-3 * bounding_diagonal(sequence.points[0]))
     assert set(given.colourings) == {each["name"] for each in item.description["colourings"]}
@@ -180,7 +180,7 @@ def test_parts_and_errors_are_stored(tmp_path: Path, bent_bar: MeshSequence, bar
     def original(elapsed: float) -> FloatArray:
         return np.asarray(off[round(10 * elapsed)])
 
-    colours = colourings_of(bar_model.header, bar_model(0.0), bar_model.decomposition, original)
+    colours = available_colourings(bar_model.header, bar_model(0.0), bar_model.decomposition, original)
     given = PageItem(SceneItem("bar", bar_model), {**colours, "error": colours["error"].scaled(0.2)})
     export_page(tmp_path / "a.html", [given])
     item, vertices = Opened(tmp_path / "a.html").items[0], vertices_of(given)
@@ -198,7 +198,9 @@ def test_own_colours_are_stored(tmp_path: Path, bent_bar: MeshSequence) -> None:
     values = np.ones((bent_bar.vertex_count, 4), np.float32)
     values[:, :3] = np.arange(bent_bar.vertex_count)[:, None] % [2, 3, 5] == 0
     surface = Surface(colours=CornerValues(values, bent_bar.polygons.indices))
-    given = page_items(SceneColours(Scene((SceneItem("bar", replace(bent_bar, surface=surface)).stored(),))))
+    given = page_items(
+        SceneColours(Scene((SceneItem("bar", replace(bent_bar, surface=surface)).with_random_access(),)))
+    )
     export_page(tmp_path / "a.html", given)
     item = Opened(tmp_path / "a.html").items[0]
     described = {each["name"]: each for each in item.description["colourings"]}
@@ -373,7 +375,7 @@ def test_memory_does_not_grow_with_the_frames(tmp_path: Path, monkeypatch: pytes
 
         header = sequence.header.with_times(np.arange(count) / 24, 24)
         mesh = Given("bar", FrameStore(header, sequence.points), poses, header.times)
-        item = PageItem(mesh, colourings_of(header, rest))
+        item = PageItem(mesh, available_colourings(header, rest))
         tracemalloc.start()
         export_page(tmp_path / "a.html", [item])
         most = tracemalloc.get_traced_memory()[1]

@@ -29,7 +29,7 @@ from websockets.sync.connection import Connection
 
 from mixseq.viewer.live.controls import _is_file_name
 from mixseq.viewer.live.guard import LARGEST, Guard, Rate
-from mixseq.viewer.live.viewer import Viewer, ViewSettings, viewer
+from mixseq.viewer.live.viewer import Viewer, ViewSettings, run_viewer
 
 pytestmark = pytest.mark.slow
 
@@ -60,7 +60,7 @@ def save(path: Path, model: Model, replace: bool) -> str:
 @pytest.fixture
 def running(model: Model, tmp_path: Path) -> Iterator[Viewer]:
     settings = ViewSettings(folder=tmp_path, threads=1)
-    with viewer(SceneColours(Scene((SceneItem("fox.h5", model),))), settings, save) as started:
+    with run_viewer(SceneColours(Scene((SceneItem("fox.h5", model),))), settings, save) as started:
         yield started
 
 
@@ -406,7 +406,7 @@ def test_more_pages_than_there_is_room_for(
 
 def test_read_only(model: Model, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     settings = ViewSettings(folder=tmp_path, threads=1, read_only=True)
-    with viewer(SceneColours(Scene((SceneItem("fox.h5", model),))), settings, save) as running:
+    with run_viewer(SceneColours(Scene((SceneItem("fox.h5", model),))), settings, save) as running:
         page = Page(running)
         controls = running._server.gui._gui_input_handle_from_uuid.values()
         labels = {getattr(each, "label", None) for each in controls}

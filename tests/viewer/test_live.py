@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 
-from mixseq.viewer.live.viewer import Viewer, ViewSettings, viewer
+from mixseq.viewer.live.viewer import Viewer, ViewSettings, run_viewer
 
 pytestmark = pytest.mark.slow
 
@@ -57,7 +57,7 @@ def save(path: Path, model: Model, replace: bool) -> str:
 def running(model: Model, tmp_path: Path) -> Iterator[Viewer]:
     scene = Scene((SceneItem("fox.h5", model),))
     settings = ViewSettings(port=own_port(), folder=tmp_path, threads=1, material="toon5")
-    with viewer(SceneColours(scene), settings, save) as started:
+    with run_viewer(SceneColours(scene), settings, save) as started:
         yield started
 
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 
-from mixseq.viewer.live.marking import MarkedMeshes, MarkingViewer, marking_viewer
+from mixseq.viewer.live.marking import MarkedMeshes, MarkingViewer, run_marking_viewer
 from mixseq.viewer.live.viewer import ViewSettings
 
 pytestmark = pytest.mark.slow
@@ -88,9 +88,9 @@ def running(tmp_path: Path) -> Iterator[MarkingViewer]:
         write_markers(tmp_path / "pairs.txt", markers)
         return "saved"
 
-    nothing = Markers.of(np.zeros((0, 2), np.int64))
+    nothing = Markers.from_pairs(np.zeros((0, 2), np.int64))
     meshes = MarkedMeshes(FOXES[0].mesh, FOXES[1].mesh, ("short.obj", "tall.obj"), nothing, "pairs.txt")
-    with marking_viewer(meshes, ViewSettings(port=own_port(), material="toon5"), save) as started:
+    with run_marking_viewer(meshes, ViewSettings(port=own_port(), material="toon5"), save) as started:
         yield started
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mixseq.creature import walk_cycle
 from mixseq.mesh.surface import CornerValues, Surface
-from mixseq.pictures.colours import MEASURES, colourings_of
+from mixseq.pictures.colours import MEASURES, available_colourings
 from mixseq.pictures.scene import SceneItem
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.fitting import fit
@@ -47,7 +47,7 @@ def exported(name: str, motion: MeshSequence | Model, original: MeshSequence | N
         assert original is not None
         return np.asarray(original.points[int(np.abs(original.times - original.times[0] - seconds).argmin())])
 
-    colours = colourings_of(
+    colours = available_colourings(
         motion.header,
         poses[0],
         motion.decomposition if isinstance(motion, Model) else None,

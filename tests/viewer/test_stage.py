@@ -24,7 +24,7 @@ def shown(following: bool) -> tuple[Float, Float]:
     points, faces = tube(8, 5)
     travel = np.multiply.outer(np.arange(FRAMES), [[5.0, 0, 0]])
     moving = MeshSequence.from_arrays(points + travel, faces)
-    scene = Scene((SceneItem("tube", moving).stored(),))
+    scene = Scene((SceneItem("tube", moving).with_random_access(),))
     stage = LiveStage(
         MagicMock(), SceneColours(scene, None), "standard", False, MagicMock(), following=following
     )
@@ -42,7 +42,7 @@ def test_own_colours_are_sent_once_as_the_file_has_them() -> None:
     linear = np.linspace(0, 1, len(points))[:, None] * [1.0, 0.5, 0, 0] + [0, 0, 0, 1.0]
     still = MeshSequence.from_arrays(points[None], faces)
     surface = Surface(colours=CornerValues(linear, still.polygons.indices))
-    scene = Scene((SceneItem("tube", replace(still, surface=surface)).stored(),))
+    scene = Scene((SceneItem("tube", replace(still, surface=surface)).with_random_access(),))
     stage = LiveStage(MagicMock(), SceneColours(scene, None), "standard", False, MagicMock())
     stage.colour("own")
     stage.show(Moment(scene, 0, (scene.items[0].pose(0.0),)))

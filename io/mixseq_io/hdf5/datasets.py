@@ -23,9 +23,9 @@ from mixseq.runtime.interrupts import unbroken
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import LARGEST, SMALLEST
 from mixseq.types import Float, Index
-from mixseq_io.files import replacing
+from mixseq_io.files import atomic_file
 from mixseq_io.hdf5.contents import Contents
-from mixseq_io.surfaces import surface_arrays
+from mixseq_io.surfaces import surface_to_arrays
 
 CHECKED: dict[str, Any] = {"fletcher32": True, "shuffle": True, "compression": "gzip", "compression_opts": 6}
 """Storage options of every dataset with elements."""
@@ -67,7 +67,7 @@ def write_header(file: h5py.File, header: SequenceHeader) -> None:
     file.attrs["metres_per_unit"] = header.metres_per_unit
     put_array(file, "polygons/counts", header.polygons.counts)
     put_array(file, "polygons/indices", header.polygons.indices)
-    for name, array in surface_arrays(header.surface).items():
+    for name, array in surface_to_arrays(header.surface).items():
         if array.dtype.kind == "U":
             # Fixed length: strings of any length lie outside the dataset and its checksum.
             array = np.char.encode(array, "utf-8")
@@ -77,7 +77,7 @@ def write_header(file: h5py.File, header: SequenceHeader) -> None:
 @contextmanager
 def creating_h5(path: Path) -> Iterator[tuple[h5py.File, Store]]:
     """Yield a new HDF5 file that replaces `path` when complete, and the store that reports failures."""
-    with replacing(path) as temporary, temporary.open("w+b", buffering=0) as raw:
+    with atomic_file(path) as temporary, temporary.open("w+b", buffering=0) as raw:
         store = Store(raw)
         with h5py.File(store, "w", libver=("v110", "v110")) as file:
             yield file, store

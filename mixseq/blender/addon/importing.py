@@ -10,7 +10,7 @@ import numpy as np
 from bpy.props import BoolProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
-from mixseq.blender.motion import Placing, fitting, part_names, part_of
+from mixseq.blender.motion import Placement, fitting, part_names, part_of
 from mixseq.mesh.polygons import Polygons, matched
 from mixseq.signals.model import Model
 
@@ -50,7 +50,7 @@ class _ModelFile(ImportHelper):
         """Import the model."""
         raise NotImplementedError
 
-    def settle(self, thing: bpy.types.Object, part: str, placing: Placing) -> None:
+    def settle(self, thing: bpy.types.Object, part: str, placing: Placement) -> None:
         """Set the model that moves the mesh of an object."""
         settings = thing.data.mixseq
         settings.part, settings.up_axis, settings.scale = part, placing.up_axis, placing.scale
@@ -73,7 +73,7 @@ class ImportModel(bpy.types.Operator, _ModelFile):
             mesh = new_mesh(model.header, part)
             made = bpy.data.objects.new(mesh.name, mesh)
             context.collection.objects.link(made)
-            self.settle(made, part, Placing.as_told(model.header))
+            self.settle(made, part, Placement.from_header(model.header))
             made.select_set(True)
             context.view_layer.objects.active = made
 

@@ -14,7 +14,7 @@ from typing import Any
 import bpy
 from bpy.app.handlers import persistent
 
-from mixseq.blender.motion import Frames, Models, Motion, Placing, part_of, seconds
+from mixseq.blender.motion import Frames, Models, Motion, Placement, part_of, seconds
 from mixseq.errors import MixseqError, SettingsError
 from mixseq.signals.model import Model
 from mixseq_io.loading import load
@@ -75,7 +75,7 @@ def _move(mesh: bpy.types.Mesh, settings: MotionSettings, fps: float) -> None:
         raise SettingsError(
             "the mesh has shape keys, which would move it back; delete them, or switch Live off"
         )
-    motion = Motion(model_of(mesh.mixseq), Placing(settings.up_axis, settings.scale))
+    motion = Motion(model_of(mesh.mixseq), Placement(settings.up_axis, settings.scale))
     time = motion.held(seconds(settings.frame, settings.frame_offset, fps))
     shown = motion, time, settings.part
     if _shown.get(mesh.session_uid) == shown or mesh.is_editmode:

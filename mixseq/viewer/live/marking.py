@@ -20,7 +20,7 @@ from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.pictures.colours import SceneColours
 from mixseq.pictures.scene import HEIGHT, Scene, SceneItem
 from mixseq.retargeting.markers import Markers
-from mixseq.retargeting.suggestions import FEWEST, Examination
+from mixseq.retargeting.suggestions import MIN_EXAMINED_MARKERS, Examination
 from mixseq.sequence.sequence import MeshSequence, frame_store
 from mixseq.types import Float, Index
 from mixseq.viewer.live.controls import notify_all
@@ -116,7 +116,7 @@ class MarkingStage:
         """Return the places ``(n, 3)`` of vertices in the scene."""
         return np.asarray(self._placed[side][0][vertices] + self._frames[side].position)
 
-    def seen_from(self, distance: float) -> bool:
+    def resolve_view(self, distance: float) -> bool:
         """Set the distance of the camera; returns whether balls must be drawn again."""
         radius = RADIUS * min(distance, FARTHEST)
         if 1 / STEP < radius / self._radius < STEP:
@@ -304,9 +304,11 @@ def _map_lines(marking: Marking, examination: Examination | None, work: str) -> 
         ]
     elif examination.refusal:
         lines = [escape(examination.refusal)]
-    elif count < FEWEST:
-        lines = [f"tells how well pairs fit, from {FEWEST} on"]
-    suspects = [f'<span style="color: #c92a2a">{escape(each.why)}</span>' for each in examination.suspicions]
+    elif count < MIN_EXAMINED_MARKERS:
+        lines = [f"tells how well pairs fit, from {MIN_EXAMINED_MARKERS} on"]
+    suspects = [
+        f'<span style="color: #c92a2a">{escape(each.message)}</span>' for each in examination.suspicions
+    ]
     return lines + suspects
 
 
@@ -356,7 +358,7 @@ class MarkedMeshes:
 
 
 class MarkingViewer:
-    """A running viewer for markers; make it with `marking_viewer`."""
+    """A running viewer for markers; make it with `run_marking_viewer`."""
 
     def __init__(
         self,
@@ -449,7 +451,7 @@ class MarkingViewer:
         if turned > TURNED and np.hypot(toward[0], toward[2]) > STEEP * abs(toward[1]):
             self._stage.turn(azimuth, camera.look_at, distance)
             self._balls.stand(self._stage.arrangement.offsets)
-        if self._balls.seen_from(distance):
+        if self._balls.resolve_view(distance):
             self.changed()
 
     def _other(self, camera: Any) -> None:
@@ -482,7 +484,7 @@ class MarkingViewer:
 
 
 @contextmanager
-def marking_viewer(
+def run_marking_viewer(
     meshes: MarkedMeshes, settings: ViewSettings, save: SaveMarkers
 ) -> Iterator[MarkingViewer]:
     """Run a viewer for markers in the background, for the duration of the context."""

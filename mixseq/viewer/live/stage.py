@@ -15,7 +15,7 @@ from mixseq.viewer.playback import Moment
 from mixseq.viewer.session import Picked, pick
 
 GROUND = (243, 243, 240)
-LINES = (222, 222, 218)
+GRID_COLOUR = (222, 222, 218)
 MARK = (20, 20, 20)
 
 CELL = HEIGHT / 2
@@ -29,7 +29,7 @@ class LiveStage:
     """Meshes in the scene of a viser server; see `mixseq.viewer.playback.Stage`.
 
     `report` is called with every shown moment. `overlaid` and `following` (bodies stay in place, the ground moves) are
-    initial states; `camera` as in `mixseq.pictures.scene.seen_from`, `material` as in `ViewSettings`.
+    initial states; `camera` as in `mixseq.pictures.scene.resolve_view`, `material` as in `ViewSettings`.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class LiveStage:
         self._colour = name
 
     def look(self, scene: Scene, camera: tuple[float, float]) -> None:
-        """Set the view, see `mixseq.pictures.scene.seen_from`, with meshes side by side across it."""
+        """Set the view, see `mixseq.pictures.scene.resolve_view`, with meshes side by side across it."""
         self._camera = camera
         self.arrange(scene, side_by_side=True)
 
@@ -206,8 +206,8 @@ class LiveStage:
             plane="xz",
             cell_size=HEIGHT / 10,
             section_size=CELL,
-            cell_color=LINES,
-            section_color=LINES,
+            cell_color=GRID_COLOUR,
+            section_color=GRID_COLOUR,
             plane_color=GROUND,
             plane_opacity=0.0,
             fade_distance=6 * HEIGHT,

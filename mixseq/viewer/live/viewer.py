@@ -230,7 +230,7 @@ class Viewer:
 
 
 @contextmanager
-def viewer(colours: SceneColours, settings: ViewSettings, save: Save) -> Iterator[Viewer]:
+def run_viewer(colours: SceneColours, settings: ViewSettings, save: Save) -> Iterator[Viewer]:
     """Run a viewer in the background, for the duration of the context."""
     with ExitStack() as stack:
         server, address = stack.enter_context(served(settings.host, settings.port))

@@ -14,7 +14,7 @@ import numpy as np
 
 import mixseq
 from mixseq.blender.extension import RELEASES, this_platform, write_extension
-from mixseq.blender.motion import Motion, Placing
+from mixseq.blender.motion import Motion, Placement
 from mixseq.creature import walk_cycle
 from mixseq.mesh.surface import CornerValues, Surface
 from mixseq.sequence.sequence import MeshSequence
@@ -126,7 +126,7 @@ def _slide() -> MeshSequence:
 
 def _off(model: Model, frames: Any, seen: Any) -> float:
     """Return how far vertices are from where a model is at frames, in diagonals of its first one."""
-    motion = Motion(model, Placing.as_told(model.header))
+    motion = Motion(model, Placement.from_header(model.header))
     expected = np.array([motion.points(float(frame) / FPS) for frame in frames], dtype=np.float64)
     diagonal = float(np.linalg.norm(np.ptp(expected[0], axis=0)))
     return float(np.abs(np.asarray(seen, dtype=np.float64) - expected).max()) / diagonal

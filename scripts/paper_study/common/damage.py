@@ -9,7 +9,7 @@ import numpy as np
 from mixseq.mesh.measures import shared_normals
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.rigid import kabsch, transform
-from mixseq.pictures.scene import View, y_up
+from mixseq.pictures.scene import View, to_y_up
 from mixseq.types import Float, Index
 from scripts.paper_study.common.poses import Poses
 
@@ -63,7 +63,7 @@ def pushed(poses: Poses, rigid: Index, view: View) -> Pushed:
     inside[rigid] = True
     edge = float(poses.lengths[1].mean())
     best: Pushed | None = None
-    seen = rigid[y_up(normals[rigid], poses.sequence.up_axis) @ view.rows[2] > SEEN]
+    seen = rigid[to_y_up(normals[rigid], poses.sequence.up_axis) @ view.rotation[2] > SEEN]
     for vertex in seen[:: max(1, len(seen) // TRIED)].tolist():
         away = np.linalg.norm(x - x[vertex], axis=1)
         opposite = (normals @ normals[vertex] < OPPOSITE) & ((x - x[vertex]) @ normals[vertex] < -0.7 * away)

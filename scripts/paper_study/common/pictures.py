@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mixseq.pictures.charts import LINES, chart_style, new_page
-from mixseq.pictures.colours import CLAY, segmentation_colours
+from mixseq.pictures.charts import LINE_COLOURS, chart_style, new_page
+from mixseq.pictures.colours import CLAY_COLOUR, segmentation_colours
 from mixseq.pictures.page import Sheet, draw_mesh
-from mixseq.pictures.scene import Limits, View, shared_limits, three_quarter_view, y_up
+from mixseq.pictures.scene import Limits, View, shared_limits, three_quarter_view, to_y_up
 from mixseq.segmentation.joints import Decomposition
 from mixseq.types import Float, Index
 from scripts.paper_study.common.poses import Poses
@@ -27,7 +27,7 @@ class Panel(NamedTuple):
 
     title: str
     points: Float
-    colours: ArrayLike = CLAY
+    colours: ArrayLike = CLAY_COLOUR
     close: int | None = None
 
 
@@ -60,7 +60,7 @@ def gallery(
     low, high = np.array(limits)[:, ::2], np.array(limits)[:, 1::2]
     size = (high - low).max(axis=0)
     columns = max(len(row) for row in rows)
-    sheet = Sheet.of(len(rows), columns, float(size[1] / size[0]), title)
+    sheet = Sheet.from_grid(len(rows), columns, float(size[1] / size[0]), title)
     for axes, row in zip(sheet.panels, rows, strict=True):
         for ax, panel in zip(axes, row, strict=False):
             window = _window(panel, poses, view, size)
@@ -74,7 +74,7 @@ def _window(panel: Panel, poses: Poses, view: View, size: Float) -> Limits:
     left, right, bottom, top = shared_limits(panel.points, poses.sequence.up_axis, view)
     middle, half = np.array([left + right, bottom + top]) / 2, size / 2
     if panel.close is not None:
-        middle = (view.rows @ y_up(panel.points[panel.close], poses.sequence.up_axis))[:2]
+        middle = (view.rotation @ to_y_up(panel.points[panel.close], poses.sequence.up_axis))[:2]
         half = size / size[0] * CLOSE * poses.diagonal
     (x, y), (width, height) = middle, half
     return float(x - width), float(x + width), float(y - height), float(y + height)
@@ -97,12 +97,17 @@ def envelopes(target: Path, title: str, weights: Sequence[float], bands: Bands) 
     """Draw bands of errors over the weight, a column for every method, as a PNG."""
     names = list(bands)
     rows = (
-        ("lengths", "relative length error", ("all", "99.9 %", "99 %"), ("#9db8cf", LINES[0], "#123a57")),
+        (
+            "lengths",
+            "relative length error",
+            ("all", "99.9 %", "99 %"),
+            ("#9db8cf", LINE_COLOURS[0], "#123a57"),
+        ),
         (
             "degrees",
             "dihedral error (degrees)",
             ("all", "99.99 %", "99.9 %", "99 %"),
-            ("#ecd3ad", "#d6b06e", LINES[1], "#6e4508"),
+            ("#ecd3ad", "#d6b06e", LINE_COLOURS[1], "#6e4508"),
         ),
     )
     with chart_style():

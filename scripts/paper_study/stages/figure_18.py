@@ -12,7 +12,7 @@ import mixseq
 from mixseq.mesh.measures import edge_lengths
 from mixseq.pictures.charts import chart_style, draw_embedding, new_page
 from mixseq.pictures.page import draw_mesh
-from mixseq.pictures.scene import shared_limits, three_quarter_view, y_up
+from mixseq.pictures.scene import shared_limits, three_quarter_view, to_y_up
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float
 from scripts.benchmarks.common.section import markdown_table
@@ -112,7 +112,7 @@ def draw(
     sequence = poses.sequence
     view = three_quarter_view(truth, sequence.up_axis)
     whole = shared_limits(np.stack([truth, *shapes.values()]), sequence.up_axis, view)
-    x, y = (y_up(truth[vertex], sequence.up_axis) @ view.rows.T)[:2]
+    x, y = (to_y_up(truth[vertex], sequence.up_axis) @ view.rotation.T)[:2]
     size = CLOSE * poses.diagonal / 2
     window = (x - size, x + size, y - size, y + size)
     time = float(sequence.times[frame])
