@@ -140,7 +140,7 @@ class DiscreteShell(PickledWithoutCaches):
         return [piece.patch for piece in self.shell_pieces if piece is not None]
 
     def piece_volumes(self, x: FloatArray) -> Float:
-        """Return the volumes ``(p,)`` of the pieces of a frame ``(V, 3)``, 0 of single vertices; see `signed_volume`."""
+        """Return the `signed_volume` ``(p,)`` of the pieces of a frame ``(V, 3)``, 0 of single vertices."""
         return np.array([signed_volume(*surface) for surface in self._surfaces(x)])
 
     def volume_weights(self, x: FloatArray) -> Float:
