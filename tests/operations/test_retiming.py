@@ -103,7 +103,7 @@ def test_times_outside(time: float) -> None:
     retiming = Retiming.section(1, 3)
     for ask in (retiming, retiming.slope):
         with pytest.raises(
-            SettingsError, match=f"from 1 to 3 s of the output, and tells nothing of {time:g} s"
+            SettingsError, match=f"{time:g} s is outside the retiming, which is from 1 to 3 s of the output"
         ):
             ask([2, time])
 
@@ -276,7 +276,7 @@ def test_residual_layers_come_along() -> None:
         ([[0.0, 0.0], [1.0, np.nan]], "must be finite"),
         (
             [[0.0, 0.0], [1.0, 0.9]],
-            "asks for more than there is: time 0.9 s is outside the sequence, 0 to 0.8 s",
+            "goes beyond the source: time 0.9 s is outside the sequence, 0 to 0.8 s",
         ),
         ([[0.0, 0.0], [1e8, 0.8]], r"1e\+08 s at .* make more than 10,000,000 frames"),
     ],
