@@ -27,7 +27,7 @@ from mixseq import operations
 from mixseq.cli import main
 from mixseq.cli.formats import as_markdown
 from mixseq.cli.options import Setting
-from mixseq.compression.bitstream.compressed_sequence import BetweenFrames, CodingParameters
+from mixseq.compression.bitstream.compressed_sequence import CodingParameters, TemporalInterpolation
 from mixseq.creature import walk_cycle
 from mixseq.operations.script import OPERATIONS, Readers, read_script
 from mixseq.segmentation.motion import MotionSettings
@@ -378,7 +378,9 @@ def test_constants_of_the_specification_are_those_of_the_code() -> None:
 
 def test_specification_has_every_parameter_of_the_coding() -> None:
     explained = {name for row in rows("docs/file-format.md") for name in re.findall(r"^\*(\w+)\*$", row[0])}
-    assert explained == {field.name for each in (CodingParameters, BetweenFrames) for field in fields(each)}
+    assert explained == {
+        field.name for each in (CodingParameters, TemporalInterpolation) for field in fields(each)
+    }
 
 
 @pytest.fixture(scope="module")

@@ -75,7 +75,7 @@ def numbered_names(word: str, count: int) -> list[str]:
     return [f"{word}_{number:0{width}d}" for number in range(count)]
 
 
-def steadied(values: Float, unit: float) -> Float:
+def remove_rounding_motion(values: Float, unit: float) -> Float:
     """Return values ``(T, n, k)`` with those of bones that only move by rounding set to the first frame's."""
     largest = max(unit, float(np.abs(values).max(initial=0.0)))
     moved = np.abs(values - values[:1]).max(axis=(0, 2), keepdims=True)
@@ -86,9 +86,9 @@ def local_joint_transforms(
     skin: Skin, file_format: str, header: SequenceHeader | None = None
 ) -> tuple[Single, Single]:
     """Return local rotations ``(T, B, 4)`` and translations ``(T, B, 3)`` in float32; errors name the format."""
-    local = skin.local()
-    places = steadied(local.translations, bounding_diagonal(skin.rest))
-    return steadied(local.rotations, 1.0).astype(np.float32), as_float32(
+    local = skin.local_motion()
+    places = remove_rounding_motion(local.translations, bounding_diagonal(skin.rest))
+    return remove_rounding_motion(local.rotations, 1.0).astype(np.float32), as_float32(
         places, 0, file_format, "bone", header
     )
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mixseq.compression.numbering import numbering_of
+from mixseq.compression.numbering import find_numbering
 from mixseq.errors import AmbiguousError, FormatError
 from mixseq.mesh.polygons import PolygonMatch, Polygons, matched
 from mixseq.mesh.surface import NO_UV, WHITE, CornerValues, FaceSet, MeshObject, Origin, Surface
@@ -180,7 +180,7 @@ class SceneMesh:
 
     def with_vertex_order_of(self, original: Polygons) -> SceneMesh | None:
         """Return the mesh with the vertex order of a file (only compressed models renumber), None for another mesh."""
-        found = numbering_of(self.polygons, original, [self.vertex_count])
+        found = find_numbering(self.polygons, original, [self.vertex_count])
         if found is None or found.order != "free":
             return None if found is None else self
         order = found.inverse.vertices

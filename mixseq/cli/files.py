@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from mixseq.pictures.scene import SceneItem
     from mixseq.runtime.parallel import Executor
     from mixseq.sequence.header import SequenceHeader
-    from mixseq.sequence.sequence import MeshSequence
+    from mixseq.sequence.sequence import LazyFrames, MeshSequence
     from mixseq.signals.model import Model
     from mixseq.types import FloatArray
     from mixseq_io.reader import SequenceReader
@@ -81,20 +81,10 @@ def chosen_blocks(blocks: Iterable[FloatArray], indices: Iterable[int]) -> Itera
             return
 
 
-@dataclass(frozen=True)
-class LazyFrames:
-    """Frames that are made on demand; `make` gets the largest number of frames in a block."""
-
-    header: SequenceHeader  # mesh and times
-    make: Callable[[int], Iterator[FloatArray]]
-
-    def blocks(self, size: int = 16) -> Iterator[FloatArray]:
-        """Make all frames."""
-        return self.make(size)
-
-
 def decoded(model: Model, progress: Progress, workers: Executor) -> LazyFrames:
     """Return the frames of a model, decoded on demand."""
+    from mixseq.sequence.sequence import LazyFrames
+
     return LazyFrames(model.header, lambda _: model.blocks(model.times, progress=progress, workers=workers))
 
 

@@ -122,20 +122,20 @@ def parts_of_both(transfer: Transfer) -> tuple[Index, Index]:
 
     For transfers by gradients the parts of the source are found from its motion and mapped to the target.
     """
-    from mixseq.retargeting.parts import carry_labels
+    from mixseq.retargeting.parts import transfer_labels
 
     parts = transfer.method.parts
     if parts is not None:
         return parts.part_of_face
     labels = transfer.source.part_of_face()
-    return labels, carry_labels(labels, transfer.correspondence, transfer.header.faces)
+    return labels, transfer_labels(labels, transfer.correspondence, transfer.header.faces)
 
 
 def heading(transfer: Transfer) -> float:
     """Return the best-fit turn of the target at rest from the source about the up axis, in degrees, 0 if unknown."""
     matched = transfer.correspondence.matched
     source = to_y_up(
-        transfer.correspondence.carry(transfer.source.rest)[matched], transfer.source.header.up_axis
+        transfer.correspondence.interpolate(transfer.source.rest)[matched], transfer.source.header.up_axis
     )
     target = to_y_up(transfer.target[matched], transfer.header.up_axis)
     a, b = ((x - x.mean(axis=0))[:, [0, 2]] for x in (source, target))

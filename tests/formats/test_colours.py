@@ -288,7 +288,7 @@ def test_compressed_files_keep_every_bit(
         sequence = coloured(sequence, values[:-1], sequence.polygons.indices)
     mixseq.save(tmp_path / f"a{suffix}", mixseq.compress(sequence, max_error=0.01, order=order))
     got = mixseq.load(tmp_path / f"a{suffix}").header
-    expected = cheapest_numbering(sequence.header, order).of_header(sequence.header)
+    expected = cheapest_numbering(sequence.header, order).renumber_header(sequence.header)
     assert got.polygons.same_as(expected.polygons)
     np.testing.assert_array_equal(colours(got), colours(expected))
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.compression.numbering import by_walk, object_sizes
+from mixseq.compression.numbering import object_vertex_counts, walk_numbering
 from mixseq.errors import OutputError
 from mixseq.mesh.polygons import Polygons, matched
 from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Surface
@@ -65,9 +65,9 @@ def test_decoded_over_the_original(kind: str, tmp_path: Path) -> None:
 
 def test_the_mesh_of_a_file_is_told_in_its_numbers() -> None:
     sequence = pair()
-    walked = by_walk(sequence.polygons, object_sizes(sequence), vertices=True)
+    walked = walk_numbering(sequence.polygons, object_vertex_counts(sequence), vertices=True)
     points = np.arange(sequence.vertex_count)[walked.vertices]
-    before, after = split_meshes(sequence.header), split_meshes(walked.of_header(sequence.header))
+    before, after = split_meshes(sequence.header), split_meshes(walked.renumber_header(sequence.header))
     for was, new in zip(before, after, strict=True):
         ours = new.with_vertex_order_of(was.polygons)
         assert ours is not None
@@ -83,7 +83,7 @@ def test_another_mesh_is_refused(tmp_path: Path) -> None:
     polygons = Polygons(
         sequence.polygons.counts, np.roll(sequence.polygons.indices.reshape(-1, 3), 1, 1).ravel()
     )
-    free = by_walk(polygons, object_sizes(sequence), vertices=True).of_frames(
+    free = walk_numbering(polygons, object_vertex_counts(sequence), vertices=True).renumber_frames(
         replace(sequence, polygons=polygons)
     )
     assert isinstance(free, MeshSequence)

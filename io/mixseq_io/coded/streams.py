@@ -39,10 +39,10 @@ from numpy.typing import NDArray
 
 from mixseq.choices import ORDERS, OrderName
 from mixseq.compression.bitstream.compressed_sequence import (
-    BetweenFrames,
     Chunk,
     CodingParameters,
     CompressedSequence,
+    TemporalInterpolation,
     to_model,
 )
 from mixseq.compression.bitstream.connectivity import decode_polygons
@@ -347,7 +347,7 @@ _DECODED = 16
 """Memory in bytes that decoding takes per number of a basis and its coefficients."""
 
 
-def sequence_of(path: Path, container: Container) -> CompressedSequence:
+def read_sequence(path: Path, container: Container) -> CompressedSequence:
     """Return the compressed sequence of a file, checked; raise `FormatError` with the damaged stream and its frames."""
     index = read_index(path, container)
 
@@ -391,7 +391,7 @@ def _parameters(path: Path, facts: Mapping[str, Any]) -> CodingParameters:
     return parameters
 
 
-def _between(path: Path, facts: Mapping[str, Any]) -> BetweenFrames | None:
+def _between(path: Path, facts: Mapping[str, Any]) -> TemporalInterpolation | None:
     """Return the prediction of coefficients between frames, None if absent; raise `FormatError` if it is invalid."""
     given = facts.get("between")
     if given is None:
@@ -400,7 +400,7 @@ def _between(path: Path, facts: Mapping[str, Any]) -> BetweenFrames | None:
         raise FormatError(f"{path}: between is {given!r}; length and cubic are expected; it is damaged")
     length, cubic = given["length"], given["cubic"]
     try:
-        return BetweenFrames(
+        return TemporalInterpolation(
             inf if length is None else length, tuple(cubic) if isinstance(cubic, list) else cubic
         )
     except SettingsError as error:
@@ -448,7 +448,7 @@ def _header(
         raise FormatError(f"{path}: {error}; it is damaged, or there is too little memory") from error
 
 
-def decoded(path: Path, coded: CompressedSequence) -> Model:
+def decode_model(path: Path, coded: CompressedSequence) -> Model:
     """Return the model of a sequence read from a file; raise `FormatError` for contradictions or too much memory."""
     width, frames = 3 if coded.parameters.factors == "shapes" else 1, coded.header.frame_count
     numbers = coded.parameters.rank * (width * coded.header.vertex_count + 3 * frames)

@@ -4,7 +4,7 @@ A target is displacements ``d_m`` and weights ``w_tm`` from 0 to 1 (`rig_arrays.
 normals as it does points, ``n_t ~ n_0 + sum_m w_tm e_m`` before normalisation. The ``e_m`` are fitted to the true
 normals ``N_t`` of all frames by least squares: with the matrix ``W`` of weights, ``E = W^+ (N - n_0)``.
 
-Joints are nodes in a tree. The node of joint b has the rotation and translation of `mixseq.rigging.rigs.Skin.local`
+Joints are nodes in a tree. The node of joint b has the rotation and translation of `Skin.local_motion`
 relative to its parent; in the world it takes the axes ``A_b`` at the pivot ``p_b`` to ``R_tb A_b`` at ``c_tb``. Its
 inverse bind matrix takes them to the axes of the world at the origin,
 

@@ -4,7 +4,7 @@ Bind transforms are in skeleton space, placed in the world by the skeleton's tra
 matrices act on row vectors.
 
 Written, a SkelRoot holds the meshes, a Skeleton and a SkelAnimation. Bind transforms are in world space, with the axes
-``A_b`` at the pivot ``p_b``. The animation moves joints relative to their parents by `mixseq.rigging.rigs.Skin.local`,
+``A_b`` at the pivot ``p_b``. The animation moves joints relative to their parents by `Skin.local_motion`,
 so that UsdSkel takes a point from the bind pose to ``R_tb (r_v - p_b) + c_tb``, the skin's formula; blend shapes come
 before joints. A morph has a Skeleton without joints. Joints are named by paths (``hips/leg``) of
 valid names; ``jointNames`` keeps the others. Materials are copied from the sequence's original USD file.
