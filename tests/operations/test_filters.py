@@ -157,7 +157,7 @@ def test_frozen_modes_do_not_move() -> None:
 
 
 def test_gains_are_finite_and_modes_there() -> None:
-    with pytest.raises(SettingsError, match="gain is inf; a number is expected"):
+    with pytest.raises(SettingsError, match="gain is inf; a number from -1000 to 1000 is expected"):
         exaggerate(bar_motion(), np.inf)
     for mode in (-1, 99):
         with pytest.raises(SettingsError, match=f"there is no mode {mode}; the model has 8, from 0 on"):

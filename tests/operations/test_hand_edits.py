@@ -95,7 +95,7 @@ def warped() -> MeshSequence:
 
 
 def test_motions_of_two_files_keep_their_shapes(model: Model) -> None:
-    """A basis has the shapes of its own motion; match_spaces they have those of both."""
+    """A basis has the shapes of its own motion; together they have those of both."""
     other = compressed(warped())
     both = match_spaces(replace(model, residual_layer=None), replace(other, residual_layer=None))
     for mine, original in zip(both, (model, other), strict=True):

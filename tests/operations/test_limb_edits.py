@@ -212,7 +212,7 @@ def test_spaces_without_linked_parts() -> None:
 
 @pytest.mark.parametrize("gain", [np.nan, np.inf])
 def test_gains_that_are_no_numbers(gain: float) -> None:
-    with pytest.raises(SettingsError, match=f"gain is {gain}; a number is expected"):
+    with pytest.raises(SettingsError, match=f"gain is {gain}; a number from -1000 to 1000 is expected"):
         exaggerate_part(chain(), 1, gain)
 
 

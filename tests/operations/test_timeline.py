@@ -179,9 +179,9 @@ def test_a_spinning_body_loops_as_it_is() -> None:
         ({"start": 0.7}, r"no time between the start, 0.7 s, and the end, 0.6 s"),
         ({"times": 0}, r"times is 0; give 1 to 10,000 repetitions"),
         ({"times": 10**8}, r"times is 100000000; give 1 to 10,000 repetitions"),
-        ({"fade": 0.0}, r"fade is 0 s; 4e-07 to 0.4 s"),
-        ({"fade": 1e-9}, r"fade is 1e-09 s; 4e-07 to 0.4 s"),
-        ({"fade": 0.5}, r"fade is 0.5 s; 4e-07 to 0.4 s"),
+        ({"fade": 0.0}, r"fade is 0 s; give 4e-07 to 0.4 s"),
+        ({"fade": 1e-9}, r"fade is 1e-09 s; give 4e-07 to 0.4 s"),
+        ({"fade": 0.5}, r"fade is 0.5 s; give 4e-07 to 0.4 s"),
         ({"fade": np.nan}, r"fade is nan s"),
     ],
 )
@@ -196,7 +196,7 @@ def test_what_has_no_placement_does_not_travel() -> None:
 
 
 def test_other_refusals() -> None:
-    with pytest.raises(SettingsError, match=r"fade is 0.5 s; 4e-07 to 0.4 s"):
+    with pytest.raises(SettingsError, match=r"fade is 0.5 s; give 4e-07 to 0.4 s"):
         loop(bar_motion(), 0.5)
     with pytest.raises(SettingsError, match="no time between"):
         loop(bar_motion(frames=1))

@@ -233,7 +233,7 @@ def test_parts_stay_together_however_a_body_turns(angle: float) -> None:
         (0.1, 0.6, "duration is 0.6 s; the second model has 0.5 s"),
         (0.1, 0.0, "duration is 0.0; a positive number"),
         (0.1, np.nan, "duration is nan; a positive number"),
-        (0.1, 1e-6, "duration is 1e-06 s, next to no time"),
+        (0.1, 1e-6, "duration is 1e-06 s; give a longer one"),
         (np.nan, 0.1, "at is nan s"),
     ],
 )
