@@ -276,7 +276,7 @@ def read_report(folder: Path) -> Report:
 
 def write_report(folder: Path, report: Report) -> None:
     """Write ``report.json`` and ``report.md``, each atomically."""
-    from mixseq_io.files import replacing
+    from mixseq_io.files import atomic_file
 
     stored = {
         "mixseq": __version__,
@@ -287,7 +287,7 @@ def write_report(folder: Path, report: Report) -> None:
         ("report.json", json.dumps(stored, indent=2) + "\n"),
         ("report.md", in_markdown(report)),
     ):
-        with replacing(folder / name) as temporary:
+        with atomic_file(folder / name) as temporary:
             temporary.write_text(text, encoding="utf-8")
 
 

@@ -30,7 +30,7 @@ def command(out: Path, frames: int, claim: Claim, quiet: bool) -> None:
     reconstruction and its error.
     """
     from mixseq.creature import walk_cycle
-    from mixseq_io.files import replacing
+    from mixseq_io.files import atomic_file
 
     out.mkdir(parents=True, exist_ok=True)
     creature, stored, decoded, sheet = (
@@ -73,6 +73,6 @@ def command(out: Path, frames: int, claim: Claim, quiet: bool) -> None:
     from mixseq.pictures.sheets import contact_sheet
 
     parts = model.decomposition
-    with replacing(sheet) as temporary:
+    with atomic_file(sheet) as temporary:
         contact_sheet(temporary, original, doubled, parts.part_of_face, parts.joint_of_face)
     announce(sheet)

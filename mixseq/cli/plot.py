@@ -129,7 +129,7 @@ def command(
     source, target = files
     from mixseq.pictures.charts import picture_format
     from mixseq.pictures.models import check_settings, plot_model
-    from mixseq_io.files import replacing
+    from mixseq_io.files import atomic_file
 
     picture_format(target)
     camera = filming.get("camera")
@@ -142,7 +142,7 @@ def command(
     model = mixseq.load(source)
     with progress_bar(quiet) as progress:
         original = None if against is None else read_sequence(against, reading, progress)
-        with replacing(target) as temporary:
+        with atomic_file(target) as temporary:
             plot_model(
                 temporary,
                 model,
@@ -169,7 +169,7 @@ def _make_film(
     """Make the film of `files`; their captions are by default their names, if there are several."""
     from mixseq.pictures.film import FilmSettings, film
     from mixseq.pictures.film_encoding import check_film, film_format
-    from mixseq_io.files import replacing
+    from mixseq_io.files import atomic_file
 
     form = film_format(target)
     settings = FilmSettings(**{name.removeprefix("film_"): value for name, value in filming.items()})
@@ -180,6 +180,6 @@ def _make_film(
     captions = names or ([file.name for file in files] if len(files) > 1 else [""])
     with ExitStack() as stack, progress_bar(quiet) as progress:
         shown, original = scene_items(files, captions, against, reading, stack)
-        with replacing(target) as temporary:
+        with atomic_file(target) as temporary:
             film(temporary, shown, settings, original, progress)
     announce(target)

@@ -101,7 +101,7 @@ def command(
     claim(target)
     from mixseq.operations.resampling import plan
     from mixseq.operations.retiming import Retiming, read_retiming_keys
-    from mixseq_io.reader import in_step
+    from mixseq_io.reader import unzip_blocks
 
     if whole_stage:
         writing = writing | {"whole_stage": True}
@@ -117,7 +117,7 @@ def command(
             retiming = Retiming.through(outputs, sources, smooth=not linear)
         planned = plan(model, rate, start, end, speed, reverse, retiming)
         if velocities:
-            points, speeds = in_step(planned.moving_blocks(progress=progress, workers=work))
+            points, speeds = unzip_blocks(planned.moving_blocks(progress=progress, workers=work))
             write_sequence(target, planned.header, points, speeds, writing, planned.sources)
         else:
             blocks = planned.blocks(progress=progress, workers=work)

@@ -352,13 +352,13 @@ def _export(
     """Write a page with all meshes."""
     from mixseq.viewer.export import ExportSettings, export_page
     from mixseq.viewer.export_data import page_items
-    from mixseq_io.files import replacing
+    from mixseq_io.files import atomic_file
     from mixseq_io.verification import is_compressed, read_compressed
 
     items = page_items(
         colours, [read_compressed(file) if is_model(file) and is_compressed(file) else None for file in files]
     )
-    with replacing(page) as temporary:
+    with atomic_file(page) as temporary:
         report = export_page(temporary, items, ExportSettings(**settings), progress, workers)
     announce(page)
     for item in report.items:

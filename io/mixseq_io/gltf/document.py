@@ -27,10 +27,10 @@ from numpy.typing import NDArray
 
 from mixseq.errors import FormatError
 from mixseq_io.files import check_memory
-from mixseq_io.reader import reading
+from mixseq_io.reader import translate_read_errors
 
 DAMAGE = (KeyError, IndexError, TypeError, ValueError, AttributeError, RecursionError)
-"""Exceptions of unchecked access to the JSON of damaged files, for `reading`."""
+"""Exceptions of unchecked access to the JSON of damaged files, for `translate_read_errors`."""
 
 DRACO = "KHR_draco_mesh_compression"
 MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
@@ -254,7 +254,7 @@ def data_of_uri(buffer: Fields, uri: str) -> Data:
     # No scheme, drive or root, and not even a link out of the folder.
     if ":" in name or "\\" in name or "\0" in name or name.startswith("/") or ".." in name.split("/"):
         raise buffer.error(f"is in {name[:80]!r}; only files in the folder of the glTF file are read")
-    with reading(folder / name, "the buffer of a glTF file"):
+    with translate_read_errors(folder / name, "the buffer of a glTF file"):
         file = (folder / name).resolve()
         if not file.is_relative_to(folder):
             raise buffer.error(
@@ -426,11 +426,11 @@ class Document:
 
 def load_document(path: Path) -> Document:
     """Read a .gltf or .glb file; buffers in other files are read on demand."""
-    with reading(path, "glTF"):
+    with translate_read_errors(path, "glTF"):
         data = data_of_file(path)
         binary = data.read(0, 4) == b"glTF"
         text, chunk = chunks(path, data) if binary else (data.read(0, data.size), None)
-    with reading(path, "glTF", ValueError, RecursionError):
+    with translate_read_errors(path, "glTF", ValueError, RecursionError):
         parsed = json.loads(text.decode("utf-8-sig"))
     if not isinstance(parsed, dict):
         raise FormatError(f"{path} is JSON, but not glTF")

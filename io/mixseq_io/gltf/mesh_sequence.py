@@ -38,7 +38,7 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray
 from mixseq_io.coded.packing import pack
 from mixseq_io.coded.streams import Container
-from mixseq_io.files import check_memory, replacing
+from mixseq_io.files import atomic_file, check_memory
 from mixseq_io.gltf.codecs import (
     ARRAY_BUFFER,
     COMPONENT_OF,
@@ -77,7 +77,7 @@ from mixseq_io.gltf.new_document import (
     split_corners,
     upside_down,
 )
-from mixseq_io.reader import as_float32, reading, warn
+from mixseq_io.reader import as_float32, translate_read_errors, warn
 from mixseq_io.scene_meshes import SceneMesh
 
 
@@ -88,7 +88,7 @@ def is_glb(path: Path) -> bool:
 
 def has_sequence(path: Path) -> bool:
     """Whether a .glb has a mesh sequence."""
-    with reading(path, "glTF"):
+    with translate_read_errors(path, "glTF"):
         data = data_of_file(path)
         if data.read(0, 4) != b"glTF":
             return False  # the error is reported by its reader
@@ -137,7 +137,7 @@ def _sequences(document: Document) -> Iterator[Fields]:
 def _content(document: Document, extension: Fields, key: str) -> bytes:
     view = document.item("bufferViews", extension.integer(key))
     check_memory(document.path, view.integer("byteLength"), f"its {key}")
-    with reading(document.path, "glTF"):
+    with translate_read_errors(document.path, "glTF"):
         return document.part(view)
 
 
@@ -147,7 +147,7 @@ def carried_materials(layout: Layout, names: Collection[str], origin: Origin | N
         return {}
     path = Path(origin.path)
     try:
-        with reading(path, "glTF", *DAMAGE):
+        with translate_read_errors(path, "glTF", *DAMAGE):
             copy = _Copy(layout, load_document(path))
             return copy.materials(names)
     except FormatError as error:
@@ -351,7 +351,7 @@ def write_container(
 ) -> None:
     """Write text, streams, and a still of `points` ``(V, 3)``; see `write_sequence`."""
     layout = _layout(header, points, container, still)
-    with replacing(path) as temporary, open_buffer_writer(path, temporary, layout):
+    with atomic_file(path) as temporary, open_buffer_writer(path, temporary, layout):
         pass
 
 

@@ -54,7 +54,7 @@ from mixseq_io.gltf.codecs import decompress_document
 from mixseq_io.gltf.document import Document, Fields, load_document
 from mixseq_io.gltf.primitives import Primitive, Weld, primitives_of, texture_transform, weld
 from mixseq_io.gltf.scene import Pose, Scene, read_scene
-from mixseq_io.reader import SequenceReader, naming, warn
+from mixseq_io.reader import SequenceReader, prefix_errors, warn
 from mixseq_io.rig_arrays import build_skeleton, choose_skeleton
 from mixseq_io.scene_meshes import (
     SceneMesh,
@@ -304,7 +304,7 @@ def open_gltf(
 ) -> SequenceReader:
     """Open a glTF file."""
     # Non-finite points are reported with their vertex when they are read.
-    with naming(path), np.errstate(all="ignore"):
+    with prefix_errors(path), np.errstate(all="ignore"):
         document = decompress_document(load_document(path))
         scene = read_scene(document)
         nodes = chosen_nodes(document, scene, prim)
@@ -322,7 +322,7 @@ def open_gltf(
 
 def open_gltf_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
     """Open the meshes of a skeleton in their bind pose; see `mixseq_io.read_bind_pose`."""
-    with naming(path), np.errstate(all="ignore"):
+    with prefix_errors(path), np.errstate(all="ignore"):
         document = decompress_document(load_document(path))
         scene = read_scene(document)
         skin = _chosen(document, skeleton)

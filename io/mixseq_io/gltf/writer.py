@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from mixseq.mesh.polygons import Polygons, difference
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, Index
-from mixseq_io.files import replacing
+from mixseq_io.files import atomic_file
 from mixseq_io.gltf.codecs import (
     ELEMENT_ARRAY_BUFFER,
     GENERATOR,
@@ -62,7 +62,7 @@ from mixseq_io.gltf.new_document import (
 from mixseq_io.gltf.primitives import Primitive, Weld, weld
 from mixseq_io.gltf.scene import MARK, Scene, read_scene, undoing
 from mixseq_io.originals import match_meshes, open_original_file
-from mixseq_io.reader import as_float32, checked, reading, warn
+from mixseq_io.reader import as_float32, translate_read_errors, validate_blocks, warn
 from mixseq_io.scene_meshes import SceneMesh, format_names, split_meshes
 from mixseq_io.surfaces import lost_colours, lost_subdivision, warn_of_losses
 
@@ -283,7 +283,7 @@ def write_gltf(
     """
 
     def opened(file: Path) -> tuple[Layout, list[MovingMesh], OtherMotion]:
-        with reading(file, "glTF", *DAMAGE):
+        with translate_read_errors(file, "glTF", *DAMAGE):
             return lay_over(decompress_document(load_document(file)), header, sources)
 
     overlay = open_original_file(path, header, flatten, onto, "glTF", opened)
@@ -292,8 +292,8 @@ def write_gltf(
     warn_of_changes(path, header, [*(["velocities"] if velocities is not None else []), *lost], keep_start)
     warn_of_many_frames(path, header)
     morphs = MorphFrameWriter(layout, meshes, header, keep_start, others)
-    _, numbered = checked(header, blocks, velocities)
-    with replacing(path) as temporary, open_buffer_writer(path, temporary, layout) as writer:
+    _, numbered = validate_blocks(header, blocks, velocities)
+    with atomic_file(path) as temporary, open_buffer_writer(path, temporary, layout) as writer:
         for first, block, _ in numbered:
             # One by one, because a block may be the whole sequence.
             for frame, points in enumerate(block, start=first):
