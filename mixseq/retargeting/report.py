@@ -161,7 +161,7 @@ class ExpectedTriangles:
     def sides(self, x: Float) -> Float:
         """Return the expected sides ``(n, 3, 3)`` of matched triangles in a frame ``(V, 3)``."""
         faces = self.gradients.correspondence.faces[self.matched]
-        moving = self.gradients.alignment.turned(self.gradients.gradients(x)[faces])
+        moving = self.gradients.alignment.rotate_matrices(self.gradients.source_gradients(x)[faces])
         return np.asarray(self._sides @ np.swapaxes(moving, 1, 2))
 
     def stretches(self, sides: Float) -> Float:

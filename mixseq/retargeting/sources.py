@@ -120,20 +120,20 @@ class Alignment:
     rotation: Float
     scale: float
 
-    def shifted(self, shifts: Float) -> Float:
+    def map_vectors(self, vectors: Float) -> Float:
         """Return shifts ``(..., 3)`` of the source in the frame and scale of the target."""
-        return np.asarray(self.scale * shifts @ self.rotation.T)
+        return np.asarray(self.scale * vectors @ self.rotation.T)
 
-    def turned_points(self, points: Float) -> Float:
+    def rotate_points(self, points: Float) -> Float:
         """Return points ``(..., 3)`` of the source rotated to the target."""
         return np.asarray(points @ self.rotation.T)
 
-    def turned(self, matrices: Float) -> Float:
+    def rotate_matrices(self, matrices: Float) -> Float:
         """Return matrices ``(..., 3, 3)`` of the source as matrices of the target."""
         return np.asarray(self.rotation @ matrices @ self.rotation.T)
 
 
-def align(source: Float, target: Float, weights: Float) -> Alignment:
+def fit_alignment(source: Float, target: Float, weights: Float) -> Alignment:
     """Find the rotation and scale from source to target points ``(n, 3)`` with weights ``(n,)``."""
     if not weights.sum() > 0:
         raise InvalidSequenceError(
