@@ -230,9 +230,9 @@ def test_shifts_points_and_matrices_are_carried() -> None:
 
 def test_points_in_one_place_are_refused() -> None:
     points, place = cloud(2), np.ones((40, 3))
-    with pytest.raises(InvalidSequenceError, match="of the source is in one place"):
+    with pytest.raises(InvalidSequenceError, match="of the source are in one place"):
         fit_alignment(place, points, np.ones(40))
-    with pytest.raises(InvalidSequenceError, match="of the target is in one place"):
+    with pytest.raises(InvalidSequenceError, match="of the target are in one place"):
         fit_alignment(points, place, np.ones(40))
     with pytest.raises(InvalidSequenceError, match="no area at rest"):
         fit_alignment(points, points, np.zeros(40))

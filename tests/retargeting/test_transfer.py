@@ -358,7 +358,7 @@ def test_a_target_without_area_is_refused(method: TransferName, across: float) -
 
 @both
 def test_a_source_without_size_is_refused(method: TransferName) -> None:
-    with pytest.raises(InvalidSequenceError, match="of the source is in one place at rest"):
+    with pytest.raises(InvalidSequenceError, match="points of the source are in one place at rest"):
         mixseq.transfer(SOURCE.with_points(0 * SOURCE.points), TARGET, method=method)
 
 
