@@ -24,7 +24,7 @@ from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile, ZipInfo
 
 import mixseq
 from mixseq.errors import OutputError, SettingsError
-from mixseq_io.files import replacing
+from mixseq_io.files import atomic_file
 
 LIBRARIES = ("h5py", "numba", "scipy", "threadpoolctl")
 """Imports of reading and decoding a model, besides NumPy; without those for other files, as usd-core."""
@@ -159,7 +159,7 @@ def archive_name(platform: str, release: Release) -> str:
 
 def write_extension(path: Path, platform: str, release: Release) -> None:
     """Write the extension for a platform and the versions of a release."""
-    with replacing(path) as temporary, TemporaryDirectory() as scratch:
+    with atomic_file(path) as temporary, TemporaryDirectory() as scratch:
         folder = Path(scratch)
         found = download(folder, release.python, release.numpy, PLATFORMS[platform])
         wheels = [own_wheel(folder), *found]

@@ -70,7 +70,7 @@ class GradientTransfer(PickledWithoutCaches):
         Vertices without a source point use that of their leader.
         """
         correspondence = self.correspondence
-        faces, edge_vectors = self.source.topology.faces, self.source.triangles
+        faces, edge_vectors = self.source.topology.faces, self.source.reference_triangles
         areas = np.linalg.norm(np.cross(edge_vectors[:, :, 0], edge_vectors[:, :, 1]), axis=1)
         entries = (faces.reshape(-1), np.repeat(np.arange(len(faces)), 3))
         shape = (self.source.topology.vertex_count, len(faces))
@@ -83,7 +83,10 @@ class GradientTransfer(PickledWithoutCaches):
 
     def source_gradients(self, points: FloatArray) -> Float:
         """Return deformation gradients ``(F, 3, 3)`` of the source's triangles in a frame ``(V, 3)``."""
-        return self.source.completed(points.astype(np.float64) / self.source.scale) @ self.source.inverses
+        return (
+            self.source.complete_triangles(points.astype(np.float64) / self.source.scale)
+            @ self.source.inverse_triangles
+        )
 
     def transfer_frame(self, points: FloatArray) -> Float:
         """Return the target ``(V', 3)`` for a frame ``(V, 3)`` of the source."""
@@ -95,8 +98,8 @@ class GradientTransfer(PickledWithoutCaches):
         follower_faces, follower_means = self._follower_means
         leader_rotations = nearest_rotations(average_matrices(follower_means, source_gradients))
         target_gradients[follower_faces] = self.alignment.rotate_matrices(leader_rotations)
-        edge_vectors = np.swapaxes(target_gradients @ target.sides, 1, 2)
-        piece_vertices = target.integration.vertices(edge_vectors.reshape(-1, 3))
+        edge_vectors = np.swapaxes(target_gradients @ target.reference_sides, 1, 2)
+        piece_vertices = target.poisson_system.solve(edge_vectors.reshape(-1, 3))
         return self._place_pieces(piece_vertices, points, holder_rotations) * target.scale
 
     def _place_pieces(self, piece_vertices: Float, points: FloatArray, holder_rotations: Float) -> Float:
@@ -108,13 +111,13 @@ class GradientTransfer(PickledWithoutCaches):
         displacements = correspondence.interpolate(points / self.source.scale - self.source.reference)
         displacement = displacements[root_vertices].mean(axis=0)
         placed = piece_vertices.copy()
-        root = pieces.slices[attachments.root]
+        root = pieces.row_slices[attachments.root]
         placed[root] += (
             rest[root_vertices].mean(axis=0) + linear_map @ displacement - piece_vertices[root].mean(axis=0)
         )
 
-        own_rows = pieces.rows_of(attachments.pieces, attachments.own)
-        holder_rows = pieces.rows_of(attachments.holders, attachments.other)
+        own_rows = pieces.find_rows(attachments.pieces, attachments.own)
+        holder_rows = pieces.find_rows(attachments.holders, attachments.other)
         gaps = correspondence.interpolate(np.stack([self.source.reference, points / self.source.scale]))
         gaps = gaps[:, attachments.own] - gaps[:, attachments.other]
         gaps[:, ~correspondence.matched[attachments.own]] = 0.0
@@ -124,8 +127,8 @@ class GradientTransfer(PickledWithoutCaches):
             rest_arm = rest[attachments.own[attachment]] - rest[attachments.other[attachment]]
             arm = self.alignment.rotate_matrices(rotation) @ rest_arm
             goal = placed[holder_rows[attachment]] + arm + gap_change
-            placed[pieces.slices[piece]] += goal - placed[own_rows[attachment]]
-        return pieces.merged(placed)
+            placed[pieces.row_slices[piece]] += goal - placed[own_rows[attachment]]
+        return pieces.merge_rows(placed)
 
 
 def gradient_transfer(

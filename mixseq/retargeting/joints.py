@@ -36,7 +36,7 @@ from mixseq.mesh.rotations import turned
 from mixseq.mesh.topology import Topology
 from mixseq.retargeting.gradient_transfer import GradientTransfer, average_matrices, normalise_rows
 from mixseq.segmentation.joints import Decomposition, Joint
-from mixseq.shells.fitting import Patch, SoftConstraint, rebuild
+from mixseq.shells.fitting import Patch, SoftConstraint, rebuild_patch
 from mixseq.shells.gauss_newton import ShellReport, ShellSettings
 from mixseq.types import Float, Index
 
@@ -52,41 +52,41 @@ class SolvedJoints:
     def from_decomposition(cls, topology: Topology, decomposition: Decomposition) -> SolvedJoints:
         """Select the joints with free vertices."""
         joints = tuple(joint for joint in decomposition.joints if joint.free.any())
-        return cls(joints, tuple(Patch.of_joint(topology, joint, ~joint.free) for joint in joints))
+        return cls(joints, tuple(Patch.from_joint(topology, joint, ~joint.free) for joint in joints))
 
     @cached_property
     def edge_ids(self) -> Index:
         """Mesh ids ``(E',)`` of the edges at free vertices."""
         return _concatenate(
-            [j.edge_ids[p.free_edges] for j, p in zip(self.joints, self.patches, strict=True)]
+            [j.edge_ids[p.free_edge_mask] for j, p in zip(self.joints, self.patches, strict=True)]
         )
 
     @cached_property
     def hinge_ids(self) -> Index:
         """Mesh ids ``(H',)`` of the hinges with a free vertex."""
         return _concatenate(
-            [j.hinge_ids[p.free_hinges] for j, p in zip(self.joints, self.patches, strict=True)]
+            [j.hinge_ids[p.free_hinge_mask] for j, p in zip(self.joints, self.patches, strict=True)]
         )
 
     @cached_property
     def vertices(self) -> Index:
         """Mesh ids ``(F,)`` of the free vertices."""
-        return _concatenate([j.vertices[p.free] for j, p in zip(self.joints, self.patches, strict=True)])
+        return _concatenate([j.vertices[p.free_ids] for j, p in zip(self.joints, self.patches, strict=True)])
 
     @cached_property
     def edge_slices(self) -> list[slice]:
         """Slices of the edges of every joint."""
-        return _slices([int(np.count_nonzero(patch.free_edges)) for patch in self.patches])
+        return _slices([int(np.count_nonzero(patch.free_edge_mask)) for patch in self.patches])
 
     @cached_property
     def hinge_slices(self) -> list[slice]:
         """Slices of the hinges of every joint."""
-        return _slices([int(np.count_nonzero(patch.free_hinges)) for patch in self.patches])
+        return _slices([int(np.count_nonzero(patch.free_hinge_mask)) for patch in self.patches])
 
     @cached_property
     def vertex_slices(self) -> list[slice]:
         """Slices of the free vertices of every joint."""
-        return _slices([len(patch.free) for patch in self.patches])
+        return _slices([len(patch.free_ids) for patch in self.patches])
 
     def vertex_spacing(self, lengths: Float) -> Float:
         """Return the mean length ``(F,)`` of the edges at every free vertex, from lengths ``(E',)``."""
@@ -94,7 +94,7 @@ class SolvedJoints:
         for patch, edge_slice, vertex_slice in zip(
             self.patches, self.edge_slices, self.vertex_slices, strict=True
         ):
-            edge_vertices = patch.free_number[patch.edges[patch.free_edges]]
+            edge_vertices = patch.free_index[patch.edges[patch.free_edge_mask]]
             for vertices in edge_vertices.T:
                 is_free = vertices >= 0
                 np.add.at(sums[vertex_slice], vertices[is_free], lengths[edge_slice][is_free])
@@ -113,10 +113,10 @@ class HarmonicSkin:
     @classmethod
     def from_patch(cls, patch: Patch, part_of_vertex: Index, rest: Float) -> HarmonicSkin:
         """Solve for the weights of a patch: part_of_vertex ``(n,)``; rest ``(n, 3)``."""
-        parts, part_index = np.unique(part_of_vertex[patch.fixed], return_inverse=True)
+        parts, part_index = np.unique(part_of_vertex[patch.fixed_mask], return_inverse=True)
         boundary = np.eye(len(parts))[part_index.reshape(-1)]
-        coupling = patch.laplacian[patch.free][:, patch.fixed]
-        return cls(parts, -patch.laplacian_factor.solve(coupling @ boundary), rest[patch.free])
+        coupling = patch.laplacian[patch.free_ids][:, patch.fixed_mask]
+        return cls(parts, -patch.laplacian_factor.solve(coupling @ boundary), rest[patch.free_ids])
 
     def deform(self, rotations: Float, translations: Float) -> Float:
         """Return the free vertices ``(f, 3)`` skinned by motions ``x -> R x + t`` of all parts from the reference."""
@@ -207,7 +207,7 @@ class JointSolver:
             guess = skin.deform(relative_rotations, relative_translations) + turned(
                 frame.rotations[skin.main_part], frame.offsets[free]
             )
-            rebuilt, report = rebuild(
+            rebuilt, report = rebuild_patch(
                 patch,
                 frame.lengths[edges],
                 frame.angles[hinges],
@@ -217,7 +217,7 @@ class JointSolver:
                 guess,
                 SoftConstraint(guess, frame.offset_weights[free]),
             )
-            points[joint.vertices[patch.free]] = rebuilt[patch.free]
+            points[joint.vertices[patch.free_ids]] = rebuilt[patch.free_ids]
             reports.append(report)
         return points, reports
 
@@ -354,7 +354,7 @@ class GradientMetrics:
 
     def _target_gradients(self, points: Float) -> Float:
         source = self.gradients.source
-        gradients = source.completed(points) @ source.inverses
+        gradients = source.complete_triangles(points) @ source.inverse_triangles
         rotations = nearest_rotations(gradients)
         stretches = np.swapaxes(rotations, 1, 2) @ gradients
         mean_rotations = nearest_rotations(average_matrices(self._face_weights, rotations))

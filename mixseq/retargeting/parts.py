@@ -40,7 +40,7 @@ from mixseq.retargeting.markers import Correspondence
 from mixseq.segmentation.elements import Boundaries
 from mixseq.segmentation.joints import FLAT, Decomposition, Observed, decompose
 from mixseq.shells.solvers import Factor, factorise
-from mixseq.spaces.pieces import registered
+from mixseq.spaces.pieces import register_parts
 from mixseq.types import Float, Index, IntArray
 
 MIN_REGION_AREA_RATIO = 0.1
@@ -75,7 +75,7 @@ class RestShapes:
 
     def register(self, points: Float) -> tuple[Float, PartPoses]:
         """Return the parts ``(N, 3)`` of a frame ``(V, 3)``, rigidly aligned to their rest shapes, and their poses."""
-        aligned, rotations, centres = registered(self.shapes, self.vertices, points)
+        aligned, rotations, centres = register_parts(self.shapes, self.vertices, points)
         return aligned, PartPoses(rotations, centres)
 
 
