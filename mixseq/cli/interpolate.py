@@ -112,7 +112,7 @@ def command(
         names = [name if steps else f"{name} = {weights[0, pose]:g}" for pose, name in named.items()]
         print_table(
             [
-                ("space", f"{interpolator.space.name}, dim {interpolator.dim:,}"),
+                ("space", f"{interpolator.space.name}, dim {interpolator.space.dim:,}"),
                 ("poses", ", ".join(names)),
                 ("frames", f"{len(weights):,}"),
             ]
