@@ -260,8 +260,8 @@ def read_other_motion(document: Document, scene: Scene, excluded: Collection[int
 
 def find_animated_nodes(document: Document, scene: Scene) -> set[int]:
     """Return the nodes with visible contents (meshes, cameras, lights) that any animation moves."""
-    channels = [channel for each in document.items("animations") for channel in each.objects("channels")]
-    targets = {channel.object("target").index("node") for channel in channels}
+    animations = document.json.get("animations", ())
+    targets = {channel["target"].get("node") for each in animations for channel in each["channels"]}
     return {
         node
         for node in scene.paths

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mixseq.errors import FormatError, MixseqWarning
 from mixseq.sequence.sequence import MeshSequence
-from mixseq_io.gltf.document import load_document
+from mixseq_io.gltf.document import Document, load_document
 from mixseq_io.gltf.primitives import weld_vertices
 from tests.formats.gltf_maker import SQUARE, TRIANGLE, Maker, moving, split_square
 
@@ -102,6 +102,21 @@ def test_points_and_lines_are_left_out(made: Callable[..., MeshSequence]) -> Non
     del maker.json["meshes"][mesh]["primitives"][0]
     with pytest.warns(MixseqWarning), pytest.raises(FormatError, match="no triangles"):
         made(maker)
+
+
+def test_primitives_are_read_once(made: Callable[..., MeshSequence], monkeypatch: pytest.MonkeyPatch) -> None:
+    indices: list[int] = []
+    read_accessor = Document.accessor
+
+    def accessor(document: Document, index: int) -> NDArray[Any]:
+        indices.append(index)
+        return read_accessor(document, index)
+
+    monkeypatch.setattr(Document, "accessor", accessor)
+    maker = split_square()
+    made(maker)
+    for primitive in maker.json["meshes"][0]["primitives"]:
+        assert indices.count(primitive["attributes"]["POSITION"]) == 1
 
 
 def test_vertices_are_welded_across_primitives(made: Callable[..., MeshSequence], tmp_path: Path) -> None:
