@@ -84,12 +84,12 @@ def _load_h5(source: Path) -> Model:
     with translate_h5_errors(source):
         if "coding" in file.attrs:
             from mixseq_io.coded.streams import decode_model, read_sequence
-            from mixseq_io.hdf5.coded_files import container_of
+            from mixseq_io.hdf5.coded_files import parse_container
 
-            return decode_model(source, read_sequence(source, container_of(source, file)))
+            return decode_model(source, read_sequence(source, parse_container(file)))
         from mixseq_io.hdf5.models import read_model
 
-        return read_model(source, file)
+        return read_model(file)
 
 
 def _is_hdf5(path: Path) -> bool:

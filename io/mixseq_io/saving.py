@@ -13,7 +13,7 @@ from mixseq.signals.model import Model
 from mixseq.types import PathLike
 from mixseq_io.coded.packing import pack
 from mixseq_io.hdf5.coded_files import write_container
-from mixseq_io.hdf5.datasets import creating_h5
+from mixseq_io.hdf5.datasets import create_h5
 from mixseq_io.hdf5.models import write_model
 
 MODEL_EXTENSIONS = (".h5", ".hdf5", ".glb")
@@ -53,7 +53,7 @@ def save(path: PathLike, model: Model | CompressedSequence, *, still: StillName 
     if target.suffix.lower() == ".glb":
         _save_glb(target, model, still)
     elif isinstance(model, CompressedSequence):
-        with creating_h5(target) as (file, _):
+        with create_h5(target) as (file, _):
             write_container(file, pack(model))
     else:
         _save_h5(target, model)
@@ -78,5 +78,5 @@ def _save_h5(target: Path, model: Model) -> None:
             MixseqWarning,
             stacklevel=3,
         )
-    with creating_h5(target) as (file, _):
+    with create_h5(target) as (file, _):
         write_model(file, model)

@@ -45,7 +45,7 @@ def read_container(path: Path) -> Container:
     """Read the text and the streams of a compressed model, undecoded."""
     if mesh_sequence.is_glb(path):
         return mesh_sequence.read_container(path)
-    return coded_files.container_of(path, read_contents(path, MODEL_FORMAT))
+    return coded_files.parse_container(read_contents(path, MODEL_FORMAT))
 
 
 def read_compressed(path: Path) -> CompressedSequence:
