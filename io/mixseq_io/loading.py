@@ -101,10 +101,10 @@ class ModelReader(SequenceReader):
     """Reader that decodes the frames of a model on demand."""
 
     def __init__(self, path: Path) -> None:
-        from mixseq.signals.decoding import FRAMES
+        from mixseq.signals.decoding import FRAMES_PER_BLOCK
 
         self._model = load(path)
-        self._max_block_frames = FRAMES
+        self._max_block_frames = FRAMES_PER_BLOCK
         super().__init__(path, self._model.header)
 
     def _read(self, quantity: str, size: int) -> Iterator[FloatArray]:

@@ -189,11 +189,11 @@ def shape_blocks(space: StoredSpace) -> Blocks:
         case GradientSpace():
             return {"turns": (len(space.topology.faces), 3), "stretches": (len(space.topology.faces), 6)}
         case LRISpace():
-            return {"connections": (len(space.edges), 3, 3), "ends": (len(space.edges), 2, 3)}
+            return {"connections": (len(space.edge_rows), 3, 3), "ends": (len(space.edge_rows), 2, 3)}
         case EdgeSpace():
             return {
                 name: (size,)
-                for name, size in zip(("lengths", "angles", "volumes"), space.sizes, strict=True)
+                for name, size in zip(("lengths", "angles", "volumes"), space.block_sizes, strict=True)
             }
         case MixedSpace():
             parts, relations = len(space.decomposition.parts), len(space.articulation.pairs)
@@ -327,7 +327,7 @@ def _check_time_range(file: Contents, header: SequenceHeader, **curves: Curve) -
 def _read_placement(file: Contents, space: StoredSpace) -> Curve:
     knots = read_increasing_times(file, "signals/placement/times")
     placements = _read_blocks(file, "signals/placement", placement_blocks(space), len(knots))
-    norms = np.linalg.norm(space.poses(placements).rotations, axis=2)
+    norms = np.linalg.norm(space.unpack_placements(placements).rotations, axis=2)
     if (norms < _MIN_QUATERNION_NORM).any():
         raise FormatError(f"{file.path}: signals/placement/rotations has quaternions that are nearly zero")
     return Curve(knots, placements)
