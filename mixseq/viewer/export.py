@@ -245,6 +245,6 @@ def _tops(items: Sequence[PageItem]) -> dict[str, float]:
     tops: dict[str, float] = {}
     for item in items:
         for name, colouring in item.colourings.items():
-            if not colouring.constant:
+            if not colouring.is_constant:
                 tops[name] = max(tops.get(name, 0.0), colouring.top)
     return tops

@@ -95,7 +95,7 @@ def page_items(
     items = colours.scene.items
     return [
         PageItem(
-            item, colours.each(index), None if item.model is None else signals_of(item.model), compressed
+            item, colours.of_mesh(index), None if item.model is None else signals_of(item.model), compressed
         )
         for index, (item, compressed) in enumerate(zip(items, coded or [None] * len(items), strict=True))
     ]
@@ -343,17 +343,17 @@ def _colours(
     colouring: Colouring, top: float, elapsed: Float, gathered: Gathered, vertices: Index
 ) -> tuple[dict[str, Any], bytes | None]:
     """Return the description of a colouring for a page, and its stored data."""
-    if not colouring.constant:
+    if not colouring.is_constant:
         palette = colouring.palette[::STOP]
         scaled = {"name": colouring.name, "palette": palette.tolist(), "top": top, "unit": colouring.unit}
         if colouring.name in MEASURES:
             return scaled, None
-        ending = colouring.scaled(top)
+        ending = colouring.with_top(top)
         poses = (pose for block in blocks_of(gathered.poses) for pose in block)
         times = elapsed.tolist()
-        entries = (ending.indices(pose, time) for pose, time in zip(poses, times, strict=True))
+        entries = (ending.entries(pose, time) for pose, time in zip(poses, times, strict=True))
         return scaled, deflated_rows(each[vertices] for each in entries)
-    used, places = np.unique(colouring.indices(gathered.poses[:1][0], 0.0), return_inverse=True)
+    used, places = np.unique(colouring.entries(gathered.poses[:1][0], 0.0), return_inverse=True)
     fixed = {"name": colouring.name, "palette": colouring.palette[used].tolist()}
     if len(used) == 1:
         return fixed, None

@@ -181,15 +181,15 @@ def test_parts_and_errors_are_stored(tmp_path: Path, bent_bar: MeshSequence, bar
         return np.asarray(off[round(10 * elapsed)])
 
     colours = available_colourings(bar_model.header, bar_model(0.0), bar_model.decomposition, original)
-    given = PageItem(SceneItem("bar", bar_model), {**colours, "error": colours["error"].scaled(0.2)})
+    given = PageItem(SceneItem("bar", bar_model), {**colours, "error": colours["error"].with_top(0.2)})
     export_page(tmp_path / "a.html", [given])
     item, vertices = Opened(tmp_path / "a.html").items[0], vertices_of(given)
     described = {each["name"]: each for each in item.description["colourings"]}
     palette = np.array(described["parts"]["palette"])
-    entries = colours["parts"].indices(bent_bar.points[0], 0.0)[vertices]
+    entries = colours["parts"].entries(bent_bar.points[0], 0.0)[vertices]
     assert np.array_equal(palette[item.colours["parts"][0]], colours["parts"].palette[entries])
     for row, time in zip(item.colours["error"], item.times, strict=True):
-        expected = given.colourings["error"].indices(bar_model(time), time)
+        expected = given.colourings["error"].entries(bar_model(time), time)
         assert np.array_equal(row, expected[vertices])
 
 

@@ -182,7 +182,7 @@ def test_no_mesh_hides_the_other(new_page: NewPage, running: MarkingViewer) -> N
     def away() -> Float:
         """How far meshes are from where the camera looks, as shares of the way between them."""
         (client,) = running._server.get_clients().values()
-        middles = stage.arrangement.middles
+        middles = stage.arrangement.centres
         far = np.linalg.norm(middles - client.camera.look_at, axis=1) / np.linalg.norm(
             middles[1] - middles[0]
         )

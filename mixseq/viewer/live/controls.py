@@ -194,7 +194,7 @@ class ShowControls:
 
 def _legend(colourings: list[Colouring]) -> str:
     """Return the colour scale as a bar with its ends."""
-    shown = next((each for each in colourings if not each.constant), None)
+    shown = next((each for each in colourings if not each.is_constant), None)
     if shown is None:
         return ""
     stops = ", ".join(f"rgb({r} {g} {b})" for r, g, b in shown.palette[::15])

@@ -18,7 +18,7 @@ import numpy as np
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.pictures.colours import SceneColours
-from mixseq.pictures.scene import HEIGHT, Scene, SceneItem
+from mixseq.pictures.scene import SCENE_SIZE, Scene, SceneItem
 from mixseq.retargeting.markers import Markers
 from mixseq.retargeting.suggestions import FEWEST, Examination
 from mixseq.sequence.sequence import MeshSequence, frame_store
@@ -33,7 +33,7 @@ from mixseq.viewer.session import Drawn, Message
 RADIUS = 0.004
 """Radius of a ball, relative to the distance of the camera from its target."""
 
-FARTHEST = 2.5 * HEIGHT
+FARTHEST = 2.5 * SCENE_SIZE
 """Distance beyond which balls shrink on the screen."""
 
 STEP = 1.15
@@ -436,7 +436,7 @@ class MarkingViewer:
         """Move balls to the current places of the meshes."""
         arrangement = self._stage.arrangement
         for side, item in enumerate(self._playback.scene.items):
-            points = arrangement.placed(side, item.pose(0.0)).astype(np.float64)
+            points = arrangement.to_scene(side, item.pose(0.0)).astype(np.float64)
             self._balls.place(side, points - arrangement.offsets[side])
         self._balls.stand(arrangement.offsets)
         self.changed()
@@ -454,7 +454,7 @@ class MarkingViewer:
 
     def _other(self, camera: Any) -> None:
         """Look at the corresponding place of the other mesh, by the nearest marker."""
-        middles = self._stage.arrangement.middles
+        middles = self._stage.arrangement.centres
         here = int(np.linalg.norm(middles - camera.look_at, axis=1).argmin())
         pairs = np.array(
             [each.vertices for each in (*self.session.marking.pairs, *self.session.proposals)], np.int64

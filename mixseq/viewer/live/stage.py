@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from mixseq.pictures.colours import Bytes, Colouring, SceneColours
-from mixseq.pictures.scene import FIELD, HEIGHT, Arrangement, Scene, arranged
+from mixseq.pictures.colours import ByteArray, Colouring, SceneColours
+from mixseq.pictures.scene import FIELD_OF_VIEW_DEGREES, SCENE_SIZE, Arrangement, Scene, arrange_meshes
 from mixseq.types import Float, Single
 from mixseq.viewer.playback import Moment
 from mixseq.viewer.session import Picked, pick
@@ -18,7 +18,7 @@ GROUND = (243, 243, 240)
 GRID_COLOUR = (222, 222, 218)
 MARK = (20, 20, 20)
 
-CELL = HEIGHT / 2
+CELL = SCENE_SIZE / 2
 """Size of the grid cells of the ground."""
 
 WIDER = 0.02
@@ -54,13 +54,13 @@ class LiveStage:
         self._painted: list[Colouring | None] = [None] * len(colours.scene.items)
         self._camera = camera
         self.following = following
-        self._arrangement = arranged(colours.scene, not overlaid, camera)
+        self._arrangement = arrange_meshes(colours.scene, not overlaid, camera)
         self._furnish()
         self._meshes, self._clouds, self._labels = [], [], []
         self._marked: tuple[int, int] | None = None  # a mesh and its vertex
         self._mark = server.scene.add_icosphere(
             "/picked",
-            radius=0.012 * HEIGHT,
+            radius=0.012 * SCENE_SIZE,
             color=MARK,
             visible=False,
             cast_shadow=False,
@@ -68,7 +68,7 @@ class LiveStage:
         )
         for index, item in enumerate(colours.scene.items):
             offset = self._arrangement.offsets[index]
-            points = self._arrangement.placed(index, item.pose(0.0)) - offset.astype(np.float32)
+            points = self._arrangement.to_scene(index, item.pose(0.0)) - offset.astype(np.float32)
             nothing = np.zeros_like(points)
             mesh = server.scene.add_mesh_simple(
                 f"/mesh/{index}",
@@ -90,14 +90,14 @@ class LiveStage:
             self._labels = [
                 server.scene.add_label(f"/name/{index}", item.name, anchor="bottom-center", position=place)
                 for index, (item, place) in enumerate(
-                    zip(colours.scene.items, self._arrangement.labels, strict=True)
+                    zip(colours.scene.items, self._arrangement.label_positions, strict=True)
                 )
             ]
 
     @property
     def colours(self) -> list[Colouring]:
         """Current colourings of all meshes."""
-        return self._scene_colours.shared(self._colour)
+        return self._scene_colours.on_one_scale(self._colour)
 
     def show(self, moment: Moment) -> None:
         """Send a moment to the page."""
@@ -108,21 +108,21 @@ class LiveStage:
             for index, (points, colours) in enumerate(zip(moment.poses, self.colours, strict=True)):
                 placed, shift = self._standing(self._arrangement, index, points)
                 if index == 0:
-                    self._ground.position = (-shift[0] % CELL, -1e-3 * HEIGHT, -shift[2] % CELL)
+                    self._ground.position = (-shift[0] % CELL, -1e-3 * SCENE_SIZE, -shift[2] % CELL)
                 self._meshes[index].vertices = placed - self._arrangement.offsets[index].astype(np.float32)
                 if self._marked is not None and self._marked[0] == index:
                     self._mark.position = placed[self._marked[1]]
-                if not colours.constant or self._painted[index] is not colours:
-                    self._clouds[index].colors = linear(colours.palette)[colours.indices(points, elapsed)]
+                if not colours.is_constant or self._painted[index] is not colours:
+                    self._clouds[index].colors = linear(colours.palette)[colours.entries(points, elapsed)]
                     self._painted[index] = colours
             self._report(moment)
 
     def _standing(self, arrangement: Arrangement, index: int, points: Single) -> tuple[Single, Float]:
         """Return a mesh ``(V, 3)`` at its place, and the travel ``(3,)`` removed if it is followed."""
-        placed = arrangement.placed(index, points)
+        placed = arrangement.to_scene(index, points)
         if not self.following:
             return placed, np.zeros(3)
-        shift = (placed.mean(axis=0, dtype=np.float64) - arrangement.labels[index]) * [1, 0, 1]
+        shift = (placed.mean(axis=0, dtype=np.float64) - arrangement.label_positions[index]) * [1, 0, 1]
         return np.asarray(placed - shift, dtype=np.float32), shift
 
     def colour(self, name: str) -> None:
@@ -135,9 +135,9 @@ class LiveStage:
         self.arrange(scene, side_by_side=True)
 
     def turn(self, azimuth: float, looked_at: Float, distance: float) -> None:
-        """Keep meshes side by side across the current view, see `Arrangement.turned`."""
+        """Keep meshes side by side across the current view, see `Arrangement.with_azimuth`."""
         with self._lock:
-            self._arrangement = self._arrangement.turned(azimuth, looked_at, distance)
+            self._arrangement = self._arrangement.with_azimuth(azimuth, looked_at, distance)
         self._place_meshes()
 
     @property
@@ -148,7 +148,7 @@ class LiveStage:
 
     def arrange(self, scene: Scene, side_by_side: bool) -> None:
         """Set meshes side by side or overlaid, from the next moment on."""
-        arrangement = arranged(scene, side_by_side, self._camera)
+        arrangement = arrange_meshes(scene, side_by_side, self._camera)
         with self._lock:
             self._arrangement = arrangement
         self._place_meshes()
@@ -158,7 +158,7 @@ class LiveStage:
         with self._lock, self._server.atomic():
             for mesh, offset in zip(self._meshes, self._arrangement.offsets, strict=True):
                 mesh.position = offset
-            for label, place in zip(self._labels, self._arrangement.labels, strict=False):
+            for label, place in zip(self._labels, self._arrangement.label_positions, strict=False):
                 label.position = place
 
     def hide(self, index: int, hidden: bool) -> None:
@@ -204,14 +204,14 @@ class LiveStage:
             extent,
             extent,
             plane="xz",
-            cell_size=HEIGHT / 10,
+            cell_size=SCENE_SIZE / 10,
             section_size=CELL,
             cell_color=GRID_COLOUR,
             section_color=GRID_COLOUR,
             plane_color=GROUND,
             plane_opacity=0.0,
-            fade_distance=6 * HEIGHT,
-            position=(0.0, -1e-3 * HEIGHT, 0.0),
+            fade_distance=6 * SCENE_SIZE,
+            position=(0.0, -1e-3 * SCENE_SIZE, 0.0),
         )
         self._place_cameras()
 
@@ -242,20 +242,20 @@ class LiveStage:
         place, centre = self._arrangement.camera(aspect)
         self._placed[client.client_id] = place, aspect
         with client.atomic():
-            client.camera.fov = float(np.radians(FIELD))
+            client.camera.fov = float(np.radians(FIELD_OF_VIEW_DEGREES))
             client.camera.position = place  # which moves what it looks at along
             client.camera.look_at = centre
 
     def _place_cameras(self) -> None:
         place, centre = self._arrangement.camera(aspect=1.0)
         camera = self._server.initial_camera
-        camera.fov = float(np.radians(FIELD))
+        camera.fov = float(np.radians(FIELD_OF_VIEW_DEGREES))
         camera.look_at, camera.position = centre, place
         for client in self._server.get_clients().values():
             self._place_camera(client)
 
 
-def linear(colours: Bytes) -> Bytes:
+def linear(colours: ByteArray) -> ByteArray:
     """Convert sRGB colours to linear, as three.js shades."""
     shares = colours / 255.0
     light = np.where(shares <= 0.04045, shares / 12.92, ((shares + 0.055) / 1.055) ** 2.4)
