@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.compression.numbering import Renumbering, as_it_is, numbering_of, object_sizes
+from mixseq.compression.numbering import Renumbering, find_numbering, identity_numbering, object_vertex_counts
 from mixseq.errors import InvalidSequenceError
 from mixseq.mesh.measures import Diagonal, dihedral_angles, edge_lengths, flat_faces, wrap
 from mixseq.mesh.polygons import match_triangles
@@ -204,7 +204,7 @@ def comparable(a: Frames, b: SequenceHeader) -> tuple[Frames, Renumbering]:
             raise InvalidSequenceError(f"the reference has {one} {what}, the other sequence {other}")
     found = _numbering(header, b)
     if found is None:
-        found = as_it_is(header.polygons, header.vertex_count)
+        found = identity_numbering(header.polygons, header.vertex_count)
         try:
             match_triangles(header.polygons, b.polygons, ("the reference", "the other sequence"))
         except InvalidSequenceError as error:
@@ -216,14 +216,17 @@ def comparable(a: Frames, b: SequenceHeader) -> tuple[Frames, Renumbering]:
             f"{header.frame_name(frame)} is at {header.times[frame]:.9g} s in the reference, at "
             f"{b.times[frame]:.9g} s in the other sequence; sequences are compared at the same times"
         )
-    return (a if found.order != "free" else found.of_frames(a)), found
+    return (a if found.order != "free" else found.renumber_frames(a)), found
 
 
 def _numbering(a: SequenceHeader, b: SequenceHeader) -> Renumbering | None:
     """Return the renumbering of the vertices of a mesh in another one, None if the meshes differ."""
-    found = numbering_of(b.polygons, a.polygons, object_sizes(a))
-    if found is None and (back := numbering_of(a.polygons, b.polygons, object_sizes(b))) is not None:
-        found = replace(as_it_is(a.polygons, a.vertex_count), vertices=back.inverse.vertices)
+    found = find_numbering(b.polygons, a.polygons, object_vertex_counts(a))
+    if (
+        found is None
+        and (back := find_numbering(a.polygons, b.polygons, object_vertex_counts(b))) is not None
+    ):
+        found = replace(identity_numbering(a.polygons, a.vertex_count), vertices=back.inverse.vertices)
     return found
 
 

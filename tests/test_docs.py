@@ -27,7 +27,7 @@ from mixseq import operations
 from mixseq.cli import main
 from mixseq.cli.formats import as_markdown
 from mixseq.cli.options import Setting
-from mixseq.compression.bitstream.compressed_sequence import BetweenFrames, CodingParameters
+from mixseq.compression.bitstream.compressed_sequence import CodingParameters, TemporalInterpolation
 from mixseq.creature import walk_cycle
 from mixseq.operations.script import OPERATIONS, Readers, read_script
 from mixseq.segmentation.motion import MotionSettings
@@ -39,7 +39,7 @@ from mixseq.spaces.mixed.mixed_space import Projection
 from mixseq.spaces.vertex import BasisSpace
 from mixseq_io import FORMATS
 from mixseq_io.registry import capabilities, motions
-from mixseq_io.surfaces import SURFACE_ARRAYS
+from mixseq_io.surfaces import SURFACE_ARRAY_NAMES
 from scripts.paper_study.main import STAGES
 from tests import given
 from tests.meshes import bar
@@ -341,7 +341,7 @@ def test_table_of_formats_is_that_of_the_code() -> None:
 
 def test_specification_has_every_array_of_surfaces() -> None:
     specified = re.findall(r"^\| `surface/(\w+)` \|", page("docs/file-format.md"), re.MULTILINE)
-    assert specified == list(SURFACE_ARRAYS)
+    assert specified == list(SURFACE_ARRAY_NAMES)
 
 
 @pytest.mark.parametrize(
@@ -378,7 +378,9 @@ def test_constants_of_the_specification_are_those_of_the_code() -> None:
 
 def test_specification_has_every_parameter_of_the_coding() -> None:
     explained = {name for row in rows("docs/file-format.md") for name in re.findall(r"^\*(\w+)\*$", row[0])}
-    assert explained == {field.name for each in (CodingParameters, BetweenFrames) for field in fields(each)}
+    assert explained == {
+        field.name for each in (CodingParameters, TemporalInterpolation) for field in fields(each)
+    }
 
 
 @pytest.fixture(scope="module")
@@ -439,7 +441,11 @@ def contents(file: h5py.File) -> tuple[dict[str, Any], dict[str, h5py.Dataset]]:
 
 
 def test_specification_has_nothing_else(folder: Path) -> None:
-    known: set[str] = {"mixseq-sequence", "mixseq-model", *(f"surface/{name}" for name in SURFACE_ARRAYS)}
+    known: set[str] = {
+        "mixseq-sequence",
+        "mixseq-model",
+        *(f"surface/{name}" for name in SURFACE_ARRAY_NAMES),
+    }
     for name in ("sequence.h5", "compressed.h5", *MODELS):
         with h5py.File(folder / name) as file:
             for each in contents(file):

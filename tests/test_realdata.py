@@ -62,7 +62,7 @@ def test_frames_come_back(data: Path, case: Case, placement: PlacementName) -> N
 def test_half_way_between_two_lions(data: Path) -> None:
     """The paper's Figure 9: the free placement finds a whole lion between two poses."""
     whole = mixseq.read(data / "npz" / "lion_poses.npz")
-    points = PoseInterpolator.of(whole, among=[2, 5]).at([0.5, 0.5])
+    points = PoseInterpolator.from_poses(whole, pose_ids=[2, 5]).blend([0.5, 0.5])
     assert np.isfinite(points).all()
     # Edges are nearly as long as on average; halves of vertices would be far shorter where the lion turns.
     edges = mixseq.Topology(whole.faces, whole.vertex_count).edges

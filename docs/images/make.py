@@ -55,7 +55,7 @@ from mixseq.pictures.sheets import (
     transfer_sheet,
     views_aspect,
 )
-from mixseq.retargeting.transfer import Transfer, plan
+from mixseq.retargeting.transfer import Transfer, TransferSettings, plan_transfer
 from mixseq.segmentation.methods import METHODS
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
@@ -368,7 +368,7 @@ def sketched(path: Path) -> None:
 
 def transfer_fox(path: Path) -> None:
     """The walk on long legs."""
-    made = plan(walk_cycle(frames=FPS, fps=FPS), long_legs())
+    made = plan_transfer(walk_cycle(frames=FPS, fps=FPS), long_legs())
     frames = evenly(FPS, 5)[1:]
     page, points = BytesIO(), np.concatenate(list(made.blocks()))
     transfer_sheet(page, made, frames, points[list(frames)], "The walk of the fox, on long legs")
@@ -399,7 +399,9 @@ def contacts(path: Path) -> None:
         for where in ("fore", "hind")
         for side in ("left", "right")
     }
-    free, planted = plan(walk, long_legs()), plan(walk, long_legs(), contacts=feet)
+    free, planted = (
+        plan_transfer(walk, long_legs(), TransferSettings(contacts=given)) for given in (None, feet)
+    )
     with chart_style():
         figure = new_page(12, 2.9, "")
         panels = figure.subplots(1, len(feet), sharey=True)

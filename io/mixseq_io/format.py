@@ -13,7 +13,7 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray
 from mixseq_io.isolation import loaded, open_isolated
 from mixseq_io.reader import SequenceReader
-from mixseq_io.surfaces import Rounding
+from mixseq_io.surfaces import RoundingMonitor
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 """First bytes of HDF5 files."""
@@ -83,9 +83,9 @@ class Format:
     ) -> None:
         """Write a file; see `mixseq_io.write_blocks`."""
         self._check_options("written", self.write_options, options)
-        rounding = Rounding()
+        rounding = RoundingMonitor()
         if self.holds.points == SINGLE:
-            blocks = rounding.watched(blocks)
+            blocks = rounding.measure(blocks)
         loaded(self.writer)(path, header, blocks, velocities, **options)
         rounding.warn(path, self.name, header)
 

@@ -65,10 +65,10 @@ def _labels(path: str, given: Given) -> Any:
 
 def _keys(path: str, given: Given) -> Any:
     """Read keys in seconds, or in frames of the model."""
-    from mixseq.operations.retiming import read_keys
+    from mixseq.operations.retiming import read_retiming_keys
 
     fps = next(iter(given.values())).header.fps
-    return read_keys(path).in_seconds(fps, fps)
+    return read_retiming_keys(path).in_seconds(fps, fps)
 
 
 def _retiming(path: str, given: Given) -> Any:

@@ -63,10 +63,10 @@ def load(path: PathLike, *, max_memory: float | None = None) -> Model:
 
 
 def _load_glb(source: Path) -> Model:
-    from mixseq_io.coded.streams import decoded, sequence_of
+    from mixseq_io.coded.streams import decode_model, read_sequence
     from mixseq_io.gltf.mesh_sequence import read_container
 
-    return decoded(source, sequence_of(source, read_container(source)))
+    return decode_model(source, read_sequence(source, read_container(source)))
 
 
 def _load_h5(source: Path) -> Model:
@@ -85,10 +85,10 @@ def _load_h5(source: Path) -> Model:
         )
     with reading_h5(source):
         if "coding" in file.attrs:
-            from mixseq_io.coded.streams import decoded, sequence_of
+            from mixseq_io.coded.streams import decode_model, read_sequence
             from mixseq_io.hdf5.coded_files import container_of
 
-            return decoded(source, sequence_of(source, container_of(source, file)))
+            return decode_model(source, read_sequence(source, container_of(source, file)))
         from mixseq_io.hdf5.models import read_model
 
         return read_model(source, file)

@@ -49,7 +49,7 @@ from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import FloatArray
 from mixseq_io.files import check_memory, memory_limit, replacing
 from mixseq_io.reader import SequenceReader, checked, naming, reading, warn
-from mixseq_io.surfaces import SURFACE_ARRAYS, surface_arrays, surface_of_arrays
+from mixseq_io.surfaces import SURFACE_ARRAY_NAMES, surface_from_arrays, surface_to_arrays
 
 _DAMAGE = (
     zipfile.BadZipFile,
@@ -128,7 +128,7 @@ class Archive:
 
 
 @contextmanager
-def opened_archive(path: Path) -> Iterator[Archive]:
+def open_archive(path: Path) -> Iterator[Archive]:
     """Open an npz file."""
     with reading_archive(path), zipfile.ZipFile(path) as file:
         yield Archive(path, file)
@@ -153,7 +153,7 @@ def open_npz(path: Path, fps: float | None = None) -> SequenceReader:
                 f"{path} has the arrays {', '.join(sorted(members)) or 'none'}; `points`, and `faces` or "
                 "`face_counts` with `face_indices`, are needed"
             )
-        small = {name: archive.read(name) for name in (*_SMALL, *SURFACE_ARRAYS) if name in members}
+        small = {name: archive.read(name) for name in (*_SMALL, *SURFACE_ARRAY_NAMES) if name in members}
         with archive.open("points") as (_, start):
             shape = _large_array(path, "points", start)
         with naming(path):
@@ -214,7 +214,7 @@ def _header(
         up_axis=str(small["up_axis"].item()) if "up_axis" in small else "Y",
         metres_per_unit=float(small["metres_per_unit"].item()) if "metres_per_unit" in small else 1.0,
         name=str(small["name"].item()) if "name" in small else path.stem,
-        surface=surface_of_arrays(small, path.parent),
+        surface=surface_from_arrays(small, path.parent),
     )
 
 
@@ -270,7 +270,7 @@ def write_npz(
     else:
         arrays["face_counts"] = header.polygons.counts
         arrays["face_indices"] = header.polygons.indices
-    arrays |= surface_arrays(header.surface)
+    arrays |= surface_to_arrays(header.surface)
     method = zipfile.ZIP_DEFLATED if compress else zipfile.ZIP_STORED
     with replacing(path) as temporary, zipfile.ZipFile(temporary, "w", method) as archive:
         dtype, numbered = checked(header, blocks, velocities)

@@ -17,14 +17,14 @@ from mixseq.errors import FormatError, InvalidSequenceError, OutputError, Settin
 from mixseq.sequence.frame_rates import NEAR
 from mixseq.sequence.header import SequenceHeader
 from mixseq_io.reader import warn
-from mixseq_io.scene_meshes import SceneMesh, listed, split
+from mixseq_io.scene_meshes import SceneMesh, format_names, split_meshes
 
 Opened = TypeVar("Opened")
 Mesh = TypeVar("Mesh")
 Fit = TypeVar("Fit")
 
 
-def opened_original(
+def open_original_file(
     path: Path,
     header: SequenceHeader,
     flatten: bool,
@@ -55,7 +55,7 @@ def opened_original(
         return None
 
 
-def fit_meshes(
+def match_meshes(
     path: Path,
     header: SequenceHeader,
     meshes: Mapping[str, Mesh],
@@ -64,7 +64,7 @@ def fit_meshes(
 ) -> list[Fit]:
     """Return, for every mesh of a sequence, its matching mesh of the file."""
     left, fits = dict(meshes), []
-    for scene_mesh in split(header):
+    for scene_mesh in split_meshes(header):
         wanted = scene_mesh.path or scene_mesh.name
         candidates = {scene_mesh.path: left[scene_mesh.path]} if scene_mesh.path in left else left
         found = {
@@ -72,7 +72,7 @@ def fit_meshes(
         }
         if len(found) > 1:
             raise FormatError(
-                f"{path} has {len(found)} meshes with the faces of {wanted!r}, {listed(list(found))}"
+                f"{path} has {len(found)} meshes with the faces of {wanted!r}, {format_names(list(found))}"
             )
         if not found:
             why = (
@@ -92,7 +92,7 @@ def is_retimed(header: SequenceHeader, sources: ArrayLike | None) -> bool:
     return sources is not None and not np.allclose(sources, header.times, rtol=0, atol=NEAR / header.fps)
 
 
-def warn_of_other_times(
+def warn_of_unretimed_motion(
     path: Path,
     header: SequenceHeader,
     moving: Mapping[str, tuple[float, float]],
@@ -109,5 +109,6 @@ def warn_of_other_times(
     if told:
         start, end = min(moving[each][0] for each in told), max(moving[each][1] for each in told)
         warn(
-            f"{path}: what else moves keeps its own times, {start:g} to {end:g} s, and is not retimed: {listed(told)}"
+            f"{path}: what else moves keeps its own times, {start:g} to {end:g} s, and is not retimed: "
+            f"{format_names(told)}"
         )

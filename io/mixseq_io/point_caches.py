@@ -55,10 +55,10 @@ from mixseq.errors import FormatError, InvalidSequenceError, MixseqError, Output
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import FloatArray
 from mixseq_io.files import replacing_many
-from mixseq_io.numbered.files import a_file
+from mixseq_io.numbered.files import with_article
 from mixseq_io.numbered.obj import lost_in_obj, obj_encoder
 from mixseq_io.reader import SequenceReader, as_float32, checked, naming, reading
-from mixseq_io.scene_meshes import on_grid
+from mixseq_io.scene_meshes import snap_to_frames
 from mixseq_io.surfaces import lost_scale, warn_of_losses
 
 MeshPath = str | os.PathLike[str] | None
@@ -115,7 +115,7 @@ def open_cache(
 ) -> SequenceReader:
     """Open a point cache and its mesh."""
     with ExitStack() as stack:
-        with reading(path, a_file(kind), ValueError):
+        with reading(path, with_article(kind), ValueError):
             file = stack.enter_context(path.open("rb"))
             start = read_start(file)
         mesh_path = _mesh_beside(path, kind) if mesh is None else Path(mesh)
@@ -143,7 +143,7 @@ def _mesh_beside(path: Path, kind: str) -> Path:
             if extension in beside:
                 return beside[extension]
     raise FormatError(
-        f"{path}: {a_file(kind)} has no faces, and there is no mesh beside it: none of "
+        f"{path}: {with_article(kind)} has no faces, and there is no mesh beside it: none of "
         f"{path.stem}{', '.join(_MESHES)}; name its mesh with mesh=... (--mesh)"
     )
 
@@ -273,7 +273,7 @@ def _read_mdd(file: IO[bytes]) -> Start:
     _check_size(file, size, frames, points)
     times = np.frombuffer(file.read(4 * frames), ">f4").astype(np.float64)
     rate = _rate(times)
-    return Start(size, ">", points, on_grid(times, rate) if rate else times, rate)
+    return Start(size, ">", points, snap_to_frames(times, rate) if rate else times, rate)
 
 
 def _rate(times: NDArray[np.float64]) -> float | None:

@@ -22,7 +22,7 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import check_block
 from mixseq.types import FloatArray
 from mixseq_io.files import check_memory, max_memory, memory_limit, out_of_memory
-from mixseq_io.text.labels import Markings, sets_of
+from mixseq_io.text.labels import Markings, group_face_sets
 
 Numbered = tuple[int, FloatArray, FloatArray | None]
 """Index of a block's first frame, its points ``(B, V, 3)``, and its velocities or None."""
@@ -183,7 +183,7 @@ class SequenceReader(ABC):
 
     def markings(self) -> Markings:
         """Return the sets of polygons, and joints where they are read."""
-        return Markings(sets=sets_of(self.header))
+        return Markings(sets=group_face_sets(self.header))
 
     def close(self) -> None:
         """Close the file; blocks that were read stay valid."""

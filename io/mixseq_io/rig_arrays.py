@@ -16,7 +16,7 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import bounding_diagonal
 from mixseq.types import Float, Index, Single
 from mixseq_io.reader import as_float32
-from mixseq_io.scene_meshes import listed
+from mixseq_io.scene_meshes import format_names
 
 if TYPE_CHECKING:
     from mixseq.rigging.rigs import Skeleton
@@ -45,7 +45,7 @@ def four_influences(skin: Skin) -> tuple[Index, NDArray[np.float32]]:
     return np.where(rounded > 0, bones, 0), rounded
 
 
-def shape_of(rig: Skin | Morph) -> Morph:
+def normalise_morph_weights(rig: Skin | Morph) -> Morph:
     r"""Return a rig's shape before bones, with weights scaled to 0 to 1, the range of sliders.
 
     Blender and Unity clip smaller weights to 0. With the least and the largest weight of every target over the frames,
@@ -75,20 +75,20 @@ def numbered_names(word: str, count: int) -> list[str]:
     return [f"{word}_{number:0{width}d}" for number in range(count)]
 
 
-def steadied(values: Float, unit: float) -> Float:
+def remove_rounding_motion(values: Float, unit: float) -> Float:
     """Return values ``(T, n, k)`` with those of bones that only move by rounding set to the first frame's."""
     largest = max(unit, float(np.abs(values).max(initial=0.0)))
     moved = np.abs(values - values[:1]).max(axis=(0, 2), keepdims=True)
     return np.where(moved <= _ROUNDING * largest, values[:1], values)
 
 
-def steady_joints(
+def local_joint_transforms(
     skin: Skin, file_format: str, header: SequenceHeader | None = None
 ) -> tuple[Single, Single]:
     """Return local rotations ``(T, B, 4)`` and translations ``(T, B, 3)`` in float32; errors name the format."""
-    local = skin.local()
-    places = steadied(local.translations, bounding_diagonal(skin.rest))
-    return steadied(local.rotations, 1.0).astype(np.float32), as_float32(
+    local = skin.local_motion()
+    places = remove_rounding_motion(local.translations, bounding_diagonal(skin.rest))
+    return remove_rounding_motion(local.rotations, 1.0).astype(np.float32), as_float32(
         places, 0, file_format, "bone", header
     )
 
@@ -99,19 +99,19 @@ def choose_skeleton(file: Path, names: Sequence[tuple[str, ...]], name: str | No
         raise FormatError(
             f"{file} has no skeleton; a file with a character that is bound to joints is expected"
         )
-    shown = listed([each[0] for each in names])
+    shown = format_names([each[0] for each in names])
     found = [number for number, each in enumerate(names) if name is None or name in each]
     if not found:
         raise FormatError(f"{file} has no skeleton {name!r}; there are {shown}")
     if len(found) > 1:
         raise AmbiguousError(
-            f"{file} has several skeletons, {listed([names[i][0] for i in found])}; choose one by name (in Python, as "
-            "name= of mixseq.read_skeleton and mixseq.read_bind_pose), or export it alone"
+            f"{file} has several skeletons, {format_names([names[i][0] for i in found])}; choose one by name "
+            "(in Python, as name= of mixseq.read_skeleton and mixseq.read_bind_pose), or export it alone"
         )
     return found[0]
 
 
-def skeleton_of(names: Sequence[str], parents: Sequence[int], bind: Float) -> Skeleton:
+def build_skeleton(names: Sequence[str], parents: Sequence[int], bind: Float) -> Skeleton:
     """Return a skeleton from joints in any order, with bind matrices ``(B, 4, 4)``."""
     from scipy.spatial.transform import Rotation
 
@@ -122,7 +122,7 @@ def skeleton_of(names: Sequence[str], parents: Sequence[int], bind: Float) -> Sk
     if not np.isfinite(bind).all():
         joint = int(np.argmin(np.isfinite(bind).all(axis=(1, 2))))
         raise InvalidSequenceError(f"the bind pose of joint {joint} ({names[joint]!r}) is not finite")
-    order = parents_first(parents)
+    order = order_parents_first(parents)
     place = {joint: bone for bone, joint in enumerate(order)} | {-1: -1}
     axes = bind[order][:, :3, :3]
     # The length of the first column takes away the unit of the file, which would hide a small matrix.
@@ -135,7 +135,7 @@ def skeleton_of(names: Sequence[str], parents: Sequence[int], bind: Float) -> Sk
     )
 
 
-def parents_first(parents: Sequence[int]) -> list[int]:
+def order_parents_first(parents: Sequence[int]) -> list[int]:
     """Return joint indices with parents before their children, otherwise in order."""
     order: dict[int, None] = {}
     for joint in range(len(parents)):

@@ -69,13 +69,13 @@ def write_rig(path: PathLike, rig: Skin | Morph) -> None:
 def _write_gltf_rig(file: Path, rig: Skin | Morph) -> None:
     from mixseq.rigging.rigs import Skin
     from mixseq_io.files import replacing
-    from mixseq_io.gltf.codecs import writing_buffer
-    from mixseq_io.gltf.rigs import morphed_scene, skinned_scene
-    from mixseq_io.gltf.writer import lost_alone, warn_of_changes
+    from mixseq_io.gltf.codecs import open_buffer_writer
+    from mixseq_io.gltf.rigs import create_morphed_scene, create_skinned_scene
+    from mixseq_io.gltf.writer import standalone_losses, warn_of_changes
 
-    layout = skinned_scene(rig) if isinstance(rig, Skin) else morphed_scene(rig)
-    warn_of_changes(file, rig.header, lost_alone(rig.header))
-    with replacing(file) as temporary, writing_buffer(file, temporary, layout):
+    layout = create_skinned_scene(rig) if isinstance(rig, Skin) else create_morphed_scene(rig)
+    warn_of_changes(file, rig.header, standalone_losses(rig.header))
+    with replacing(file) as temporary, open_buffer_writer(file, temporary, layout):
         pass  # all of it is in the layout already
 
 

@@ -21,15 +21,15 @@ from numpy.typing import NDArray
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MeshSequence, bounding_diagonal
 from mixseq.types import IntArray
-from mixseq_io.gltf.codecs import glb_size
-from mixseq_io.gltf.new_document import Morphs, new_scene, upright
+from mixseq_io.gltf.codecs import compute_glb_size
+from mixseq_io.gltf.new_document import MorphFrameWriter, axis_conversion, create_scene
 from mixseq_io.registry import open_sequence
 from mixseq_io.rig_files import GLTF
-from mixseq_io.scene_meshes import split
+from mixseq_io.scene_meshes import split_meshes
 
 
 @dataclass(frozen=True)
-class Measured:
+class RigErrors:
     """Errors of a file: largest and root mean square distance in diagonals, and KG in percent."""
 
     max_error: float
@@ -37,13 +37,13 @@ class Measured:
     kg_percent: float
 
 
-def measure(path: Path, sequence: MeshSequence) -> Measured:
+def measure_rig_file(path: Path, sequence: MeshSequence) -> RigErrors:
     """Compare a written file with its sequence, at the times of its frames."""
     gltf = path.suffix.lower() in GLTF
     kept = _with_polygons(sequence.header) if gltf else np.arange(sequence.vertex_count)
-    turn = np.reshape(upright(sequence.header).get("matrix", np.eye(4)) if gltf else np.eye(4), (4, 4))[
-        :3, :3
-    ]
+    turn = np.reshape(
+        axis_conversion(sequence.header).get("matrix", np.eye(4)) if gltf else np.eye(4), (4, 4)
+    )[:3, :3]
     largest = squares = spread = 0.0
     for points, shown in _pairs(path, sequence):
         here = points[kept].astype(np.float64) @ turn  # columns of the file are rows here
@@ -52,24 +52,26 @@ def measure(path: Path, sequence: MeshSequence) -> Measured:
         squares += float(square.sum())
         spread += float(np.square(here - here.mean(axis=0)).sum())
     diagonal = bounding_diagonal(sequence.points[0][kept].astype(np.float64) @ turn)
-    return Measured(
+    return RigErrors(
         max_error=_ratio(np.sqrt(largest), diagonal),
         rms_error=_ratio(np.sqrt(squares / (sequence.frame_count * len(kept))), diagonal),
         kg_percent=100 * _ratio(np.sqrt(squares), np.sqrt(spread)),
     )
 
 
-def size_as_frames(header: SequenceHeader) -> int:
+def size_with_frame_targets(header: SequenceHeader) -> int:
     """Return the size in bytes of a .glb with a morph target per frame, up to the text of bounds."""
-    layout, meshes = new_scene(header)
-    Morphs(layout, meshes, header)
-    return glb_size(layout)
+    layout, meshes = create_scene(header)
+    MorphFrameWriter(layout, meshes, header)
+    return compute_glb_size(layout)
 
 
 def _with_polygons(header: SequenceHeader) -> IntArray:
     """Return the vertices ``(n,)`` of objects with polygons, since glTF has no others."""
     vertices = np.arange(header.vertex_count)
-    return np.concatenate([vertices[mesh.vertices] for mesh in split(header) if mesh.polygons.counts.size])
+    return np.concatenate(
+        [vertices[mesh.vertices] for mesh in split_meshes(header) if mesh.polygons.counts.size]
+    )
 
 
 def _pairs(path: Path, sequence: MeshSequence) -> Iterator[tuple[NDArray[np.floating], NDArray[np.float64]]]:

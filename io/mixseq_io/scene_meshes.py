@@ -1,9 +1,8 @@
-"""Meshes of a scene: chosen among its objects, joined into one sequence, and split into meshes again.
+"""Selection of meshes in a scene, and their conversion to and from one mesh sequence.
 
-Readers make a `SceneObject` of every mesh and its ancestors, choose those that `prim` names or that move, make a
-`SceneMesh` of each and `join` them; writers `split` a header into its meshes. Mesh ``i`` owns the vertices
-``meshes[i].vertices`` of every frame. Times at which any channel of a scene changes are merged into frames where they
-differ only by rounding.
+Readers make a `SceneObject` of every mesh and its ancestors, select those below `prim` or those that move, and join
+their `SceneMesh`. Writers split a header into its meshes again. Mesh ``i`` owns the vertices ``meshes[i].vertices`` of
+every frame. Key times of several channels are merged where they differ only by rounding.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mixseq.compression.numbering import numbering_of
+from mixseq.compression.numbering import find_numbering
 from mixseq.errors import AmbiguousError, FormatError
 from mixseq.mesh.polygons import PolygonMatch, Polygons, matched
 from mixseq.mesh.surface import NO_UV, WHITE, CornerValues, FaceSet, MeshObject, Origin, Surface
@@ -50,7 +49,7 @@ class SceneObject:
             here = here.above
 
 
-def chosen(
+def select_meshes(
     file: Path, meshes: Sequence[SceneObject], prim: str, among: Sequence[SceneObject] | None = None
 ) -> list[int]:
     """Return the indices of the meshes at or below an object, given by path or name."""
@@ -70,16 +69,18 @@ def _path_of(file: Path, meshes: Sequence[SceneObject], prim: str) -> str:
     # The outermost of those that are in each other.
     named = {each.path for mesh in meshes for each in [own for own in mesh.lineage if prim in own.names][-1:]}
     if len(named) > 1:
-        raise AmbiguousError(f"{file}: {prim!r} is in several places, {listed(sorted(named))}; give its path")
+        raise AmbiguousError(
+            f"{file}: {prim!r} is in several places, {format_names(sorted(named))}; give its path"
+        )
     found = next(iter(named), path)
     if found is None:
         raise FormatError(
-            f"{file} has no mesh at or below {prim!r}; its meshes are {listed([mesh.path for mesh in meshes])}"
+            f"{file} has no mesh at or below {prim!r}; its meshes are {format_names([mesh.path for mesh in meshes])}"
         )
     return found
 
 
-def moving(file: Path, meshes: Sequence[SceneObject], moves: Sequence[bool]) -> list[int]:
+def select_moving_meshes(file: Path, meshes: Sequence[SceneObject], moves: Sequence[bool]) -> list[int]:
     """Return the indices of the meshes that move; all if none moves."""
     still = [mesh.path for mesh, it_moves in zip(meshes, moves, strict=True) if not it_moves]
     if not any(moves):
@@ -87,7 +88,7 @@ def moving(file: Path, meshes: Sequence[SceneObject], moves: Sequence[bool]) -> 
     if still:
         warn(
             f"{file}: meshes that stand still are left out; prim='/' (--prim / on the command line) takes them, too: "
-            f"{listed(still)}"
+            f"{format_names(still)}"
         )
     return [number for number, it_moves in enumerate(moves) if it_moves]
 
@@ -98,30 +99,30 @@ def common_name(meshes: Sequence[SceneObject]) -> str:
     return next((each.name for each in meshes[0].lineage if each.path in shared and each.name), "")
 
 
-def listed(names: Sequence[str], form: Callable[[str], str] = repr) -> str:
+def format_names(names: Sequence[str], form: Callable[[str], str] = repr) -> str:
     """Return at most 20 names, quoted by default, for a message."""
     more = len(names) - _LONGEST_LIST
     return ", ".join(map(form, names[:_LONGEST_LIST])) + (f" and {more} more" if more > 0 else "")
 
 
-SAME_TIME = 1e-6
+TIME_TOLERANCE = 1e-6
 """Largest distance in seconds of keys of different channels that make one frame."""
 
-MOST_PLAYED = 100_000
+MAX_INSERTED_FRAMES = 100_000
 """Largest number of frames added between keys; an hour has 86 400 at 24 frames per second."""
 
 _EARLY = 2.0  # seconds; exporters compute earlier times from later ones
 
 
-def joined(channels: Iterable[Float], tolerance: float = SAME_TIME) -> Float:
+def merge_times(channels: Iterable[Float], tolerance: float = TIME_TOLERANCE) -> Float:
     """Return the times ``(n,)`` of all channels, increasing, merged if equal in two channels, but not within one."""
     times = np.empty(0)
     for each in channels:
-        times = united(times, each, tolerance)
+        times = insert_times(times, each, tolerance)
     return times
 
 
-def united(times: Float, more: Float, tolerance: float | Float) -> Float:
+def insert_times(times: Float, more: Float, tolerance: float | Float) -> Float:
     """Return times and `more` ``(n,)``, increasing, without those of `more` within `tolerance` of one of `times`."""
     ends = np.concatenate([[-np.inf], times, [np.inf]])
     place = np.searchsorted(times, more)
@@ -129,7 +130,7 @@ def united(times: Float, more: Float, tolerance: float | Float) -> Float:
     return np.union1d(times, more[~near])
 
 
-def on_grid(times: Float, fps: float) -> Float:
+def snap_to_frames(times: Float, fps: float) -> Float:
     """Return times ``(T,)``, moved to ``k / fps`` if within two float32 steps of it (of 2 s, for earlier times).
 
     Other times stay as they are, and all do where two would become one.
@@ -177,9 +178,9 @@ class SceneMesh:
         """Index of the shared normal at every corner: hard edges, or the vertices without any."""
         return self.polygons.indices if self.hard_edges is None else self.hard_edges
 
-    def as_numbered(self, original: Polygons) -> SceneMesh | None:
+    def with_vertex_order_of(self, original: Polygons) -> SceneMesh | None:
         """Return the mesh with the vertex order of a file (only compressed models renumber), None for another mesh."""
-        found = numbering_of(self.polygons, original, [self.vertex_count])
+        found = find_numbering(self.polygons, original, [self.vertex_count])
         if found is None or found.order != "free":
             return None if found is None else self
         order = found.inverse.vertices
@@ -189,15 +190,13 @@ class SceneMesh:
             polygons=Polygons(self.polygons.counts, found.vertices[self.polygons.indices]),
         )
 
-    def matched_to(
-        self, stored: Polygons, order: Index | None = None
-    ) -> tuple[SceneMesh, PolygonMatch] | None:
-        """Return the mesh as `as_numbered`, and the match of its polygons with the file's; None for another mesh.
+    def match(self, stored: Polygons, order: Index | None = None) -> tuple[SceneMesh, PolygonMatch] | None:
+        """Return the mesh in the file's vertex order, and the match of their polygons; None for another mesh.
 
         `order` ``(C,)`` is the reversal of corners by the reader; the match is by stored corners.
         """
         read = stored if order is None else Polygons(stored.counts, stored.indices[order])
-        ours = self.as_numbered(read)
+        ours = self.with_vertex_order_of(read)
         match = None if ours is None else matched(read, ours.polygons)
         if ours is None or match is None:
             return None
@@ -205,7 +204,7 @@ class SceneMesh:
         return ours, match if order is None else PolygonMatch(match.polygons, match.corners[order])
 
 
-def join(meshes: Sequence[SceneMesh], origin: Origin | None) -> tuple[Polygons, Surface]:
+def join_meshes(meshes: Sequence[SceneMesh], origin: Origin | None) -> tuple[Polygons, Surface]:
     """Join meshes into one, their vertices concatenated."""
     first_vertex = np.cumsum([0, *(mesh.vertex_count for mesh in meshes)])
     polygons = Polygons(
@@ -268,15 +267,15 @@ def _joined_hard_edges(meshes: Sequence[SceneMesh]) -> IntArray | None:
     return np.concatenate(joined)
 
 
-def material_of_the_rest(path: str, polygon_count: int, bound: Iterable[FaceSet]) -> tuple[FaceSet, ...]:
+def base_face_set(path: str, polygon_count: int, bound: Iterable[FaceSet]) -> tuple[FaceSet, ...]:
     """Return a mesh's material as a face set of the polygons ``(P,)`` that no bound face set contains, if any."""
     taken = [each.polygons for each in bound]
     rest = np.setdiff1d(np.arange(polygon_count), np.concatenate(taken) if taken else ())
     return (FaceSet(path.rpartition("/")[2], rest, path),) if rest.size else ()
 
 
-def split(header: SequenceHeader) -> list[SceneMesh]:
-    """Return the meshes that a sequence joins, in order, without defaults added by `join`."""
+def split_meshes(header: SequenceHeader) -> list[SceneMesh]:
+    """Return the meshes that a sequence joins, in order, without defaults added by `join_meshes`."""
     surface, polygons = header.surface, header.polygons
     corners = np.concatenate([[0], np.cumsum(polygons.counts)])
     several = len(header.objects) > 1

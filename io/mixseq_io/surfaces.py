@@ -44,7 +44,7 @@ from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import Float, FloatArray, IntArray
 from mixseq_io.reader import warn
 
-VISIBLE = 1e-4
+VISIBLE_ERROR_DIAGONALS = 1e-4
 """Displacement in diagonals that is reported: a fifth of the visually lossless one."""
 
 _FRAMES = 8  # measured at once
@@ -52,13 +52,13 @@ _FRAMES = 8  # measured at once
 _HALF_DIGIT = 2.0**-24, 2.0**-150  # largest rounding error: relative to a coordinate, and near zero
 
 
-class Rounding:
+class RoundingMonitor:
     """Measures the rounding of points on their way to a float32 file."""
 
     def __init__(self) -> None:
         self.error, self.frame = 0.0, 0
 
-    def watched(self, blocks: Iterable[FloatArray]) -> Iterator[FloatArray]:
+    def measure(self, blocks: Iterable[FloatArray]) -> Iterator[FloatArray]:
         """Yield blocks ``(B, V, 3)``, measuring each after the writer has checked it."""
         unit, first = None, 0
         for block in blocks:
@@ -74,7 +74,7 @@ class Rounding:
     def _measure(self, points: FloatArray, first: int, unit: Diagonal) -> None:
         relative, least = _HALF_DIGIT
         largest = max(float(points.max()), -float(points.min()))
-        if 2 * max(relative * largest, least) < VISIBLE * unit.length:
+        if 2 * max(relative * largest, least) < VISIBLE_ERROR_DIAGONALS * unit.length:
             return  # the usual case: nothing can be that far off
         with np.errstate(over="ignore", under="ignore"):
             apart: Float = unit.shifted(points - points.astype(np.float32))
@@ -84,7 +84,7 @@ class Rounding:
 
     def warn(self, path: Path, files: str, header: SequenceHeader) -> None:
         """Warn if vertices are visibly off in files of a kind ("USD")."""
-        if self.error > VISIBLE:
+        if self.error > VISIBLE_ERROR_DIAGONALS:
             warn(
                 f"{path}: {files} holds points in single precision, and vertices are off by up to {self.error:.2g} of "
                 f"the diagonal, most in {header.frame_name(self.frame)}; write .npz, .h5 or .ply, which hold "
@@ -99,45 +99,45 @@ LARGEST_BYTE = 255
 _BRIGHTEST = 16
 
 
-def with_alpha(colours: FloatArray) -> FloatArray:
+def ensure_alpha(colours: FloatArray) -> FloatArray:
     """Return colours ``(n, 3)`` as opaque ``(n, 4)``; colours ``(n, 4)`` as they are."""
     return np.hstack(
         [colours[:, :3], np.ones_like(colours[:, :1]) if colours.shape[1] == 3 else colours[:, 3:]]
     )
 
 
-def from_text(numbers: FloatArray) -> FloatArray:
+def scale_text_colours(numbers: FloatArray) -> FloatArray:
     """Return colours of text files: divided by 255 if the largest number is above 16, else as they are."""
     return numbers / (LARGEST_BYTE if numbers[np.isfinite(numbers)].max(initial=0) > _BRIGHTEST else 1)
 
 
-def of_bytes(values: NDArray[np.uint8]) -> NDArray[np.float32]:
+def bytes_to_colours(values: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Return bytes as floats from 0 to 1."""
     return (values / np.float32(LARGEST_BYTE)).astype(np.float32)
 
 
-def nearest_bytes(values: FloatArray) -> NDArray[np.uint8]:
-    """Return the bytes whose floats (`of_bytes`) are nearest."""
-    return np.rint(LARGEST_BYTE * within_one(values)).astype(np.uint8)
+def colours_to_bytes(values: FloatArray) -> NDArray[np.uint8]:
+    """Return the bytes whose floats (`bytes_to_colours`) are nearest."""
+    return np.rint(LARGEST_BYTE * clip_to_unit(values)).astype(np.uint8)
 
 
-def as_bytes(values: FloatArray) -> NDArray[np.uint8] | None:
-    """Return the bytes whose floats (`of_bytes`) are exactly the given ones, None if there are none."""
-    rounded = nearest_bytes(values)
-    return rounded if np.array_equal(of_bytes(rounded), values) else None
+def colours_to_exact_bytes(values: FloatArray) -> NDArray[np.uint8] | None:
+    """Return the bytes whose floats (`bytes_to_colours`) are exactly the given ones, None if there are none."""
+    rounded = colours_to_bytes(values)
+    return rounded if np.array_equal(bytes_to_colours(rounded), values) else None
 
 
-def within_one(values: FloatArray) -> FloatArray:
+def clip_to_unit(values: FloatArray) -> FloatArray:
     """Clip numbers to 0 to 1."""
     return np.clip(np.nan_to_num(values), 0, 1)
 
 
-def colours_of_vertices(header: SequenceHeader, channels: int) -> list[str]:
+def format_vertex_colours(header: SequenceHeader, channels: int) -> list[str]:
     """Return the colours of vertices as text behind coordinates, such as " 0.2 0 1"; empty if there are none."""
     colours, vertices = header.surface.colours, header.polygons.indices
     if colours is None:
         return []
-    values = within_one(colours.at_vertices(vertices, header.vertex_count, WHITE)[:, :channels])
+    values = clip_to_unit(colours.at_vertices(vertices, header.vertex_count, WHITE)[:, :channels])
     return ["".join(f" {number!s}".removesuffix(".0") for number in row) for row in values]
 
 
@@ -194,7 +194,7 @@ def lost_colours(header: SequenceHeader, *, corners: bool = True, alpha: bool = 
         return []
     values = colours.values[np.unique(colours.indices)]
     kept = values[:, : 4 if alpha else 3]
-    written = CornerValues(within_one(colours.values[:, : kept.shape[1]]), colours.indices)
+    written = CornerValues(clip_to_unit(colours.values[:, : kept.shape[1]]), colours.indices)
     below, above = bool((kept < 0).any()), bool((kept > 1).any())
     lost = {
         "colours below 0 and above 1 (0 and 1 are written)": below and above,
@@ -223,12 +223,12 @@ def warn_of_losses(path: Path, files: str, lost: Sequence[str]) -> None:
         warn(f"{path}: {files} cannot hold {', '.join(lost)}; USD, .npz and .h5 can{hint}")
 
 
-def within(indices: NDArray[np.integer], count: int) -> bool:
+def are_valid_indices(indices: NDArray[np.integer], count: int) -> bool:
     """Whether all indices are from 0 to below `count`."""
     return not indices.size or bool(indices.min() >= 0 and indices.max() < count)
 
 
-def numbered_by_appearance(labels: IntArray) -> tuple[IntArray, IntArray]:
+def renumber_by_appearance(labels: IntArray) -> tuple[IntArray, IntArray]:
     """Renumber labels ``(n,)`` in order of first appearance; return them, and where each appears first ``(k,)``."""
     _, first, of_label = np.unique(labels, return_index=True, return_inverse=True)
     order = np.argsort(first)
@@ -249,17 +249,17 @@ _GROUPS = (
     ("subdivision",),
     ("origin",),
 )
-SURFACE_ARRAYS = tuple(name for group in _GROUPS for name in group)
+SURFACE_ARRAY_NAMES = tuple(name for group in _GROUPS for name in group)
 
 
-def surface_arrays(surface: Surface) -> Arrays:
+def surface_to_arrays(surface: Surface) -> Arrays:
     """Return a surface as arrays; strings as NumPy's Unicode."""
     arrays: Arrays = {}
     if surface.uvs is not None:
         arrays |= {"uv_values": surface.uvs.values, "uv_indices": surface.uvs.indices}
     if surface.colours is not None:
         values = surface.colours.values
-        exact = as_bytes(values)
+        exact = colours_to_exact_bytes(values)
         arrays |= {
             "colour_values": values if exact is None else exact,
             "colour_indices": surface.colours.indices,
@@ -292,8 +292,8 @@ def surface_arrays(surface: Surface) -> Arrays:
     return arrays
 
 
-def surface_of_arrays(arrays: Mapping[str, NDArray[Any]], folder: Path | None = None) -> Surface:
-    """Make a surface from the arrays of `surface_arrays`."""
+def surface_from_arrays(arrays: Mapping[str, NDArray[Any]], folder: Path | None = None) -> Surface:
+    """Make a surface from the arrays of `surface_to_arrays`."""
     for group in _GROUPS:
         missing = [name for name in group if name not in arrays]
         if missing and len(missing) < len(group):
@@ -303,7 +303,7 @@ def surface_of_arrays(arrays: Mapping[str, NDArray[Any]], folder: Path | None = 
         uvs = CornerValues(arrays["uv_values"], _whole_numbers(arrays, "uv_indices"))
     if "colour_values" in arrays:
         values = arrays["colour_values"]
-        values = of_bytes(values) if values.dtype == np.uint8 else values
+        values = bytes_to_colours(values) if values.dtype == np.uint8 else values
         colours = CornerValues(values, _whole_numbers(arrays, "colour_indices"))
     origin = None
     if "origin" in arrays:

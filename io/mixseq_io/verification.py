@@ -23,11 +23,11 @@ from mixseq.metrics import comparable, paired_blocks
 from mixseq.runtime.progress import Progress, silent
 from mixseq.runtime.public import public
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import Frames, check_frames
+from mixseq.sequence.sequence import Frames, LazyFrames, check_frames
 from mixseq.signals.decoding import FRAMES
 from mixseq.signals.model import Model
 from mixseq.types import FloatArray, PathLike
-from mixseq_io.coded.streams import Container, decoded, read_index, sequence_of
+from mixseq_io.coded.streams import Container, decode_model, read_index, read_sequence
 from mixseq_io.gltf import mesh_sequence
 from mixseq_io.hdf5 import coded_files
 from mixseq_io.hdf5.contents import MODEL_FORMAT, read_attributes, read_contents
@@ -50,14 +50,14 @@ def read_container(path: Path) -> Container:
 
 def read_compressed(path: Path) -> CompressedSequence:
     """Read a compressed sequence and check all its bytes."""
-    return sequence_of(path, read_container(path))
+    return read_sequence(path, read_container(path))
 
 
 def compressed_sizes(path: Path) -> dict[str, int]:
     """Return the sizes in bytes of a compressed model's parts."""
     container = read_container(path)
     index = read_index(path, container)
-    still = mesh_sequence.other_data(path) if mesh_sequence.is_glb(path) else 0
+    still = mesh_sequence.overhead_size(path) if mesh_sequence.is_glb(path) else 0
     total, connectivity = path.stat().st_size, index.ground["connectivity"].size
     return {
         "total": total,
@@ -149,7 +149,8 @@ def verify(path: PathLike, original: Frames | None = None, progress: Progress = 
     if original is not None:
         check_frames(original)
     coded = read_compressed(source)
-    frames = _Checked(source, decoded(source, coded), progress)
+    model = decode_model(source, coded)
+    frames = LazyFrames(model.header, lambda size: _finite_blocks(source, model, size, progress))
     header, parameters = coded.header, coded.parameters
     found = Verification(
         header.frame_count,
@@ -162,37 +163,24 @@ def verify(path: PathLike, original: Frames | None = None, progress: Progress = 
         original, renumbering = comparable(original, header)
         uv_error = None if parameters.uv_error is None else _uv_error(original.header, header)
         return replace(found, **_errors(original, frames, renumbering), uv_error=uv_error)
-    for _ in frames.blocks():
+    for _ in frames.blocks(FRAMES):
         pass
     return found
 
 
-@dataclass(frozen=True)
-class _Checked:
-    """Frames of a model, checked to be finite."""
-
-    path: Path
-    model: Model
-    progress: Progress
-
-    @property
-    def header(self) -> SequenceHeader:
-        """Everything but the points."""
-        return self.model.header
-
-    def blocks(self, size: int = FRAMES) -> Iterator[FloatArray]:
-        """Decode all frames in blocks ``(B, V, 3)``."""
-        first = 0
-        for block in self.model.blocks(self.model.times, size, progress=self.progress):
-            bad = ~np.isfinite(block).all(axis=(1, 2))
-            if bad.any():
-                name = self.header.frame_name(first + int(bad.argmax()))
-                raise FormatError(f"{self.path}: {name} is not finite; it is damaged")
-            yield block
-            first += len(block)
+def _finite_blocks(path: Path, model: Model, size: int, progress: Progress) -> Iterator[FloatArray]:
+    """Decode all frames of a model in blocks ``(B, V, 3)``; raise `FormatError` if one is not finite."""
+    first = 0
+    for block in model.blocks(model.times, size, progress=progress):
+        bad = ~np.isfinite(block).all(axis=(1, 2))
+        if bad.any():
+            name = model.header.frame_name(first + int(bad.argmax()))
+            raise FormatError(f"{path}: {name} is not finite; it is damaged")
+        yield block
+        first += len(block)
 
 
-def _errors(original: Frames, frames: _Checked, renumbering: Renumbering) -> dict[str, Any]:
+def _errors(original: Frames, frames: Frames, renumbering: Renumbering) -> dict[str, Any]:
     """Compare every vertex of every frame; return the errors, and the worst vertex by its original number."""
     squares = variation = worst = 0.0
     first, where = 0, (0, 0)

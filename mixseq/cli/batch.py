@@ -73,9 +73,9 @@ def find_sources(paths: Iterable[Path]) -> list[Path]:
 
 def files_of(source: Path) -> list[Path]:
     """Return the file of a sequence, or its numbered files; empty if they do not exist."""
-    from mixseq_io.numbered.files import files_of_pattern
+    from mixseq_io.numbered.files import find_numbered_files
 
-    return [source] if source.exists() else [file for _, file in files_of_pattern(source)]
+    return [source] if source.exists() else [file for _, file in find_numbered_files(source)]
 
 
 def plan(sources: Sequence[Path], out: Path, names: Mapping[str, str]) -> tuple[Asset, ...]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.files import LazyFrames, check_options, chosen_blocks, counted, options_of
+from mixseq.cli.files import check_options, chosen_blocks, counted, options_of
 from mixseq.cli.group import print_json, print_table, progress_bar, say
 from mixseq.errors import MixseqWarning
 from mixseq.sequence.frame_rates import frame_text, number_at
@@ -35,6 +35,8 @@ def command(reference: Path, other: Path, as_json: bool, reading: dict[str, Any]
     Both are sequences or models of one mesh. If OTHER has more frames, those at the times of REFERENCE are
     compared. Distances are fractions of the diagonal of the reference's bounding box.
     """
+    from mixseq.sequence.sequence import LazyFrames
+
     ours, theirs = options_of(reference, reading), options_of(other, reading)
     check_options((reference, other), reading, f"neither {reference} nor {other} is")
     with (
@@ -66,6 +68,7 @@ def command(reference: Path, other: Path, as_json: bool, reading: dict[str, Any]
 def at_times_of(a: Frames, b: Frames) -> Frames:
     """Return b at the times of a, if b has more frames and those among them; else b itself."""
     from mixseq.metrics import shared_frames
+    from mixseq.sequence.sequence import LazyFrames
 
     more = b.header.frame_count > a.header.frame_count
     frames = shared_frames(a.header, b.header) if more else None

@@ -95,9 +95,9 @@ def compressed(
     if "size" in aim:
         others = {name: value for name, value in aim.items() if name in ("uv_error", "uvs", "order")}
         if still is not None:
-            from mixseq_io.gltf.mesh_sequence import other_bytes
+            from mixseq_io.gltf.mesh_sequence import bound_overhead_size
 
-            others["container"] = other_bytes(frames.header, next(iter(frames.blocks(1)))[0], still)
+            others["container"] = bound_overhead_size(frames.header, next(iter(frames.blocks(1)))[0], still)
         aim = {**aim, "size": room_for_signals(frames.header, aim["size"], **others)}
     return mixseq.compress(frames, **aim, progress=progress)
 

@@ -88,9 +88,9 @@ def rows(path: Path, rig: Skin | Morph, sequence: MeshSequence) -> list[tuple[st
     """Return table rows of a written file's contents and its distance from the sequence."""
     from mixseq.rigging.rigs import Skin
     from mixseq_io.rig_files import GLTF
-    from mixseq_io.rig_measuring import measure, size_as_frames
+    from mixseq_io.rig_measuring import measure_rig_file, size_with_frame_targets
 
-    found = measure(path, sequence)
+    found = measure_rig_file(path, sequence)
     first, last = rig.header.times[[0, -1]]
     frames = f"{rig.header.frame_count:,} from {first:g} to {last:g} s at {rate_text(rig.header.fps)} frames per second"
     table = [
@@ -102,7 +102,7 @@ def rows(path: Path, rig: Skin | Morph, sequence: MeshSequence) -> list[tuple[st
         ("KG error", f"{found.kg_percent:.4g} %"),
     ]
     if path.suffix.lower() in GLTF:
-        size = format_bytes(size_as_frames(sequence.header))
+        size = format_bytes(size_with_frame_targets(sequence.header))
         table.append(("every frame", f"would be {size} as a morph target each"))
     return table
 

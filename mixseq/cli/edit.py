@@ -83,7 +83,7 @@ def command(
     sketch and swap_key; their settings are the parameters of these functions in mixseq.operations. Paths in a script
     are relative to it, and lead to its folder or those below.
     """
-    from mixseq.operations.script import RETIMING, Readers, read_script
+    from mixseq.operations.script import RETIMING_OPERATIONS, Readers, read_script
 
     as_model = target.suffix.lower() in MODEL_EXTENSIONS
     if as_model:
@@ -123,7 +123,7 @@ def command(
             mixseq.save(target, model)
         else:
             header = model.header_at(fps=fps)
-            retimed = any(edit.operation in RETIMING for edit in edits)
+            retimed = any(edit.operation in RETIMING_OPERATIONS for edit in edits)
             sources = [math.nan] * header.frame_count if retimed else None
             write_frames(target, model, header, velocities, writing, progress, work, sources)
     if not quiet:

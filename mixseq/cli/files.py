@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from mixseq.pictures.scene import SceneItem
     from mixseq.runtime.parallel import Executor
     from mixseq.sequence.header import SequenceHeader
-    from mixseq.sequence.sequence import MeshSequence
+    from mixseq.sequence.sequence import LazyFrames, MeshSequence
     from mixseq.signals.model import Model
     from mixseq.types import FloatArray
     from mixseq_io.reader import SequenceReader
@@ -81,20 +81,10 @@ def chosen_blocks(blocks: Iterable[FloatArray], indices: Iterable[int]) -> Itera
             return
 
 
-@dataclass(frozen=True)
-class LazyFrames:
-    """Frames that are made on demand; `make` gets the largest number of frames in a block."""
-
-    header: SequenceHeader  # mesh and times
-    make: Callable[[int], Iterator[FloatArray]]
-
-    def blocks(self, size: int = 16) -> Iterator[FloatArray]:
-        """Make all frames."""
-        return self.make(size)
-
-
 def decoded(model: Model, progress: Progress, workers: Executor) -> LazyFrames:
     """Return the frames of a model, decoded on demand."""
+    from mixseq.sequence.sequence import LazyFrames
+
     return LazyFrames(model.header, lambda _: model.blocks(model.times, progress=progress, workers=workers))
 
 
@@ -197,23 +187,23 @@ def _replaces(target: Path, source: Path) -> bool:
         return False
     if not (target.is_dir() and target.suffix.lower() == VAT):
         return target.samefile(source)
-    from mixseq_io.vat.writer import OWN
+    from mixseq_io.vat.writer import VAT_FILE_NAMES
 
     folder = target.resolve()
     names = (source.parent.resolve() / source.name, source.resolve())  # of a link, and of what it leads to
-    return any(name.parent == folder and name.name in OWN for name in names)
+    return any(name.parent == folder and name.name in VAT_FILE_NAMES for name in names)
 
 
 def _share_files(target: Path, source: Path) -> bool:
     """Return whether files of a numbered target are files of a numbered source."""
-    from mixseq_io.numbered.files import files_of_pattern
+    from mixseq_io.numbered.files import find_numbered_files
 
     if target.suffix.lower() != source.suffix.lower() and not source.is_dir():
         return False
     of_source = (
-        source.iterdir() if source.is_dir() else [source, *(file for _, file in files_of_pattern(source))]
+        source.iterdir() if source.is_dir() else [source, *(file for _, file in find_numbered_files(source))]
     )
-    ours = {file.resolve() for _, file in files_of_pattern(target)}
+    ours = {file.resolve() for _, file in find_numbered_files(target)}
     return not ours.isdisjoint(file.resolve() for file in of_source)
 
 
@@ -327,11 +317,11 @@ def on_terminal() -> bool:
 
 def files_in_the_way(target: Path, clips: bool = False) -> list[Path]:
     """Return the existing files that writing to a target replaces, with numbered files, and those beside it."""
-    from mixseq_io.numbered.files import files_of_pattern
+    from mixseq_io.numbered.files import find_numbered_files
     from mixseq_io.registry import FORMATS
 
     numbered = any(form.numbered and target.suffix.lower() in form.extensions for form in FORMATS)
-    found = [file for _, file in sorted(files_of_pattern(target))] if numbered else []
+    found = [file for _, file in sorted(find_numbered_files(target))] if numbered else []
     folder = [target.with_name(f"{target.name}.clips")] if clips else []
     return [file for file in (*found, target, *_beside(target), *folder) if file.exists()]
 
@@ -371,10 +361,10 @@ class LabelChoice:
 
     def read(self, reader: SequenceReader, reading: Mapping[str, Any]) -> Labels:
         """Read the labels of an open sequence."""
-        from mixseq_io.text.label_files import labels_of, read_labels
+        from mixseq_io.text.label_files import extract_labels, read_labels
 
         if self.labels is None:
-            return labels_of(reader, self.label_source)
+            return extract_labels(reader, self.label_source)
         return read_labels(self.labels, reader, self.label_source, **options_of(self.labels, reading))
 
     def parts(

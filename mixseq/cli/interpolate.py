@@ -99,16 +99,20 @@ def command(
         weights = _weights(numbered, steps, reader.header.frame_count)
         making["parts"] = labels.parts(reader, making.get("parts"), reading)
         used = [pose for pose, column in enumerate(weights.T) if column.any()]
-        blend = PoseInterpolator.of(reader, **making, among=used, progress=progress, workers=work)
-        header = blend.header.with_times([step / blend.header.fps for step in range(len(weights))])
-        frames = (points[None] for points in blend.along(weights[:, used], progress, work))
+        interpolator = PoseInterpolator.from_poses(
+            reader, **making, pose_ids=used, progress=progress, workers=work
+        )
+        header = interpolator.header.with_times(
+            [step / interpolator.header.fps for step in range(len(weights))]
+        )
+        frames = (points[None] for points in interpolator.iterate_blends(weights[:, used], progress, work))
         write_sequence(target, header, frames, None, writing)
     if not quiet:
         named = {pose: reader.header.frame_number(pose) for pose in used}
         names = [name if steps else f"{name} = {weights[0, pose]:g}" for pose, name in named.items()]
         print_table(
             [
-                ("space", f"{blend.space.name}, dim {blend.dim:,}"),
+                ("space", f"{interpolator.space.name}, dim {interpolator.dim:,}"),
                 ("poses", ", ".join(names)),
                 ("frames", f"{len(weights):,}"),
             ]
@@ -140,7 +144,7 @@ def _weights(poses: Sequence[Pose], steps: int | None, count: int) -> NDArray[np
     """Return weights ``(m, n)`` of all frames of a sequence, for every frame of the result."""
     import numpy as np
 
-    from mixseq.operations.interpolation import checked_weights
+    from mixseq.operations.interpolation import normalise_weights
 
     if not poses and count != 2:
         raise SettingsError(f"there are {count} poses; name two of them by --pose FRAME --pose FRAME")
@@ -149,7 +153,7 @@ def _weights(poses: Sequence[Pose], steps: int | None, count: int) -> NDArray[np
     columns = [pose.frame for pose in chosen]
     if steps is None:
         weights[0, columns] = [pose.weight for pose in chosen]
-        checked_weights(weights[0], count)
+        normalise_weights(weights[0], count)
     else:
         along = np.linspace(0.0, 1.0, steps)
         weights[:, columns] = np.stack([1.0 - along, along], axis=1)

@@ -100,12 +100,12 @@ def command(
         raise SettingsError("--frames tells the section; leave out --start, --end and --retime")
     claim(target)
     from mixseq.operations.resampling import plan
-    from mixseq.operations.retiming import Retiming, read_keys
+    from mixseq.operations.retiming import Retiming, read_retiming_keys
     from mixseq_io.reader import in_step
 
     if whole_stage:
         writing = writing | {"whole_stage": True}
-    keys = None if retime is None else read_keys(retime)
+    keys = None if retime is None else read_retiming_keys(retime)
     with workers as work, progress_bar(quiet) as progress:
         model = _model(source, tolerance, reading, progress, work)
         if frames is not None:

@@ -84,11 +84,11 @@ def command(
     TARGET is an npz file with the part of every triangle, or the animation with its parts: as GeomSubsets in USD, as
     groups in OBJ, Alembic and HDF5. A picture of the parts is drawn beside it.
     """
-    from mixseq_io.text.label_files import check_holds_labels, write_labels
+    from mixseq_io.text.label_files import check_label_target, write_labels
 
     how = _method(method, parts, labels)
     settings = None if seed is None else _with_seed(how, seed)
-    check_holds_labels(target)
+    check_label_target(target)
     drawn = chosen_picture(target, "parts", **picture)
     claim(target, drawn)
     if drawn is not None:
@@ -234,9 +234,9 @@ def _measured(header: SequenceHeader, points: FloatArray, labels: Labels) -> dic
 def _agreement(reader: SequenceReader, points: FloatArray, labels: Labels, source: str) -> dict[str, Any]:
     """Return the adjusted Rand indices against other labels: by triangles, and weighted by area."""
     from mixseq.segmentation.methods import adjusted_rand_index
-    from mixseq_io.text.label_files import labels_of
+    from mixseq_io.text.label_files import extract_labels
 
-    others = labels_of(reader, source)
+    others = extract_labels(reader, source)
     ours, theirs = labels.part_of_face, others.part_of_face
     return {
         "against": source,

@@ -22,8 +22,8 @@ from mixseq.runtime.progress import warnings_heard
 if TYPE_CHECKING:
     from mixseq.choices import TransferName
     from mixseq.retargeting.contacts import ContactReport
-    from mixseq.retargeting.matching import Quality
-    from mixseq.retargeting.report import Counts, Coverage, TransferReport
+    from mixseq.retargeting.matching import CorrespondenceQuality
+    from mixseq.retargeting.report import Coverage, FrameCounts, TransferReport
     from mixseq.retargeting.transfer import Transfer
     from mixseq.runtime.low_memory import Statistics
     from mixseq.runtime.parallel import Executor
@@ -93,35 +93,39 @@ def _coverage_rows(covered: Coverage) -> list[tuple[str, str]]:
     return result
 
 
-def _quality_facts(quality: Quality) -> dict[str, Any]:
+def _quality_facts(quality: CorrespondenceQuality) -> dict[str, Any]:
     """Return the numeric attributes, and all markers by name."""
     names = [quality.markers.name(number) for number in range(len(quality.markers))]
     missed = zip(names, quality.marker_distances.tolist(), strict=True)
     return {
         "source_coverage": quality.source_coverage,
         "target_coverage": quality.target_coverage,
-        "mean_distance": quality.mean,
-        "p99_distance": quality.p99,
-        "largest_distance": quality.largest,
-        "flipped": quality.flipped,
-        "filled_vertices": quality.filled_vertices,
-        "filled_triangles": quality.filled_faces,
-        "followers": quality.followers,
+        "mean_distance": quality.mean_distance,
+        "p99_distance": quality.p99_distance,
+        "largest_distance": quality.largest_distance,
+        "flipped": quality.flipped_count,
+        "filled_vertices": quality.filled_vertex_count,
+        "filled_triangles": quality.filled_face_count,
+        "followers": quality.follower_count,
         "markers": [{"name": name, "distance": distance} for name, distance in missed],
     }
 
 
-def _quality_rows(quality: Quality) -> list[tuple[str, str]]:
-    percent = [f"{100 * value:.2g} %" for value in (quality.mean, quality.p99, quality.largest)]
+def _quality_rows(quality: CorrespondenceQuality) -> list[tuple[str, str]]:
+    percent = [
+        f"{100 * value:.2g} %"
+        for value in (quality.mean_distance, quality.p99_distance, quality.largest_distance)
+    ]
     worst = [f"{name} by {100 * distance:.2g} %" for name, distance in quality.worst_markers(3)]
     return [
         (
             "matched",
             f"{_percent(quality.target_coverage)} of the target's area, {_percent(quality.source_coverage)} of the "
-            f"source's; {quality.filled_vertices:,} vertices, {quality.filled_faces:,} triangles like their neighbours",
+            f"source's; {quality.filled_vertex_count:,} vertices, {quality.filled_face_count:,} triangles like their "
+            "neighbours",
         ),
         ("distances", f"{percent[0]} of the diagonal on average, {percent[1]} at 99 %, {percent[2]} at most"),
-        ("facing away", _number(quality.flipped, "triangle")),
+        ("facing away", _number(quality.flipped_count, "triangle")),
         ("markers", f"{len(quality.markers)}, missed most: {', '.join(worst)}"),
     ]
 
@@ -140,7 +144,7 @@ def _smoothness(report: TransferReport, header: SequenceHeader) -> str:
     return f"{smooth.rms:.2g} diagonals per squared frame rms{ratio}{most} (frame {worst})"
 
 
-def _crossings(counts: Counts, header: SequenceHeader) -> str:
+def _crossings(counts: FrameCounts, header: SequenceHeader) -> str:
     worst = header.frame_number(counts.worst_frame)
     return (
         f"{_number(counts.rest, 'pair')} at rest, {counts.worst:,} at most (frame {worst}), "
@@ -148,7 +152,7 @@ def _crossings(counts: Counts, header: SequenceHeader) -> str:
     )
 
 
-def _triangles(counts: Counts, header: SequenceHeader) -> str:
+def _triangles(counts: FrameCounts, header: SequenceHeader) -> str:
     if not counts.worst:
         return "no triangle"
     worst = header.frame_number(counts.worst_frame)
@@ -327,9 +331,9 @@ def command(
         import numpy as np
 
         from mixseq.operations import key_poses, with_shapes
-        from mixseq.retargeting.report import Meter
-        from mixseq.retargeting.sources import source_motion
-        from mixseq.retargeting.transfer import plan
+        from mixseq.retargeting.report import TransferMeter
+        from mixseq.retargeting.sources import prepare_source
+        from mixseq.retargeting.transfer import TransferSettings, plan_transfer
         from mixseq.sequence.sequence import collect
         from mixseq_io.files import replacing
         from mixseq_io.text.maps import read_map, to_correspondence, write_map
@@ -348,27 +352,18 @@ def command(
             if isinstance(rest_shape, int):
                 rest_shape = model.sample(frames=[rest_shape])
         moving = key_poses(model) if as_model else opened
-        motion = source_motion(moving, rest_shape, given, progress)
+        motion = prepare_source(moving, rest_shape, given, progress)
         mapping = None
         if map_file is not None:
             meshes = (motion.rest, motion.header.faces), (shape.points[0], shape.faces)
             mapping = to_correspondence(read_map(map_file), *meshes)
-        made = plan(
-            motion,
-            shape,
-            pairs,
-            mapping,
-            method,
-            contacts=feet,
-            joint_width=joint_width,
-            progress=progress,
-            workers=work,
-        )
+        settings = TransferSettings(pairs, mapping, method, contacts=feet, joint_width=joint_width)
+        made = plan_transfer(motion, shape, settings, progress, work)
         if save_map is not None:
             write_map(save_map, made.correspondence, made.source.header.faces, made.header.faces)
-        meter, shown = Meter(made), _frames_to_draw(made, frame, rest_file)
+        meter, shown = TransferMeter(made), _frames_to_draw(made, frame, rest_file)
         points: list[FloatArray] = []
-        blocks = _recorded(meter.passing(made.blocks(progress, work)), shown, points)
+        blocks = _recorded(meter.measure_blocks(made.blocks(progress, work)), shown, points)
         if as_model:
             mixseq.save(out, with_shapes(model, collect(made.header, blocks)))
         else:

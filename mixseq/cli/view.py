@@ -249,11 +249,11 @@ def _has_screen() -> bool:
 def _save(sources: Sequence[Path], path: Path, model: Model, replace: bool) -> str:
     """Write an edited model, as a model or as a sequence; return a message with its name and the files it needs."""
     from mixseq.runtime.parallel import on_threads
-    from mixseq_io.numbered.files import files_of_pattern
+    from mixseq_io.numbered.files import find_numbered_files
 
     for source in sources:
         check_target(path, source)
-    if not replace and (path.exists() or any(files_of_pattern(path))):
+    if not replace and (path.exists() or any(find_numbered_files(path))):
         raise OutputError(f"{path.name} exists; give another name, or tick Replace")
     try:
         if path.suffix.lower() in MODEL_EXTENSIONS:
@@ -306,7 +306,7 @@ def _open_marked_meshes(files: Sequence[Path], path: Path, reading: Mapping[str,
     import numpy as np
 
     from mixseq.mesh.topology import Topology
-    from mixseq.retargeting.checks import check_numbers
+    from mixseq.retargeting.checks import check_marker_vertices
     from mixseq.retargeting.markers import Markers
     from mixseq.viewer.live.marking import MarkedMeshes
     from mixseq_io.registry import FORMATS
@@ -316,11 +316,11 @@ def _open_marked_meshes(files: Sequence[Path], path: Path, reading: Mapping[str,
     check_options(files, reading)
     if path.suffix.lower() in (extension for form in FORMATS for extension in form.extensions):
         raise SettingsError(f"{path}: markers are a text; end the name in .txt, .json or .yml")
-    markers = read_markers(path) if path.exists() else Markers.of(np.zeros((0, 2), np.int64))
+    markers = read_markers(path) if path.exists() else Markers.from_pairs(np.zeros((0, 2), np.int64))
     source, target = (_still(file, reading) for file in files)
     tops = [Topology(mesh.faces, mesh.vertex_count) for mesh in (source, target)]
     try:
-        check_numbers(markers, *tops)
+        check_marker_vertices(markers, *tops)
     except SettingsError as error:
         raise SettingsError(f"{path}: {error}") from None
     names = (files[0].name, files[1].name)

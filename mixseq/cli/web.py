@@ -20,10 +20,10 @@ def command(out: Path, claim: Claim, quiet: bool) -> None:
     types of both; example.html and player.html, pages with and without three.js; the schema of the glTF extension; and
     a README. "mixseq encode shot.usdz shot.glb --max-error 0.001" makes files for it.
     """
-    from mixseq.web import contents
+    from mixseq.web import package_files
     from mixseq_io.files import replacing
 
-    files = contents()
+    files = package_files()
     out.mkdir(parents=True, exist_ok=True)
     claim(*(out / name for name in files))
     for name, text in files.items():

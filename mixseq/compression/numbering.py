@@ -11,7 +11,7 @@ corners share a normal, so normals are numbered in order of first use.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +22,7 @@ from mixseq.errors import SettingsError
 from mixseq.mesh.polygons import Polygons, matched
 from mixseq.mesh.surface import FaceSet, Surface, by_first_use
 from mixseq.sequence.header import SequenceHeader, header_fields
-from mixseq.sequence.sequence import Frames, MeshSequence
+from mixseq.sequence.sequence import Frames, LazyFrames, MeshSequence
 from mixseq.types import FloatArray, Index
 
 
@@ -46,26 +46,27 @@ class Renumbering:
         """The inverse numbering."""
         return Renumbering(*map(_inverse, (self.vertices, self.polygons, self.corners)))
 
-    def of_polygons(self, polygons: Polygons) -> Polygons:
+    def renumber_polygons(self, polygons: Polygons) -> Polygons:
         """Return the polygons in their new order, on vertices with their new numbers."""
         new = _inverse(self.vertices)
         return Polygons(polygons.counts[self.polygons], new[polygons.indices[self.corners]])
 
-    def of_header(self, header: SequenceHeader) -> SequenceHeader:
+    def renumber_header(self, header: SequenceHeader) -> SequenceHeader:
         """Return the same mesh with all its attributes, at the same times."""
         renumbered = {
-            "polygons": self.of_polygons(header.polygons),
+            "polygons": self.renumber_polygons(header.polygons),
             "surface": self._of_surface(header.surface),
         }
         return SequenceHeader(**{**header_fields(header), **renumbered})
 
-    def of_frames(self, frames: Frames) -> Frames:
+    def renumber_frames(self, frames: Frames) -> Frames:
         """Return the same frames of the same mesh: in memory if they are, else read on demand."""
         if not isinstance(frames, MeshSequence):
-            return _Renumbered(frames, self.of_header(frames.header), self._of_points)
+            header = self.renumber_header(frames.header)
+            return LazyFrames(header, lambda size: map(self._of_points, frames.blocks(size)))
         velocities = None if frames.velocities is None else self._of_points(frames.velocities)
         return MeshSequence.from_header(
-            self.of_header(frames.header), self._of_points(frames.points), velocities
+            self.renumber_header(frames.header), self._of_points(frames.points), velocities
         )
 
     def _of_points(self, points: FloatArray) -> FloatArray:
@@ -86,12 +87,12 @@ class Renumbering:
         )
 
 
-def as_it_is(polygons: Polygons, vertex_count: int) -> Renumbering:
+def identity_numbering(polygons: Polygons, vertex_count: int) -> Renumbering:
     """Return the identity numbering of a mesh."""
     return Renumbering(*map(np.arange, (vertex_count, len(polygons.counts), polygons.indices.size)))
 
 
-def by_walk(polygons: Polygons, sizes: Sequence[int], *, vertices: bool) -> Renumbering:
+def walk_numbering(polygons: Polygons, sizes: Sequence[int], *, vertices: bool) -> Renumbering:
     """Return the numbering in which connectivity takes few bits."""
     order, entered = walk_polygons(polygons, sum(sizes))
     counts, starts = polygons.counts.astype(np.int64), np.cumsum(polygons.counts) - polygons.counts
@@ -111,43 +112,30 @@ def cheapest_numbering(header: SequenceHeader, order: OrderName) -> Renumbering:
     """Return the numbering in which polygons take the fewest bytes."""
     if order not in ORDERS:
         raise SettingsError(f"order is {order!r}; one of {', '.join(ORDERS)} is expected")
-    polygons, sizes = header.polygons, object_sizes(header)
-    kept = as_it_is(polygons, header.vertex_count)
+    polygons, sizes = header.polygons, object_vertex_counts(header)
+    kept = identity_numbering(polygons, header.vertex_count)
     if order == "keep":
         return kept
-    walks = [by_walk(polygons, sizes, vertices=each) for each in (False, True)[: ORDERS.index(order)]]
+    walks = [walk_numbering(polygons, sizes, vertices=each) for each in (False, True)[: ORDERS.index(order)]]
     return min(
         [kept, *walks],
-        key=lambda each: len(encode_polygons(each.of_polygons(polygons), header.vertex_count)),
+        key=lambda each: len(encode_polygons(each.renumber_polygons(polygons), header.vertex_count)),
     )
 
 
-def numbering_of(other: Polygons, polygons: Polygons, sizes: Sequence[int]) -> Renumbering | None:
+def find_numbering(other: Polygons, polygons: Polygons, sizes: Sequence[int]) -> Renumbering | None:
     """Return the numbering of a mesh's vertices in a file of it, None if the file has another mesh."""
     if not np.array_equal(np.sort(polygons.counts), np.sort(other.counts)):
         return None
     if matched(polygons, other) is not None:
-        return as_it_is(polygons, sum(sizes))
-    found = by_walk(polygons, sizes, vertices=True)
-    return None if matched(found.of_polygons(polygons), other) is None else found
+        return identity_numbering(polygons, sum(sizes))
+    found = walk_numbering(polygons, sizes, vertices=True)
+    return None if matched(found.renumber_polygons(polygons), other) is None else found
 
 
-def object_sizes(header: SequenceHeader) -> list[int]:
+def object_vertex_counts(header: SequenceHeader) -> list[int]:
     """Return the number of vertices of every object joined in a sequence."""
     return [each.vertex_count for each in header.objects]
-
-
-@dataclass(frozen=True, eq=False)
-class _Renumbered:
-    """Frames renumbered as they are read."""
-
-    frames: Frames
-    header: SequenceHeader
-    renumbered: Callable[[FloatArray], FloatArray]
-
-    def blocks(self, size: int = 16) -> Iterator[FloatArray]:
-        """Iterate over the points."""
-        return map(self.renumbered, self.frames.blocks(size))
 
 
 def _corners(starts: Index, sizes: Index, begin: Index) -> Index:

@@ -88,14 +88,14 @@ SUM = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class PoseInterpolator(PickledWithoutCaches):
-    """Poses of a mesh as vectors of a shape space, for blends of any weights; make it with `PoseInterpolator.of`."""
+    """Poses of a mesh as vectors of a shape space, for blends with any weights; make it with `from_poses`."""
 
     header: SequenceHeader  # the mesh
     space: ShapeSpace  # the space, made from the poses
     vectors: Float  # (n, D) the poses
 
     @classmethod
-    def of(
+    def from_poses(
         cls,
         poses: Frames,
         space: SpaceName = "mixed",
@@ -103,16 +103,16 @@ class PoseInterpolator(PickledWithoutCaches):
         placement: PlacementName = MixedSettings.placement,
         parts: int | ArrayLike | None = None,
         joint_width: int = MixedSettings.joint_width,
-        among: ArrayLike | None = None,
+        pose_ids: ArrayLike | None = None,
         progress: Progress = silent,
         workers: Executor | None = None,
         **settings: Unpack[SpaceOptions],
     ) -> PoseInterpolator:
-        """Make a space of all poses, and encode those with indices `among`, by default all; see `interpolate`."""
+        """Make a space of all poses, and encode those of `pose_ids`, by default all; see `interpolate`."""
         chosen = space_settings(space, placement=placement, parts=parts, joint_width=joint_width, **settings)
         check_frames(poses)
         count = poses.header.frame_count
-        blended = np.arange(count) if among is None else np.asarray(among)
+        blended = np.arange(count) if pose_ids is None else np.asarray(pose_ids)
         if blended.ndim != 1 or not np.issubdtype(blended.dtype, np.integer) or not len(blended):
             raise SettingsError("poses to blend are named by their numbers; name one at least")
         wrong = blended[(blended < 0) | (blended >= count)]
@@ -137,29 +137,29 @@ class PoseInterpolator(PickledWithoutCaches):
         """Dimension D of the space."""
         return self.space.dim
 
-    def at(self, weights: ArrayLike) -> Float:
+    def blend(self, weights: ArrayLike) -> Float:
         """Return the points ``(V, 3)`` of a blend with weights ``(n,)``; SettingsError unless they add up to one."""
-        return self.at_with_reports(weights)[0]
+        return self.blend_with_reports(weights)[0]
 
-    def at_with_reports(self, weights: ArrayLike) -> tuple[Float, list[ShellReport]]:
-        """Blend as `at`, and return the reports of the fits to lengths and angles, in spaces that fit."""
+    def blend_with_reports(self, weights: ArrayLike) -> tuple[Float, list[ShellReport]]:
+        """Blend as `blend`, and return the reports of the fits to lengths and angles, in spaces that fit."""
         with one_blas_thread():
-            vector = (checked_weights(weights, len(self.vectors)) @ self.vectors)[None]
+            vector = (normalise_weights(weights, len(self.vectors)) @ self.vectors)[None]
         points, (reports,) = self.space.decode_with_reports(vector)
         return points[0], reports
 
-    def along(
+    def iterate_blends(
         self, weights: ArrayLike, progress: Progress = silent, workers: Executor | None = None
     ) -> Iterator[Float]:
-        """Yield the points ``(V, 3)`` of blends with weights ``(m, n)``, see `at`."""
+        """Yield the points ``(V, 3)`` of blends with weights ``(m, n)``, see `blend`."""
         try:
             table = np.asarray(weights, dtype=np.float64)
         except (TypeError, ValueError) as error:
             raise SettingsError("weights are not a table of numbers, with a row for every blend") from error
-        rows = [checked_weights(row, len(self.vectors)) for row in np.atleast_1d(table)]
+        rows = [normalise_weights(row, len(self.vectors)) for row in np.atleast_1d(table)]
         self.space.prepared()
         work = workers or on_threads()
-        for done, points in enumerate(work(PoseInterpolator.at, self, rows), start=1):
+        for done, points in enumerate(work(PoseInterpolator.blend, self, rows), start=1):
             yield points
             progress(done, len(rows), "blending poses")
 
@@ -230,12 +230,12 @@ def interpolate(
     True
     """
     check_frames(poses)
-    weights = checked_weights(weights, poses.header.frame_count)  # before the work
+    weights = normalise_weights(weights, poses.header.frame_count)  # before the work
     used = np.flatnonzero(weights)
-    blend = PoseInterpolator.of(
+    interpolator = PoseInterpolator.from_poses(
         poses,
         space,
-        among=used,
+        pose_ids=used,
         placement=placement,
         parts=parts,
         joint_width=joint_width,
@@ -243,10 +243,10 @@ def interpolate(
         workers=workers,
         **settings,
     )
-    return blend.at(weights[used])
+    return interpolator.blend(weights[used])
 
 
-def checked_weights(weights: ArrayLike, count: int) -> Float:
+def normalise_weights(weights: ArrayLike, count: int) -> Float:
     """Return the weights of `count` poses as float64 ``(n,)``, divided by their sum."""
     try:
         numbers = np.asarray(weights, dtype=np.float64)

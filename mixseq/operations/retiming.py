@@ -309,7 +309,7 @@ def read_retiming(
     SettingsError
         If the file is in frames, and `source_fps` is missing.
     """
-    keys = read_keys(path)
+    keys = read_retiming_keys(path)
     if source_fps is None and keys.unit == "frames":
         raise SettingsError(f"{path} speaks in frames; give source_fps, the frames per second of the source")
     rate = source_fps or 1.0
@@ -317,7 +317,7 @@ def read_retiming(
     return Retiming.through(outputs, sources, smooth)
 
 
-def read_keys(path: str | os.PathLike[str]) -> RetimingKeys:
+def read_retiming_keys(path: str | os.PathLike[str]) -> RetimingKeys:
     """Read the points of a retiming; file and errors as in `read_retiming`."""
     file = Path(path)
     try:

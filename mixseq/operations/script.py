@@ -33,7 +33,7 @@ from typing import Any, Literal, NamedTuple, Union, get_args, get_origin, get_ty
 import numpy as np
 
 from mixseq.errors import FormatError, MixseqError, SettingsError
-from mixseq.operations.retiming import RetimingKeys, Unit, checked_unit, parse_toml, read_keys
+from mixseq.operations.retiming import RetimingKeys, Unit, checked_unit, parse_toml, read_retiming_keys
 from mixseq.sequence.frame_rates import time_of
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.curve import Curve
@@ -77,8 +77,8 @@ def keys_of(function: Callable[..., Model]) -> dict[str, Key]:
     keys = {}
     for parameter in parameters:
         name, required = parameter.name, parameter.default is Parameter.empty
-        if name in FILES:
-            key, holds, read, in_seconds = FILES[name]
+        if name in PARSED_PARAMETERS:
+            key, holds, read, in_seconds = PARSED_PARAMETERS[name]
             keys[key] = Key(name, required, holds, read, in_seconds)
         elif holds := _holds(hints[name]):
             time = _number_in_seconds if marked[name] != hints[name] else None
@@ -196,7 +196,7 @@ def _weight(value: Any, folder: Path, readers: Readers) -> float | Curve:
 def _keys(value: Any, folder: Path, readers: Readers) -> RetimingKeys:
     if isinstance(value, list):
         return RetimingKeys(_pairs(value, folder, readers), None)
-    return read_keys(_path(value, folder, readers))
+    return read_retiming_keys(_path(value, folder, readers))
 
 
 def _number_in_seconds(value: float, fps: float, unit: Unit) -> float:
@@ -212,7 +212,7 @@ def _weight_in_seconds(value: float | Curve, fps: float, unit: Unit) -> float | 
 _OF_KEYS = "pairs of output and source times, as a list or a CSV or TOML file,"
 _OF_WEIGHT = "a number, or pairs of time and weight as a list or a CSV file,"
 
-FILES: Mapping[str, tuple[str, str, Read, InSeconds | None]] = {
+PARSED_PARAMETERS: Mapping[str, tuple[str, str, Read, InSeconds | None]] = {
     "b": ("b", "the file of a model", _model, None),
     "points": ("mesh", "the file of a mesh", _mesh, None),
     "curve": ("curve", "pairs of x and y, as a list or a CSV file,", _pairs, None),
@@ -246,7 +246,9 @@ OPERATIONS: Mapping[str, str] = {
 }
 """Modules of this package and functions in them, by the names of operations; imported on first use."""
 
-RETIMING = frozenset({"repeat", "loop", "shift", "speed", "reverse", "retime", "concatenate", "transition"})
+RETIMING_OPERATIONS = frozenset(
+    {"repeat", "loop", "shift", "speed", "reverse", "retime", "concatenate", "transition"}
+)
 """Operations that change the mapping between frames and model time."""
 
 

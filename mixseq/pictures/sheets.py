@@ -118,20 +118,20 @@ def common_parts(transfer: Transfer) -> tuple[Index, Index]:
 
     For transfers by gradients, the source is segmented by its motion and the parts are mapped to the target.
     """
-    from mixseq.retargeting.parts import carry_labels
+    from mixseq.retargeting.parts import transfer_labels
 
     parts = transfer.method.parts
     if parts is not None:
         return parts.part_of_face
     labels = transfer.source.part_of_face()
-    return labels, carry_labels(labels, transfer.correspondence, transfer.header.faces)
+    return labels, transfer_labels(labels, transfer.correspondence, transfer.header.faces)
 
 
 def heading_degrees(transfer: Transfer) -> float:
     """Return the best-fit rotation from source to target at rest about the up axis, in degrees; 0 if undefined."""
     matched = transfer.correspondence.matched
     source = to_y_up(
-        transfer.correspondence.carry(transfer.source.rest)[matched], transfer.source.header.up_axis
+        transfer.correspondence.interpolate(transfer.source.rest)[matched], transfer.source.header.up_axis
     )
     target = to_y_up(transfer.target[matched], transfer.header.up_axis)
     a, b = ((x - x.mean(axis=0))[:, [0, 2]] for x in (source, target))

@@ -321,8 +321,8 @@ MAX_NAMED_MARKERS = 6
 class Suspicion:
     """Markers that do not fit the others."""
 
-    numbers: Index  # (k,) which
-    why: str  # the problem, and its cure
+    marker_ids: Index  # (k,) the markers
+    message: str  # the problem, and its cure
 
 
 def check_markers(
@@ -352,7 +352,7 @@ def check_markers(
         _check_spread(side, chosen, points)
     _check_hand(_normalised(source), _normalised(target))
     for each in suspicions(markers, source, target, float(np.linalg.norm(np.ptp(other, axis=0)))):
-        _warn(each.why)
+        _warn(each.message)
 
 
 def check_rest(source: MeshSequence, rest: int) -> None:
@@ -363,7 +363,7 @@ def check_rest(source: MeshSequence, rest: int) -> None:
         )
 
 
-def check_numbers(markers: Markers, source: Topology, target: Topology) -> None:
+def check_marker_vertices(markers: Markers, source: Topology, target: Topology) -> None:
     """Raise `SettingsError` for markers on missing vertices, or on vertices without triangles."""
     for side, vertices, topology in (("source", markers.source, source), ("target", markers.target, target)):
         _check_vertices(markers, side, vertices, topology.vertex_count, topology)

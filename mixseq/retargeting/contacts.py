@@ -390,7 +390,7 @@ def plant_contacts(
     )
     vertices = {name: _vertices(name, given, header.vertex_count) for name, given in contacts.items()}
     part = vertex_parts(method.parts.target, target.topology)
-    on_source = correspondence.carry(source.reference)
+    on_source = correspondence.interpolate(source.reference)
     own = [Contact(name, target.reference[chosen], part[chosen]) for name, chosen in vertices.items()]
     theirs = [Contact(name, on_source[chosen], part[chosen]) for name, chosen in vertices.items()]
     ratio = method.gradients.alignment.scale * source.scale / target.scale
@@ -432,7 +432,7 @@ def _measure(shared: tuple[MixedTransfer, Index, Index], block: FloatArray) -> t
         # A paw may bend although it is one with its leg.
         back = np.swapaxes(moved.rotations[parts], 1, 2)
         soles.append(turned(back, smooth[vertices] - moved.centres[parts]) + method.shapes.centres[parts])
-    path = np.stack([method.gradients.correspondence.carry(x)[vertices] for x in block])
+    path = np.stack([method.gradients.correspondence.interpolate(x)[vertices] for x in block])
     return PartPoses(*(np.stack(values) for values in zip(*poses, strict=True))), path, np.stack(soles)
 
 

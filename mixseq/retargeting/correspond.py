@@ -12,7 +12,7 @@ from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.checks import check_facing, check_markers, check_orientation, check_rest
 from mixseq.retargeting.markers import Correspondence, Markers, Pairing, pair_components
-from mixseq.retargeting.matching import MatchingSettings, Quality, assess, match
+from mixseq.retargeting.matching import CorrespondenceQuality, MatchingSettings, assess, match
 from mixseq.retargeting.registration import RegistrationSettings, register
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, silent
@@ -32,14 +32,6 @@ class CorrespondenceSettings:
 
     registration: RegistrationSettings = field(default_factory=RegistrationSettings)
     matching: MatchingSettings = field(default_factory=MatchingSettings)
-
-
-@dataclass(frozen=True, eq=False)
-class Assessed:
-    """A correspondence and its quality."""
-
-    correspondence: Correspondence
-    quality: Quality
 
 
 @public
@@ -84,7 +76,7 @@ def correspond(
     MixseqWarning
         If markers seem exchanged or wrong, components are inside out, or most of a mesh has no markers.
     """
-    return correspond_and_assess(source, target, markers, rest, settings, progress).correspondence
+    return correspond_and_assess(source, target, markers, rest, settings, progress)[0]
 
 
 @one_blas_thread()
@@ -95,7 +87,7 @@ def correspond_and_assess(
     rest: int = 0,
     settings: CorrespondenceSettings | None = None,
     progress: Progress = silent,
-) -> Assessed:
+) -> tuple[Correspondence, CorrespondenceQuality]:
     """Find a correspondence like `correspond`, and its quality."""
     settings = CorrespondenceSettings() if settings is None else settings
     check_rest(source, rest)
@@ -110,19 +102,19 @@ def correspond_and_assess(
     matches = match(registered, goal, pairings, settings.matching)
     quality = assess(registered, goal, pairings, markers, matches, settings.matching)
     _warn_of(quality, matches.correspondence)
-    return Assessed(matches.correspondence, quality)
+    return matches.correspondence, quality
 
 
-def _warn_of(quality: Quality, correspondence: Correspondence) -> None:
+def _warn_of(quality: CorrespondenceQuality, correspondence: Correspondence) -> None:
     """Warn if much of the target has no counterpart, or a flipped one."""
     mapped = max(int(np.count_nonzero(correspondence.faces >= 0)), 1)
     for count, most, what in (
         (
-            quality.filled_faces,
+            quality.filled_face_count,
             FILLED,
             "found nothing near that faces the same way, and move like their neighbours",
         ),
-        (quality.flipped, FLIPPED, "face away from what they correspond to"),
+        (quality.flipped_count, FLIPPED, "face away from what they correspond to"),
     ):
         if count > most * mapped:
             warnings.warn(

@@ -84,7 +84,7 @@ class GradientTransfer(PickledWithoutCaches):
         """Gradients ``(F, 3, 3)`` of the source's triangles in a frame ``(V, 3)``."""
         return self.source.completed(x.astype(np.float64) / self.source.scale) @ self.source.inverses
 
-    def frame(self, x: FloatArray) -> Float:
+    def transfer_frame(self, x: FloatArray) -> Float:
         """Move the target ``(V', 3)`` as the source is moved in a frame ``(V, 3)``."""
         target, faces = self.target, self.correspondence.faces
         x = x.astype(np.float64)
@@ -102,13 +102,13 @@ class GradientTransfer(PickledWithoutCaches):
         correspondence = self.correspondence
         shift = self.alignment.scale * self.source.scale / self.target.scale * self.alignment.rotation
         own = pieces.vertices[held.root]
-        away = correspondence.carry(x / self.source.scale - self.source.reference)[own].mean(axis=0)
+        away = correspondence.interpolate(x / self.source.scale - self.source.reference)[own].mean(axis=0)
         placed = rows.copy()
         root = pieces.slices[held.root]
         placed[root] += rest[own].mean(axis=0) + shift @ away - rows[root].mean(axis=0)
 
         ends = pieces.rows_of(held.pieces, held.own), pieces.rows_of(held.holders, held.other)
-        gaps = correspondence.carry(np.stack([self.source.reference, x / self.source.scale]))
+        gaps = correspondence.interpolate(np.stack([self.source.reference, x / self.source.scale]))
         gaps = gaps[:, held.own] - gaps[:, held.other]
         gaps[:, ~correspondence.matched[held.own]] = 0.0
         for number, piece in enumerate(held.pieces):
@@ -127,7 +127,7 @@ def gradient_transfer(
     own, other = _space(source, source_rest), _space(target, target_rest)
     matched = correspondence.matched
     whole = align(
-        correspondence.carry(own.reference)[matched],
+        correspondence.interpolate(own.reference)[matched],
         other.reference[matched],
         TriangleMesh(other.reference, target).vertex_areas[matched],
     )

@@ -44,7 +44,7 @@ class Markers:
     names: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, pairs: ArrayLike, names: tuple[str, ...] = ()) -> Markers:
+    def from_pairs(cls, pairs: ArrayLike, names: tuple[str, ...] = ()) -> Markers:
         """Make markers of pairs ``(n, 2)`` of whole numbers: source, target.
 
         Raises
@@ -180,7 +180,7 @@ class Correspondence:
         """Target vertices ``(V',)`` with a point on the source."""
         return np.asarray((self.corners >= 0).all(axis=1))
 
-    def carry(self, values: FloatArray) -> Float:
+    def interpolate(self, values: FloatArray) -> Float:
         """Transfer values ``(..., V, c)`` of source vertices to target vertices or their leaders, ``(..., V', c)``."""
         corners, weights = self.corners[self.leaders], self.weights[self.leaders]
         return np.asarray(np.einsum("vk,...vkc->...vc", weights, values[..., corners, :]))

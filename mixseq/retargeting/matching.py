@@ -56,19 +56,21 @@ class Matches:
 
 
 @dataclass(frozen=True, eq=False)
-class Quality:
+class CorrespondenceQuality:
     """Quality of a correspondence; distances are in diagonals of the target."""
 
     # Share of the source's area that, registered, lies on the target: within the distance and the angle of matches.
     source_coverage: float
     target_coverage: float  # share of the target's area whose triangles found a match themselves
-    mean: float  # mean distance of the target's vertices from the registered source
-    p99: float  # 99th percentile of these distances
-    largest: float  # largest of these distances
-    flipped: int  # target triangles with a normal against that of their triangle of the registered source
-    filled_vertices: int  # number of target vertices with the match of a neighbour
-    filled_faces: int  # number of target triangles with the match of a neighbour
-    followers: int  # number of components that follow a vertex, without unused vertices
+    mean_distance: float  # mean distance of the target's vertices from the registered source
+    p99_distance: float  # 99th percentile of these distances
+    largest_distance: float  # largest of these distances
+    flipped_count: (
+        int  # target triangles with a normal against that of their triangle of the registered source
+    )
+    filled_vertex_count: int  # number of target vertices with the match of a neighbour
+    filled_face_count: int  # number of target triangles with the match of a neighbour
+    follower_count: int  # number of components that follow a vertex, without unused vertices
     # (n,) distances of marked vertices of the registered source from the vertices of the target that they should be at.
     marker_distances: Float
     markers: Markers  # the markers
@@ -141,7 +143,7 @@ def assess(
     markers: Markers,
     matches: Matches,
     settings: MatchingSettings,
-) -> Quality:
+) -> CorrespondenceQuality:
     """Measure a correspondence of `match` with these settings."""
     size = target.diagonal
     correspondence = matches.correspondence
@@ -163,7 +165,7 @@ def assess(
     first = target.faces[:, 0]
     following = target.topology.component_of_vertex[first[~correspondence.matched[first]]]
     gaps = registered.points[markers.source] - target.points[markers.target]
-    return Quality(
+    return CorrespondenceQuality(
         covered / max(float(registered.face_areas.sum()), 1e-300),
         float(target.face_areas[matches.found_faces].sum() / max(float(target.face_areas.sum()), 1e-300)),
         float(distances.mean()),
@@ -203,14 +205,14 @@ def _nearest_along(graph: sparse.csr_array, sources: Index) -> Index:
     return np.maximum(nearest, -1).astype(np.int64)
 
 
-Mesh = tuple[FloatArray, IntArray]
+RestMesh = tuple[FloatArray, IntArray]
 """Points ``(V, 3)`` and triangles ``(F, 3)`` of a mesh at rest."""
 
 ADDS_TO_ONE = 1e-3
 """Largest deviation of sums of weights from one, as of rounded files; weights are then normalised."""
 
 
-def from_vertices(vertices: ArrayLike, source: Mesh, target: Mesh) -> Correspondence:
+def from_vertices(vertices: ArrayLike, source: RestMesh, target: RestMesh) -> Correspondence:
     """Complete a map of vertices ``(V',)``, -1 for none: source, target ``(V, 3)``."""
     a, b = _mesh(source), _mesh(target)
     numbers = _numbers(vertices, len(b.points), len(a.points), "vertices")
@@ -218,7 +220,7 @@ def from_vertices(vertices: ArrayLike, source: Mesh, target: Mesh) -> Correspond
     return _complete(a, b, np.repeat(numbers[:, None], 3, axis=1), weights, np.full(len(b.faces), -1))
 
 
-def from_triangles(triangles: ArrayLike, source: Mesh, target: Mesh) -> Correspondence:
+def from_triangles(triangles: ArrayLike, source: RestMesh, target: RestMesh) -> Correspondence:
     """Complete a map of triangles ``(F',)``: source, target ``(V, 3)``."""
     a, b = _mesh(source), _mesh(target)
     numbers = _numbers(triangles, len(b.faces), len(a.faces), "triangles")
@@ -226,7 +228,9 @@ def from_triangles(triangles: ArrayLike, source: Mesh, target: Mesh) -> Correspo
     return _complete(a, b, corners, weights, numbers)
 
 
-def from_barycentric(corners: ArrayLike, weights: ArrayLike, source: Mesh, target: Mesh) -> Correspondence:
+def from_barycentric(
+    corners: ArrayLike, weights: ArrayLike, source: RestMesh, target: RestMesh
+) -> Correspondence:
     """Complete a map of target vertices to points of the source: corners, weights ``(V', 3)``."""
     a, b = _mesh(source), _mesh(target)
     flat = np.asarray(corners).reshape(-1)
@@ -249,7 +253,7 @@ def from_barycentric(corners: ArrayLike, weights: ArrayLike, source: Mesh, targe
     return _complete(a, b, on, scaled, np.full(len(b.faces), -1))
 
 
-def _mesh(mesh: Mesh) -> TriangleMesh:
+def _mesh(mesh: RestMesh) -> TriangleMesh:
     points = np.asarray(mesh[0], np.float64)
     return TriangleMesh(points, Topology(np.asarray(mesh[1]), len(points)))
 

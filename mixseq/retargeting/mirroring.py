@@ -74,15 +74,15 @@ class Mirror:
     partners: Index  # (n,) the partner of every vertex of the coarse surface
 
     @classmethod
-    def of(cls, points: FloatArray, topology: Topology) -> Mirror | None:
+    def from_mesh(cls, points: FloatArray, topology: Topology) -> Mirror | None:
         """Find the partners of points ``(V, 3)``; None if no two sides are similar."""
         with one_blas_thread():
-            surface = CoarseSurface.of(points, topology)
+            surface = CoarseSurface.from_mesh(points, topology)
             partners = _partners(surface)
         mesh = TriangleMesh(np.asarray(points, np.float64), topology)
         return None if partners is None else cls(mesh, surface, partners)
 
-    def partner(self, vertex: int) -> int | None:
+    def find_partner(self, vertex: int) -> int | None:
         """Return the vertex on the other side; None in the middle, outside the largest component, or if not sure."""
         surface = self.surface
         if self.mesh.topology.component_of_vertex[vertex] != self._component:
@@ -124,7 +124,7 @@ class Mirror:
 
 def _partners(surface: CoarseSurface) -> Index | None:
     """Return the partner ``(n,)`` of every vertex of a coarse surface."""
-    extremities = Extremities.of(surface)
+    extremities = Extremities.from_surface(surface)
     exchanged = _exchanged(extremities)
     if exchanged is None:
         return None

@@ -95,7 +95,9 @@ class MixedTransfer(PickledWithoutCaches):
     @cached_property
     def source_body(self) -> ArticulatedBody:
         """The source's parts that move those of the target, and the source points of their pivots."""
-        points = self._pivots.points(self.gradients.correspondence.carry(self.gradients.source.reference))
+        points = self._pivots.points(
+            self.gradients.correspondence.interpolate(self.gradients.source.reference)
+        )
         return replace(self.body, pivots=points, centres=self._source_shapes.centres[self.parts.sources])
 
     @cached_property
@@ -112,7 +114,7 @@ class MixedTransfer(PickledWithoutCaches):
 
     def by_gradients(self, x: FloatArray) -> Float:
         """Return the target ``(V', 3)`` moved by gradients in a frame ``(V, 3)``, in its unit."""
-        return self.gradients.frame(x) / self.gradients.target.scale
+        return self.gradients.transfer_frame(x) / self.gradients.target.scale
 
     def poses(self, x: FloatArray, moved: PartPoses) -> PartPoses:
         """Pose the target's parts as those of the source in a frame ``(V, 3)``."""
@@ -126,7 +128,7 @@ class MixedTransfer(PickledWithoutCaches):
         placed = self._pivot_solver.place(moved.rotations, near, self.body.centres[root] + travel)
         return PartPoses(moved.rotations, placed)
 
-    def frame(self, x: FloatArray, poses: PartPoses | None = None) -> Float:
+    def transfer_frame(self, x: FloatArray, poses: PartPoses | None = None) -> Float:
         """Move the target ``(V', 3)`` as the source in a frame ``(V, 3)``, optionally with other poses of its parts."""
         smooth = self.by_gradients(x)
         aligned, moved = self.shapes.register(smooth)

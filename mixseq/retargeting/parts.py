@@ -103,7 +103,7 @@ def carry_parts(
 ) -> PartCorrespondence:
     """Cut a target at rest ``(V', 3)`` as its source; part rotations ``(T, p, 3, 3)`` determine the joint widths."""
     faces = topology.faces
-    labels = carry_labels(source.part_of_face, correspondence, faces)
+    labels = transfer_labels(source.part_of_face, correspondence, faces)
     labels = without_small_regions(topology, labels, TriangleMesh(rest, topology).face_areas)
     parts = split_labels(topology, labels)
     sources = labels[np.unique(parts, return_index=True)[1]]
@@ -113,7 +113,7 @@ def carry_parts(
     return PartCorrespondence(source, decomposition, np.append(sources, np.zeros(loose, dtype=np.int64)))
 
 
-def carry_labels(labels: Index, correspondence: Correspondence, faces: IntArray) -> Index:
+def transfer_labels(labels: Index, correspondence: Correspondence, faces: IntArray) -> Index:
     """Transfer labels ``(F,)`` of the source's triangles to the target's ``(F',)``: faces ``(F', 3)``."""
     known = np.flatnonzero(correspondence.faces >= 0)
     result = np.zeros(len(faces), dtype=np.int64)

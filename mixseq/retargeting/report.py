@@ -106,7 +106,7 @@ FLAT = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Expected:
+class ExpectedTriangles:
     """Expected stretches and normals of the target's triangles."""
 
     gradients: GradientTransfer  # the two meshes at rest, and their correspondence
@@ -114,7 +114,7 @@ class Expected:
     source_rest: Float  # (V, 3) source at rest, in its own units
 
     @classmethod
-    def of(cls, transfer: Transfer) -> Expected:
+    def from_transfer(cls, transfer: Transfer) -> ExpectedTriangles:
         """Make it for the two meshes of a transfer by any method."""
         topology = Topology(transfer.header.faces, transfer.header.vertex_count)
         source = transfer.source
@@ -250,7 +250,7 @@ FRAMES = 8
 
 
 @dataclass(frozen=True)
-class Counts:
+class FrameCounts:
     """Counts at rest, and in some frames."""
 
     rest: int  # at rest
@@ -287,10 +287,10 @@ class TransferReport:
     source_strain: Statistics  # strain of the source's edges
     excess: Statistics  # excess of the target's edges
     smoothness: Smoothness | None  # if there are at least three frames
-    intersections: Counts  # intersecting pairs of triangles of the target
-    source_intersections: Counts  # intersecting pairs of triangles of the source
-    turned_over: Counts  # turned-over triangles of the target, in all frames
-    flat: Counts  # triangles of the target that are flat in a frame but not at rest, in all frames
+    intersections: FrameCounts  # intersecting pairs of triangles of the target
+    source_intersections: FrameCounts  # intersecting pairs of triangles of the source
+    turned_over: FrameCounts  # turned-over triangles of the target, in all frames
+    flat: FrameCounts  # triangles of the target that are flat in a frame but not at rest, in all frames
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -309,25 +309,25 @@ class TransferReport:
         }
 
 
-def measure(
+def measure_transfer(
     transfer: Transfer,
     blocks: Iterable[FloatArray] | None = None,
     progress: Progress = silent,
     workers: Executor | None = None,
 ) -> TransferReport:
     """Measure a transfer; frames are made unless blocks of them are given."""
-    meter = Meter(transfer)
+    meter = TransferMeter(transfer)
     for block in transfer.blocks(progress, workers) if blocks is None else blocks:
         meter.add(block)
     return meter.report()
 
 
-class Meter:
+class TransferMeter:
     """Measures a transfer as its frames stream."""
 
     def __init__(self, transfer: Transfer) -> None:
         self._transfer = transfer
-        self._expected = Expected.of(transfer)
+        self._expected = ExpectedTriangles.from_transfer(transfer)
         self._count = len(transfer.source.points)
         self._done = 0
         edges, source_edges = len(self._expected.topology.edges), len(transfer.source.topology.edges)
@@ -339,7 +339,7 @@ class Meter:
         self._turned_over: list[int] = []
         self._flat: list[int] = []
 
-    def passing(self, blocks: Iterable[FloatArray]) -> Iterator[FloatArray]:
+    def measure_blocks(self, blocks: Iterable[FloatArray]) -> Iterator[FloatArray]:
         """Yield blocks of the target's points, and measure them."""
         for block in blocks:
             self.add(block)
@@ -367,7 +367,7 @@ class Meter:
             if number in self._looked_at:
                 self._crossings.append((_crossings(y, expected.topology), _crossings(x, expected.source)))
         for acceleration, frames in zip(
-            self._acceleration, (points, self._transfer.correspondence.carry(source)), strict=True
+            self._acceleration, (points, self._transfer.correspondence.interpolate(source)), strict=True
         ):
             acceleration.add(frames)
         self._done += len(block)
@@ -399,12 +399,14 @@ class Meter:
             source_strain=self._source_strain.result(),
             excess=self._excess.result(),
             smoothness=smoothness,
-            intersections=Counts(_crossings(transfer.target, expected.topology), self._looked_at, target),
-            source_intersections=Counts(
+            intersections=FrameCounts(
+                _crossings(transfer.target, expected.topology), self._looked_at, target
+            ),
+            source_intersections=FrameCounts(
                 _crossings(transfer.source.rest, expected.source), self._looked_at, source
             ),
-            turned_over=Counts(0, every, tuple(self._turned_over)),
-            flat=Counts(int(expected.flat.sum()), every, tuple(self._flat)),
+            turned_over=FrameCounts(0, every, tuple(self._turned_over)),
+            flat=FrameCounts(int(expected.flat.sum()), every, tuple(self._flat)),
         )
 
 

@@ -10,7 +10,6 @@ horse beside it. So the nearest quarter turn (or none) is taken, unless it fits 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import permutations, product
 
@@ -27,9 +26,9 @@ from mixseq.runtime.progress import Progress, silent
 from mixseq.segmentation.joints import frames_to_look_at
 from mixseq.segmentation.methods import segment, segment_by_labels
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import Frames, MeshSequence, check_frames, frame_store
+from mixseq.sequence.sequence import Frames, LazyFrames, MeshSequence, check_frames, frame_store
 from mixseq.signals.model import Model
-from mixseq.types import Float, FloatArray, Index
+from mixseq.types import Float, Index
 
 SAME_SIZE = 0.05
 """Largest relative difference of median edge lengths between a rest mesh and the motion of the same size."""
@@ -54,21 +53,7 @@ class SourceMotion:
         return segment(poses, self.topology, "motion", None if self.parts is None else int(self.parts))
 
 
-@dataclass(frozen=True, eq=False)
-class _Sampled:
-    """The frames of a model, as a streamed sequence."""
-
-    model: Model
-
-    @property
-    def header(self) -> SequenceHeader:
-        return self.model.header_at()
-
-    def blocks(self, size: int = 4) -> Iterator[FloatArray]:
-        yield from self.model.blocks(self.model.times, size)
-
-
-def source_motion(
+def prepare_source(
     source: Frames | Model,
     rest: int | MeshSequence = 0,
     parts: int | ArrayLike | None = None,
@@ -78,10 +63,11 @@ def source_motion(
     if isinstance(source, Model):
         if parts is None and source.space.decomposed:
             parts = source.space.decomposed.part_of_face
-        frames = frame_store(_Sampled(source), progress)
+        model = source
+        source = LazyFrames(model.header_at(), lambda size: model.blocks(model.times, size))
     else:
         check_frames(source)
-        frames = frame_store(source, progress)
+    frames = frame_store(source, progress)
     header = frames.header
     topology = Topology(header.faces, header.vertex_count)
     if isinstance(rest, MeshSequence):

@@ -69,7 +69,7 @@ class CoarseSurface:
     size: float  # the mesh's units to one of its own
 
     @classmethod
-    def of(cls, points: FloatArray, topology: Topology, count: int = COARSE_VERTICES) -> CoarseSurface:
+    def from_mesh(cls, points: FloatArray, topology: Topology, count: int = COARSE_VERTICES) -> CoarseSurface:
         """Decimate the component of points ``(V, 3)`` with the largest area."""
         x = np.asarray(points, np.float64)
         areas = TriangleMesh(x, topology).face_areas
@@ -151,7 +151,7 @@ class Extremities:
     signatures: Float  # (e, 6) logarithms of their heat kernel signatures
 
     @classmethod
-    def of(cls, surface: CoarseSurface) -> Extremities:
+    def from_surface(cls, surface: CoarseSurface) -> Extremities:
         """Find the extremities of a surface."""
         values = mean_distance(surface)
         peaks, prominences = maxima(values, surface)
@@ -343,7 +343,7 @@ def _led(first: Extremities, similarity: Similarity, pairs: Index, goals: Float)
     return np.asarray(moved + weights @ (goals - moved[pairs]) / weights.sum(axis=1, keepdims=True))
 
 
-FEWEST = 10
+MIN_EXAMINED_MARKERS = 10
 """Least number of markers for a map with meaningful residuals."""
 
 TRIAL_VERTICES = 1200
@@ -366,15 +366,15 @@ class Examination:
     @property
     def suspects(self) -> frozenset[int]:
         """Numbers of the markers that do not fit the others."""
-        return frozenset(int(number) for each in self.suspicions for number in each.numbers)
+        return frozenset(int(marker) for suspicion in self.suspicions for marker in suspicion.marker_ids)
 
 
-def examine(source: MeshSequence, target: MeshSequence, markers: Markers) -> Examination:
+def examine_markers(source: MeshSequence, target: MeshSequence, markers: Markers) -> Examination:
     """Examine markers of two meshes, each in its first frame; problems are returned, not raised."""
     x, y = (np.asarray(each.points[0], np.float64) for each in (source, target))
     diagonal = float(np.linalg.norm(np.ptp(y, axis=0)))
     found = tuple(suspicions(markers, x[markers.source], y[markers.target], diagonal))
-    if len(markers) < FEWEST:
+    if len(markers) < MIN_EXAMINED_MARKERS:
         return Examination(found)
     own, first = _thinned(x, source.faces, np.unique(markers.source))
     other, second = _thinned(y, target.faces, np.unique(markers.target))
@@ -382,7 +382,7 @@ def examine(source: MeshSequence, target: MeshSequence, markers: Markers) -> Exa
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", MixseqWarning)  # suspicions are reported, and the map is a stiff one
         try:
-            quality = correspond_and_assess(first, second, coarse, settings=STIFF).quality
+            _, quality = correspond_and_assess(first, second, coarse, settings=STIFF)
         except SettingsError as error:
             return Examination(found, refusal=str(error))
     return Examination(found, quality.marker_distances, quality.target_coverage)
@@ -424,11 +424,11 @@ def suggest_markers(source: MeshSequence, target: MeshSequence, rest: int = 0) -
     with one_blas_thread():
         own, other = _extremities(source, rest), _extremities(target, 0)
     pairs = match_extremities(own, other)
-    return Markers.of(
+    return Markers.from_pairs(
         np.array([(own.vertices[each.first], other.vertices[each.second]) for each in pairs], np.int64)
     )
 
 
 def _extremities(sequence: MeshSequence, frame: int) -> Extremities:
     topology = Topology(sequence.faces, sequence.vertex_count)
-    return Extremities.of(CoarseSurface.of(sequence.points[frame], topology))
+    return Extremities.from_surface(CoarseSurface.from_mesh(sequence.points[frame], topology))

@@ -98,7 +98,7 @@ class Skeleton:
             )
 
     @classmethod
-    def flat(cls, pivots: FloatArray) -> Skeleton:
+    def from_pivots(cls, pivots: FloatArray) -> Skeleton:
         """Return bones without parents, with the axes of the world, named ``bone_000`` and so on: pivots ``(B, 3)``."""
         count = len(pivots)
         names = tuple(f"bone_{bone:03d}" for bone in range(count))
@@ -240,13 +240,13 @@ class Skin:
         """Points p ``(B, 3)`` about which the bones turn, in the rest shape."""
         return self.skeleton.pivots
 
-    def local(self) -> LocalMotion:
+    def local_motion(self) -> LocalMotion:
         """Return joints relative to their parents: rotations ``(T, B, 4)`` and translations ``(T, B, 3)``.
 
         Rotations have no jumps of sign along the frames.
         """
         found = self.skeleton.to_local(self.rotations, self.translations)
-        return replace(found, rotations=without_sign_jumps(found.rotations))
+        return replace(found, rotations=remove_sign_flips(found.rotations))
 
     def blocks(self, size: int = 16) -> Iterator[Float]:
         """Iterate over the points in blocks ``(n, V, 3)`` of at most `size` frames."""
@@ -280,7 +280,7 @@ class Skin:
         """
         header = self.header.with_times(times, fps)
         before, after, share = _between(self.header, header.times)
-        local = self.local()
+        local = self.local_motion()
         p, q = local.rotations[before], local.rotations[after]
         q = q * np.where(np.sum(p * q, axis=2, keepdims=True) < 0, -1.0, 1.0)
         moved = LocalMotion(
@@ -290,7 +290,7 @@ class Skin:
         return replace(
             self,
             header=header,
-            rotations=without_sign_jumps(rotations),
+            rotations=remove_sign_flips(rotations),
             translations=translations,
             target_weights=_mixed(self.target_weights, before, after, share),
         )
@@ -377,7 +377,7 @@ def rotation_matrices(quaternions: FloatArray) -> Float:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def without_sign_jumps(quaternions: FloatArray) -> Float:
+def remove_sign_flips(quaternions: FloatArray) -> Float:
     """Choose signs of quaternions ``(T, ..., 4)``, w >= 0 at first, then near the one before, for interpolation."""
     q = np.array(quaternions, dtype=np.float64)
     flips = np.ones(q.shape[:-1])

@@ -39,7 +39,7 @@ _CURES = {
     "MeshSequence": "mixseq.read reads one, MeshSequence.from_arrays makes one of arrays",
     "Frames": "mixseq.read reads one, MeshSequence.from_arrays makes one of arrays",
     "Skin": "mixseq.fit_skin and mixseq.fit_morph make them",
-    "Markers": "mixseq.read_markers reads them, Markers.of makes them of pairs",
+    "Markers": "mixseq.read_markers reads them, Markers.from_pairs makes them of pairs",
 }
 
 

@@ -17,7 +17,7 @@ rounding; only a change of unit rounds.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
@@ -160,6 +160,18 @@ class Frames(Protocol):
 
     def blocks(self, size: int = ...) -> Iterator[FloatArray]:
         """Iterate over the points in blocks ``(B, V, 3)`` of at most `size` frames, from the first one on."""
+
+
+@dataclass(frozen=True, eq=False)
+class LazyFrames:
+    """`Frames` computed on demand: `make` yields the points in blocks of at most a given number of frames."""
+
+    header: SequenceHeader
+    make: Callable[[int], Iterator[FloatArray]]
+
+    def blocks(self, size: int = 16) -> Iterator[FloatArray]:
+        """Yield the points in blocks ``(B, V, 3)`` of at most `size` frames."""
+        return self.make(size)
 
 
 def bounding_diagonal(points: FloatArray) -> float:

@@ -40,7 +40,7 @@ from mixseq.viewer.export_data import (
     gather,
     page_mesh,
 )
-from mixseq.web import bundled, stripped
+from mixseq.web import bundled, minify
 
 CHART_SCRIPTS = (
     "frame_numbers.js",
@@ -92,7 +92,7 @@ def page_text(description: Mapping[str, Any], data: Sequence[bytes]) -> bytes:
         json.dumps(description, ensure_ascii=False, allow_nan=False, separators=(",", ":")),
     )
     code = zlib.compress("\0".join(parts).encode(), 9)
-    title, loader = escape(description["title"]), stripped(script("loader.js"))
+    title, loader = escape(description["title"]), minify(script("loader.js"))
     shell = _plain(script("page.html")).replace("<title>mixseq</title>", f"<title>{title}</title>")
     before, after = shell.replace('<script src="loader.js"></script>', f"<script>{loader}</script>").split(
         _DATA
@@ -106,7 +106,7 @@ def decoder_script() -> str:
     """Return the script that decodes streams to poses, for a worker or a script element."""
     decoder = re.sub(r"^export const ?{.*}=(\w+);$", r"return \1;", bundled(), flags=re.MULTILINE)
     return f"var mixseqDecoder = (() => {{\n{decoder}}})();\n" + "".join(
-        stripped(script(name)) for name in POSE_SCRIPTS
+        minify(script(name)) for name in POSE_SCRIPTS
     )
 
 
@@ -114,7 +114,7 @@ def decoder_script() -> str:
 def page_scripts(charts: bool) -> str:
     """Return the scripts of a page, with charts or without."""
     names = (*CHART_SCRIPTS[: None if charts else 1], *PLAYER_SCRIPTS)
-    return "".join(stripped(script(name)) for name in names)
+    return "".join(minify(script(name)) for name in names)
 
 
 _DATA = "<!-- data -->"

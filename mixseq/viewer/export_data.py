@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import codecs
 import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -33,7 +33,7 @@ from mixseq.runtime.low_memory import LargeArray, new_large_array
 from mixseq.runtime.parallel import Executor
 from mixseq.runtime.progress import Progress, silent
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import blocks_of, check_block
+from mixseq.sequence.sequence import LazyFrames, blocks_of, check_block
 from mixseq.types import Float, FloatArray, Index
 from mixseq.viewer.session import signals_of
 from mixseq_io.coded.packing import pack
@@ -280,21 +280,6 @@ def page_mesh(
     return description, [container.streams, *stored], report
 
 
-@dataclass(frozen=True, eq=False)
-class _Centred:
-    """Gathered poses as a sequence around the origin, as the page computes in single precision."""
-
-    header: SequenceHeader
-    gathered: Gathered
-    centre: Float
-
-    def blocks(self, size: int = 16) -> Iterator[FloatArray]:
-        """Yield blocks of points ``(B, V, 3)``."""
-        poses = self.gathered.poses
-        for start in range(0, len(poses), size):
-            yield poses[start : start + size].astype(np.float64) - self.centre
-
-
 def _compressed(
     header: SequenceHeader,
     elapsed: Float,
@@ -307,7 +292,15 @@ def _compressed(
     regular, rate = _regular(elapsed, header.fps)
     plain = replace(header.with_times(regular, rate), surface=Surface(), name="")
     numbering = cheapest_numbering(plain, "free")
-    frames = numbering.of_frames(_Centred(plain, gathered, centre))
+    # Around the origin, as the page computes in single precision.
+    centred = LazyFrames(
+        plain,
+        lambda size: (
+            gathered.poses[start : start + size].astype(np.float64) - centre
+            for start in range(0, plain.frame_count, size)
+        ),
+    )
+    frames = numbering.renumber_frames(centred)
     return compress(frames, max_error=max_error, progress=progress, uvs=False), numbering.vertices
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from mixseq.mesh.topology import Topology
 from mixseq.retargeting.markers import Markers
 from mixseq.retargeting.mirroring import Mirror
-from mixseq.retargeting.suggestions import Examination, examine, suggest_markers
+from mixseq.retargeting.suggestions import Examination, examine_markers, suggest_markers
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float
 from mixseq.viewer.playback import Jobs
@@ -56,7 +56,7 @@ class Marking:
         """The pairs as markers."""
         names = tuple(pair.name for pair in self.pairs)
         vertices = np.array([pair.vertices for pair in self.pairs], np.int64).reshape(-1, 2)
-        return Markers.of(vertices, names if any(names) else ())
+        return Markers.from_pairs(vertices, names if any(names) else ())
 
     def clicked(self, side: int, vertex: int) -> Marking:
         """Return the state after a click: the chosen pair is moved there; else a pair begins, or is complete."""
@@ -286,7 +286,9 @@ class MarkingSession(Jobs[Callable[[], None]]):
 
     def _find_mirrors(self) -> None:
         self._tell("looking for left and right")
-        found = [Mirror.of(mesh.points[0], Topology(mesh.faces, mesh.vertex_count)) for mesh in self._meshes]
+        found = [
+            Mirror.from_mesh(mesh.points[0], Topology(mesh.faces, mesh.vertex_count)) for mesh in self._meshes
+        ]
         if found[0] is not None and found[1] is not None:
             self._mirrors = found[0], found[1]
             self._mirror_pairs()
@@ -298,7 +300,7 @@ class MarkingSession(Jobs[Callable[[], None]]):
         for pair in self.marking.pairs:
             if pair.vertices not in self._mirrored:
                 source, target = (
-                    mirror.partner(vertex)
+                    mirror.find_partner(vertex)
                     for mirror, vertex in zip(self._mirrors, pair.vertices, strict=True)
                 )
                 both = None if source is None or target is None else Pair((source, target))
@@ -310,4 +312,4 @@ class MarkingSession(Jobs[Callable[[], None]]):
             return
         if pairs:
             self._tell("finding a map")
-            self._examined = pairs, examine(*self._meshes, Marking(pairs).markers)
+            self._examined = pairs, examine_markers(*self._meshes, Marking(pairs).markers)

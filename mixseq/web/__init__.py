@@ -14,7 +14,7 @@ from posixpath import dirname, join, normpath
 
 from mixseq.version import __version__
 
-SEQUENCE = "decoder/sequence.js"
+SEQUENCE_MODULE = "decoder/sequence.js"
 """The module that opens compressed sequences; it imports all of the decoder."""
 
 _IMPORT = re.compile(r'^import \{([^}]*)\} from "(\.[^"]+)";\n', re.MULTILINE)
@@ -32,15 +32,15 @@ def module(path: str) -> str:
 
 @cache
 def bundled(*entries: str) -> str:
-    """Return modules and all they import, `stripped`, as one ES module; each becomes a function with its own names."""
-    entries = entries or (SEQUENCE,)
+    """Return modules and all they import, `minify`, as one ES module; each becomes a function with its own names."""
+    entries = entries or (SEQUENCE_MODULE,)
     places: dict[str, str] = {}
     for entry in entries:
         _place(entry, places)
     names = {path: f"module{number}" for number, path in enumerate(places)}
-    parts = [stripped(_as_function(path, places[path], names)) for path in places]
+    parts = [minify(_as_function(path, places[path], names)) for path in places]
     exports = [f"export const {{ {_exported(places[path])} }} = {names[path]};\n" for path in entries]
-    return "".join(parts) + stripped("".join(exports))
+    return "".join(parts) + minify("".join(exports))
 
 
 def _place(path: str, places: dict[str, str]) -> None:
@@ -72,7 +72,7 @@ def _exported(source: str) -> str:
     return ", ".join([*names, *_AGAIN.findall(source)])
 
 
-def stripped(source: str) -> str:
+def minify(source: str) -> str:
     """Return scripts without comments, indentation and most spaces; they have no regular expressions with signs."""
 
     def kept(match: re.Match[str]) -> str:
@@ -93,7 +93,7 @@ MODULES = (
 )
 """Modules in ``mixseq.js``."""
 
-COPIED = (
+COPIED_FILES = (
     "mesh_sequence.js",
     "mesh_sequence.d.ts",
     "mixseq.d.ts",
@@ -104,7 +104,7 @@ COPIED = (
 )
 
 
-def contents() -> Mapping[str, str]:
+def package_files() -> Mapping[str, str]:
     """Return the texts of all files by their names."""
     package = {
         "name": "mixseq-web",
@@ -122,5 +122,5 @@ def contents() -> Mapping[str, str]:
     return {
         "mixseq.js": bundled(*MODULES),
         "package.json": json.dumps(package, indent=2) + "\n",
-        **{name: module(f"three/{name}") for name in COPIED},
+        **{name: module(f"three/{name}") for name in COPIED_FILES},
     }

@@ -65,10 +65,10 @@ def measure(path: Path, first: int, second: int) -> None:
         ("interpolate, edge, DSO", {"space": "edge", "projection": "dso"}),
     )
     for method, told in spaces:
-        blend = PoseInterpolator.of(sequence, among=[first, second], **told)
-        blend.space.prepared()
+        interpolator = PoseInterpolator.from_poses(sequence, pose_ids=[first, second], **told)
+        interpolator.space.prepared()
         start = time.perf_counter()
-        point, report = blend.at_with_reports([0.5, 0.5])
+        point, report = interpolator.blend_with_reports([0.5, 0.5])
         show(method, point, time.perf_counter() - start, report)
 
 

@@ -24,7 +24,7 @@ import mixseq
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.rigging.rigs import Skin, rotation_matrices
 from mixseq.types import Float
-from mixseq_io.rig_arrays import parents_first
+from mixseq_io.rig_arrays import order_parents_first
 
 FILES = (
     "gltf/CesiumMan.glb",
@@ -123,7 +123,7 @@ def _rig(path: Path, options: dict[str, Any], times: Float) -> Rig:
         skinning = reader.markings().skinning
     assert skinning is not None, "it is a character"
     parents = [skinning.joints.index(parent) if parent else -1 for parent in skinning.parents]
-    order = parents_first(parents)
+    order = order_parents_first(parents)
     usd = path.suffix.startswith(".usd")
     joints = _usd_joints(path, times) if usd else _gltf_joints(path, options, times)
     return Rig(
@@ -135,11 +135,11 @@ def _rig(path: Path, options: dict[str, Any], times: Float) -> Rig:
 def _gltf_joints(path: Path, options: dict[str, Any], times: Float) -> dict[str, Float]:
     """Return the matrices ``(T, 4, 4)`` of all nodes by path."""
     from mixseq_io.gltf.animation import choose_animation, pose_at, read_channels
-    from mixseq_io.gltf.codecs import plain
+    from mixseq_io.gltf.codecs import decompress_document
     from mixseq_io.gltf.document import load_document
     from mixseq_io.gltf.scene import read_scene
 
-    document = plain(load_document(path))
+    document = decompress_document(load_document(path))
     scene = read_scene(document)
     nodes = set(scene.paths)
     channels = read_channels(document, choose_animation(document, options.get("animation")), nodes)

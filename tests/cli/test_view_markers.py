@@ -113,7 +113,7 @@ def test_a_file_is_continued(run: Run, room: Room) -> None:
 def test_markers_are_saved_to_the_file(run: Run, room: Room) -> None:
     run("view", "bar.npz", "thick.obj", "--markers", "new.txt", "--no-browser")
     assert len(room.meshes.markers) == 0
-    told = room.save(Markers.of([[1, 2], [3, 4]], ("nose", "")))
+    told = room.save(Markers.from_pairs([[1, 2], [3, 4]], ("nose", "")))
     assert told == "2 markers are in new.txt, for mixseq transfer --markers"
     again = mixseq.read_markers("new.txt")
     assert (again.source.tolist(), again.target.tolist(), again.names) == ([1, 3], [2, 4], ("nose", ""))

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mixseq.compression import numbering
-from mixseq.compression.numbering import Renumbering, as_it_is, numbering_of, object_sizes
+from mixseq.compression.numbering import Renumbering, find_numbering, identity_numbering, object_vertex_counts
 from mixseq.mesh.polygons import Polygons, matched
 from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Surface
 from mixseq.sequence.header import SequenceHeader
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.slow
 
 
 def by_walk(mesh: SequenceHeader, vertices: bool) -> Renumbering:
-    return numbering.by_walk(mesh.polygons, object_sizes(mesh), vertices=vertices)
+    return numbering.walk_numbering(mesh.polygons, object_vertex_counts(mesh), vertices=vertices)
 
 
 def dressed(polygons: Polygons, vertex_count: int, seed: int = 0) -> MeshSequence:
@@ -97,7 +97,7 @@ def partition(sequence: MeshSequence) -> set[frozenset[tuple[float, ...]]]:
 @pytest.mark.parametrize("vertices", [False, True])
 def test_a_scrambled_grid_is_the_same_mesh(vertices: bool) -> None:
     grid = scrambled()
-    found = by_walk(grid, vertices=vertices).of_frames(grid)
+    found = by_walk(grid, vertices=vertices).renumber_frames(grid)
     assert isinstance(found, MeshSequence)
     assert seen(found) == seen(grid)
     assert partition(found) == partition(grid)
@@ -113,7 +113,7 @@ def test_renumberings_are_permutations_that_their_inverses_undo(name: str, seed:
     found = by_walk(mesh, vertices=vertices)
     for numbers in (found.vertices, found.polygons, found.corners):
         assert np.array_equal(np.sort(numbers), np.arange(len(numbers)))
-    again = found.inverse.of_frames(found.of_frames(mesh))
+    again = found.inverse.renumber_frames(found.renumber_frames(mesh))
     assert isinstance(again, MeshSequence)
     assert again.polygons.same_as(mesh.polygons)
     np.testing.assert_array_equal(again.points, mesh.points)
@@ -132,7 +132,7 @@ def test_vertices_have_the_same_numbers_however_polygons_are_listed(seed: int) -
 def test_first_vertices_come_first_and_unused_ones_last() -> None:
     grid = scrambled()
     found = by_walk(grid, vertices=True)
-    polygons = found.of_polygons(grid.polygons)
+    polygons = found.renumber_polygons(grid.polygons)
     used, first = np.unique(polygons.indices, return_index=True)
     assert used.tolist() == list(range(grid.vertex_count - 2))
     assert first[0] == 0
@@ -144,7 +144,7 @@ def test_larger_polygons_are_cut_into_the_same_triangles() -> None:
     """Quads may begin at the opposite corner, pentagons where they began."""
     polygons = Polygons(np.array([5, 4, 4]), np.array([4, 3, 2, 1, 0, 1, 2, 6, 5, 7, 6, 2, 3]))
     header = SequenceHeader(polygons=polygons, vertex_count=8, times=np.zeros(1))
-    new = by_walk(header, vertices=False).of_polygons(polygons)
+    new = by_walk(header, vertices=False).renumber_polygons(polygons)
     triangles = [sorted(map(frozenset, each.triangles.tolist()), key=sorted) for each in (polygons, new)]
     assert triangles[0] == triangles[1]
     assert not new.same_as(polygons)
@@ -164,7 +164,7 @@ def test_objects_keep_their_vertices_and_polygons() -> None:
     mesh = dressed(both, count + other.vertex_count)
     mesh = replace(mesh, surface=replace(mesh.surface, objects=objects))
     found = by_walk(mesh, vertices=True)
-    header = found.of_header(mesh.header)  # it refuses polygons across objects
+    header = found.renumber_header(mesh.header)  # it refuses polygons across objects
     assert header.objects == objects
     np.testing.assert_array_equal(found.vertices[:count], by_walk(one, vertices=True).vertices)
     np.testing.assert_array_equal(found.vertices[count:], by_walk(other, vertices=True).vertices + count)
@@ -172,7 +172,9 @@ def test_objects_keep_their_vertices_and_polygons() -> None:
 
 def test_hard_edges_are_numbered_as_they_come() -> None:
     grid = scrambled()
-    hard_edges = as_it_is(grid.polygons, grid.vertex_count).of_header(grid.header).surface.hard_edges
+    hard_edges = (
+        identity_numbering(grid.polygons, grid.vertex_count).renumber_header(grid.header).surface.hard_edges
+    )
     assert hard_edges is not None and hard_edges[0] == 0
     highest = np.maximum.accumulate(hard_edges)
     assert (hard_edges[1:] <= highest[:-1] + 1).all()
@@ -195,22 +197,22 @@ class Streamed:
 def test_frames_stream() -> None:
     walk = bar(5, 9, 7)
     found = by_walk(walk, vertices=True)
-    streamed = found.of_frames(Streamed(walk))
+    streamed = found.renumber_frames(Streamed(walk))
     points = np.concatenate(list(streamed.blocks(3)))
     np.testing.assert_array_equal(points, walk.points[:, found.vertices])
-    assert streamed.header.polygons.same_as(found.of_polygons(walk.polygons))
+    assert streamed.header.polygons.same_as(found.renumber_polygons(walk.polygons))
 
 
 def test_the_numbering_of_a_file_is_found() -> None:
     grid = scrambled()
-    polygons, sizes = grid.polygons, object_sizes(grid)
+    polygons, sizes = grid.polygons, object_vertex_counts(grid)
     walked = by_walk(grid, vertices=True)
     for seed in range(3):
-        free, _ = shuffled(walked.of_polygons(polygons), seed)
-        found = numbering_of(free, polygons, sizes)
+        free, _ = shuffled(walked.renumber_polygons(polygons), seed)
+        found = find_numbering(free, polygons, sizes)
         assert found is not None and found.order == "free"
         np.testing.assert_array_equal(found.vertices, walked.vertices)
-        kept = numbering_of(shuffled(polygons, seed)[0], polygons, sizes)
+        kept = find_numbering(shuffled(polygons, seed)[0], polygons, sizes)
         assert kept is not None and kept.order == "keep"
-    assert numbering_of(Polygons(polygons.counts, np.roll(polygons.indices, 1)), polygons, sizes) is None
-    assert numbering_of(bar().polygons, polygons, sizes) is None
+    assert find_numbering(Polygons(polygons.counts, np.roll(polygons.indices, 1)), polygons, sizes) is None
+    assert find_numbering(bar().polygons, polygons, sizes) is None

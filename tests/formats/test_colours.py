@@ -27,18 +27,18 @@ from mixseq.types import FloatArray, IntArray
 from mixseq_io import read, write, write_blocks
 from mixseq_io.numbered.files import colours_of_words
 from mixseq_io.surfaces import (
-    SURFACE_ARRAYS,
-    VISIBLE,
+    SURFACE_ARRAY_NAMES,
+    VISIBLE_ERROR_DIAGONALS,
     Arrays,
-    Rounding,
-    as_bytes,
-    from_text,
-    nearest_bytes,
-    of_bytes,
-    surface_arrays,
-    surface_of_arrays,
-    with_alpha,
-    within_one,
+    RoundingMonitor,
+    bytes_to_colours,
+    clip_to_unit,
+    colours_to_bytes,
+    colours_to_exact_bytes,
+    ensure_alpha,
+    scale_text_colours,
+    surface_from_arrays,
+    surface_to_arrays,
 )
 from tests.formats.conftest import fan, painted, wave
 from tests.meshes import bar
@@ -62,35 +62,35 @@ def colours(sequence: SequenceHeader) -> NDArray[np.float32]:
 
 def test_all_bytes_are_bytes_again() -> None:
     every = np.arange(256, dtype=np.uint8)
-    np.testing.assert_array_equal(as_bytes(of_bytes(every)), every)
+    np.testing.assert_array_equal(colours_to_exact_bytes(bytes_to_colours(every)), every)
     # However a program divides by 255, the nearest float32 is the same.
-    np.testing.assert_array_equal(of_bytes(every), (every / 255).astype(np.float32))
-    np.testing.assert_array_equal(of_bytes(every)[[0, 51, 255]], np.array([0, 0.2, 1], np.float32))
+    np.testing.assert_array_equal(bytes_to_colours(every), (every / 255).astype(np.float32))
+    np.testing.assert_array_equal(bytes_to_colours(every)[[0, 51, 255]], np.array([0, 0.2, 1], np.float32))
 
 
 @given(arrays(np.float32, (3, 4), elements=st.floats(0, 1, width=32)))
 def test_floats_are_bytes_only_if_nothing_is_lost(values: NDArray[np.float32]) -> None:
-    exact = as_bytes(values)
+    exact = colours_to_exact_bytes(values)
     if exact is None:
-        assert (of_bytes(nearest_bytes(values)) != values).any()
-        assert np.abs(of_bytes(nearest_bytes(values)) - values).max() <= 0.5001 / 255
+        assert (bytes_to_colours(colours_to_bytes(values)) != values).any()
+        assert np.abs(bytes_to_colours(colours_to_bytes(values)) - values).max() <= 0.5001 / 255
     else:
-        np.testing.assert_array_equal(of_bytes(exact), values)
+        np.testing.assert_array_equal(bytes_to_colours(exact), values)
 
 
 def test_what_is_no_byte() -> None:
     for value in (0.3, -0.0001, 1.5, np.nan):
-        assert as_bytes(np.array([0.0, value], np.float32)) is None
-    np.testing.assert_array_equal(within_one(np.array([-1, 0.5, 2, np.nan])), [0, 0.5, 1, 0])
-    np.testing.assert_array_equal(nearest_bytes(np.array([-1, 0.5, 2, np.nan])), [0, 128, 255, 0])
+        assert colours_to_exact_bytes(np.array([0.0, value], np.float32)) is None
+    np.testing.assert_array_equal(clip_to_unit(np.array([-1, 0.5, 2, np.nan])), [0, 0.5, 1, 0])
+    np.testing.assert_array_equal(colours_to_bytes(np.array([-1, 0.5, 2, np.nan])), [0, 128, 255, 0])
 
 
 def test_alpha_and_texts() -> None:
-    assert with_alpha(np.array([[0.1, 0.2, 0.3]])).tolist() == [[0.1, 0.2, 0.3, 1.0]]
-    assert with_alpha(np.array([[0.1, 0.2, 0.3, 0.4]])).tolist() == [[0.1, 0.2, 0.3, 0.4]]
-    assert from_text(np.array([[0, 255, 51]])).tolist() == [[0, 1, 0.2]]
-    assert from_text(np.zeros((0, 3))).shape == (0, 3)
-    assert from_text(np.array([[np.nan, 255, 51]]))[0, 1:].tolist() == [1, 0.2]
+    assert ensure_alpha(np.array([[0.1, 0.2, 0.3]])).tolist() == [[0.1, 0.2, 0.3, 1.0]]
+    assert ensure_alpha(np.array([[0.1, 0.2, 0.3, 0.4]])).tolist() == [[0.1, 0.2, 0.3, 0.4]]
+    assert scale_text_colours(np.array([[0, 255, 51]])).tolist() == [[0, 1, 0.2]]
+    assert scale_text_colours(np.zeros((0, 3))).shape == (0, 3)
+    assert scale_text_colours(np.array([[np.nan, 255, 51]]))[0, 1:].tolist() == [1, 0.2]
 
 
 @pytest.mark.parametrize(
@@ -100,7 +100,7 @@ def test_alpha_and_texts() -> None:
 def test_the_largest_number_tells_bytes(largest: float, divisor: float) -> None:
     for low in (0, 0.5):
         numbers = np.array([[low, 1.0, largest]])
-        np.testing.assert_array_equal(from_text(numbers), numbers / divisor)
+        np.testing.assert_array_equal(scale_text_colours(numbers), numbers / divisor)
 
 
 @pytest.mark.parametrize("name", ["a.obj", "a.off", "a.ply"])
@@ -120,8 +120,8 @@ def test_bytes_that_are_not_whole_and_bright_whole_numbers(name: str, tmp_path: 
 
 
 def test_bytes_stay_bytes_in_arrays() -> None:
-    assert surface_arrays(painted().surface)["colour_values"].dtype == np.uint8
-    assert surface_arrays(square(np.full((4, 4), 0.3)).surface)["colour_values"].dtype == np.float32
+    assert surface_to_arrays(painted().surface)["colour_values"].dtype == np.uint8
+    assert surface_to_arrays(square(np.full((4, 4), 0.3)).surface)["colour_values"].dtype == np.float32
 
 
 BEYOND = np.array([[-0.5, 0, 0, 1], [0.25, 0, 0, 1], [2, 0, 0, 1], [0, 0.1, 0, 1]], np.float32)
@@ -133,7 +133,9 @@ def test_colours_beyond_white_are_cut_with_a_warning(name: str, tmp_path: Path) 
         MixseqWarning, match=r"cannot hold .*colours below 0 and above 1 \(0 and 1 are written\)"
     ):
         write(tmp_path / name, square(BEYOND))
-    np.testing.assert_allclose(colours(read(tmp_path / name)), colours(square(within_one(BEYOND))), atol=1e-7)
+    np.testing.assert_allclose(
+        colours(read(tmp_path / name)), colours(square(clip_to_unit(BEYOND))), atol=1e-7
+    )
 
 
 @pytest.mark.parametrize("name", ["a.obj", "a.off", "a.ply"])
@@ -269,7 +271,7 @@ def painted_bar() -> MeshSequence:
     """A bending bar with a colour at every vertex, and one polygon in nine of another colour."""
     sequence = bar(5, 9, 4)
     rng = np.random.default_rng(8)
-    values = of_bytes(rng.integers(0, 256, (sequence.vertex_count + 1, 4)).astype(np.uint8))
+    values = bytes_to_colours(rng.integers(0, 256, (sequence.vertex_count + 1, 4)).astype(np.uint8))
     ninth = np.repeat(np.arange(len(sequence.polygons.counts)) % 9 == 0, 3)
     return coloured(sequence, values, np.where(ninth, sequence.vertex_count, sequence.polygons.indices))
 
@@ -286,7 +288,7 @@ def test_compressed_files_keep_every_bit(
         sequence = coloured(sequence, values[:-1], sequence.polygons.indices)
     mixseq.save(tmp_path / f"a{suffix}", mixseq.compress(sequence, max_error=0.01, order=order))
     got = mixseq.load(tmp_path / f"a{suffix}").header
-    expected = cheapest_numbering(sequence.header, order).of_header(sequence.header)
+    expected = cheapest_numbering(sequence.header, order).renumber_header(sequence.header)
     assert got.polygons.same_as(expected.polygons)
     np.testing.assert_array_equal(colours(got), colours(expected))
 
@@ -317,7 +319,7 @@ def test_a_painted_character_through_all_formats(data: Path, tmp_path: Path) -> 
     man = read(data / "gltf" / "CesiumMan.glb")
     height = man.points[0, :, 2]
     shade = np.rint(255 * (height - height.min()) / np.ptp(height)).astype(np.uint8)
-    values = of_bytes(np.column_stack([shade, 255 - shade, shade // 2, np.full_like(shade, 255)]))
+    values = bytes_to_colours(np.column_stack([shade, 255 - shade, shade // 2, np.full_like(shade, 255)]))
     man = coloured(man, values, man.polygons.indices)
     man = replace(man, surface=replace(man.surface, origin=None))
     for name in ("a.glb", "a.usdc", "a.abc", "a.npz", "a.h5", "a_####.ply", "a_####.obj", "a_####.off"):
@@ -350,9 +352,9 @@ def full() -> Surface:
 
 def test_there_and_back() -> None:
     surface = full()
-    arrays = surface_arrays(surface)
-    assert set(arrays) == set(SURFACE_ARRAYS)
-    got = surface_of_arrays(arrays)
+    arrays = surface_to_arrays(surface)
+    assert set(arrays) == set(SURFACE_ARRAY_NAMES)
+    got = surface_from_arrays(arrays)
     assert got.uvs is not None and surface.uvs is not None
     np.testing.assert_array_equal(got.uvs.values, surface.uvs.values)
     np.testing.assert_array_equal(got.uvs.indices, surface.uvs.indices)
@@ -370,8 +372,8 @@ def test_there_and_back() -> None:
 
 
 def test_nothing_is_nothing() -> None:
-    assert surface_arrays(Surface()) == {}
-    bare = surface_of_arrays({})
+    assert surface_to_arrays(Surface()) == {}
+    bare = surface_from_arrays({})
     assert bare.colours is None
     assert (bare.uvs, bare.hard_edges, bare.face_sets, bare.objects) == (None, None, (), ())
     assert (bare.subdivision, bare.origin) == ("none", None)
@@ -401,7 +403,7 @@ def without(*names: str) -> Callable[[Arrays], Arrays]:
 )
 def test_refusals(change: Callable[[Arrays], Arrays], message: str) -> None:
     with pytest.raises(InvalidSequenceError, match=message):
-        surface_of_arrays(change(surface_arrays(full())))
+        surface_from_arrays(change(surface_to_arrays(full())))
 
 
 # Files of single precision tell when vertices are visibly off in them, and by how much
@@ -426,7 +428,7 @@ def test_the_error_that_is_told_is_that_of_the_file(name: str, tmp_path: Path) -
         told = error_told(tmp_path / name, far)
         apart = np.linalg.norm(read(tmp_path / name).points.astype(np.float64) - far.points, axis=2)
         error = apart.max() / far.diagonal
-        assert told == pytest.approx(error if error > VISIBLE else 0.0, rel=0.06)
+        assert told == pytest.approx(error if error > VISIBLE_ERROR_DIAGONALS else 0.0, rel=0.06)
         assert (told > 0) is (offset >= 1e5)
 
 
@@ -447,17 +449,17 @@ def test_single_precision_stays_what_it_is(tmp_path: Path) -> None:
 
 
 def test_what_is_hardly_larger_than_zero_is_off() -> None:
-    rounding = Rounding()
+    rounding = RoundingMonitor()
     for points in (CLOUD.points, CLOUD.points * 1e-30, CLOUD.points * 1e-36):
-        list(rounding.watched([points]))
+        list(rounding.measure([points]))
         assert rounding.error == 0
-    list(rounding.watched([CLOUD.points * 1e-310]))
+    list(rounding.measure([CLOUD.points * 1e-310]))
     largest = np.linalg.norm(CLOUD.points, axis=2).max() / CLOUD.diagonal
     assert rounding.error == pytest.approx(largest)
 
 
 def test_a_first_frame_that_is_one_point_has_the_diagonal_one() -> None:
-    rounding = Rounding()
-    list(rounding.watched([np.full((1, 4, 3), 1.0), np.full((1, 4, 3), 2.0**24 + 1)]))
+    rounding = RoundingMonitor()
+    list(rounding.measure([np.full((1, 4, 3), 1.0), np.full((1, 4, 3), 2.0**24 + 1)]))
     assert rounding.error == pytest.approx(3**0.5)
     assert rounding.frame == 1

@@ -18,7 +18,7 @@ from mixseq.errors import (
 )
 from mixseq.sequence.sequence import MeshSequence
 from mixseq_io import read, write
-from mixseq_io.numbered.files import find_frames, is_pattern, numbered_name
+from mixseq_io.numbered.files import find_frames, frame_file_name, is_pattern
 
 KINDS = ("obj", "ply", "stl", "off")
 
@@ -33,7 +33,7 @@ def moving(frames: int) -> MeshSequence:
     [("a_####.ply", "a_0007.ply"), ("a_%04d.ply", "a_0007.ply"), ("a.%d.ply", "a.7.ply"), ("a.ply", "a.ply")],
 )
 def test_numbers_in_names(pattern: str, name: str) -> None:
-    assert numbered_name(Path(pattern), 7) == name
+    assert frame_file_name(Path(pattern), 7) == name
     assert is_pattern(Path(pattern)) == (pattern != name)
 
 

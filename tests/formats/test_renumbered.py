@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.compression.numbering import by_walk, object_sizes
+from mixseq.compression.numbering import object_vertex_counts, walk_numbering
 from mixseq.errors import OutputError
 from mixseq.mesh.polygons import Polygons, matched
 from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Surface
 from mixseq.sequence.sequence import MeshSequence
-from mixseq_io.scene_meshes import split
+from mixseq_io.scene_meshes import split_meshes
 from tests.compression.encoder.test_numbering import shuffled
 from tests.meshes import bar
 
@@ -65,16 +65,16 @@ def test_decoded_over_the_original(kind: str, tmp_path: Path) -> None:
 
 def test_the_mesh_of_a_file_is_told_in_its_numbers() -> None:
     sequence = pair()
-    walked = by_walk(sequence.polygons, object_sizes(sequence), vertices=True)
+    walked = walk_numbering(sequence.polygons, object_vertex_counts(sequence), vertices=True)
     points = np.arange(sequence.vertex_count)[walked.vertices]
-    before, after = split(sequence.header), split(walked.of_header(sequence.header))
+    before, after = split_meshes(sequence.header), split_meshes(walked.renumber_header(sequence.header))
     for was, new in zip(before, after, strict=True):
-        ours = new.as_numbered(was.polygons)
+        ours = new.with_vertex_order_of(was.polygons)
         assert ours is not None
         assert matched(ours.polygons, was.polygons) is not None
         assert points[ours.vertices].tolist() == list(range(was.vertices.start, was.vertices.stop))  # type: ignore[union-attr]
-        assert was.as_numbered(was.polygons) is was
-    assert before[0].as_numbered(before[1].polygons) is None
+        assert was.with_vertex_order_of(was.polygons) is was
+    assert before[0].with_vertex_order_of(before[1].polygons) is None
 
 
 def test_another_mesh_is_refused(tmp_path: Path) -> None:
@@ -83,7 +83,7 @@ def test_another_mesh_is_refused(tmp_path: Path) -> None:
     polygons = Polygons(
         sequence.polygons.counts, np.roll(sequence.polygons.indices.reshape(-1, 3), 1, 1).ravel()
     )
-    free = by_walk(polygons, object_sizes(sequence), vertices=True).of_frames(
+    free = walk_numbering(polygons, object_vertex_counts(sequence), vertices=True).renumber_frames(
         replace(sequence, polygons=polygons)
     )
     assert isinstance(free, MeshSequence)

@@ -12,8 +12,17 @@ from mixseq.errors import AmbiguousError, FormatError, MixseqWarning
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import CornerValues, FaceSet, Origin
 from mixseq.sequence.header import SequenceHeader
-from mixseq_io.scene_meshes import SceneMesh, SceneObject, chosen, common_name, join, listed, moving, split
-from mixseq_io.surfaces import surface_arrays, surface_of_arrays
+from mixseq_io.scene_meshes import (
+    SceneMesh,
+    SceneObject,
+    common_name,
+    format_names,
+    join_meshes,
+    select_meshes,
+    select_moving_meshes,
+    split_meshes,
+)
+from mixseq_io.surfaces import surface_from_arrays, surface_to_arrays
 
 QUAD = SceneMesh(
     name="quad",
@@ -33,13 +42,13 @@ PAIR = SceneMesh(
 )
 
 
-def joined() -> SequenceHeader:
-    polygons, surface = join([QUAD, PAIR], Origin("USD", "/walk.usd"))
+def joined_header() -> SequenceHeader:
+    polygons, surface = join_meshes([QUAD, PAIR], Origin("USD", "/walk.usd"))
     return SequenceHeader(polygons=polygons, vertex_count=8, times=np.zeros(1), surface=surface)
 
 
 def test_joining() -> None:
-    header = joined()
+    header = joined_header()
     assert header.polygons.counts.tolist() == [4, 3, 3]
     assert header.polygons.indices.tolist() == [0, 1, 2, 3, 4, 5, 6, 6, 5, 7]
     assert [(each.name, each.path, each.vertex_count, each.polygon_count) for each in header.objects] == [
@@ -57,7 +66,7 @@ def test_joining() -> None:
 
 
 def test_splitting_gives_the_pieces_back() -> None:
-    quad, pair = split(joined())
+    quad, pair = split_meshes(joined_header())
     for got, mesh in ((quad, QUAD), (pair, PAIR)):
         assert (got.name, got.path, got.vertices) == (mesh.name, mesh.path, mesh.vertices)
         assert got.polygons.same_as(mesh.polygons)
@@ -71,7 +80,7 @@ def test_splitting_gives_the_pieces_back() -> None:
 
 def test_a_sequence_without_objects_is_one_piece() -> None:
     header = SequenceHeader(polygons=QUAD.polygons, vertex_count=4, times=np.zeros(1), name="walk")
-    (mesh,) = split(header)
+    (mesh,) = split_meshes(header)
     assert (mesh.name, mesh.path, mesh.vertices) == ("walk", "", slice(0, 4))
     assert mesh.polygons.same_as(QUAD.polygons)
     assert mesh.uvs is None and mesh.hard_edges is None and mesh.face_sets == ()
@@ -80,10 +89,10 @@ def test_a_sequence_without_objects_is_one_piece() -> None:
 def test_meshes_keep_what_they_had() -> None:
     """A body that is subdivided, with texture coordinates, and a sword with hard edges."""
     body = replace(QUAD, subdivision="catmullClark")
-    polygons, surface = join([body, PAIR], None)
+    polygons, surface = join_meshes([body, PAIR], None)
     assert surface.subdivisions == ("catmullClark", "none")
     header = SequenceHeader(polygons=polygons, vertex_count=8, times=np.zeros(1), surface=surface)
-    first, second = split(header)
+    first, second = split_meshes(header)
     assert (first.subdivision, second.subdivision) == ("catmullClark", "none")
     assert first.uvs is not None and second.uvs is None
     assert first.hard_edges is None and second.hard_edges is not None
@@ -91,11 +100,11 @@ def test_meshes_keep_what_they_had() -> None:
 
 def test_meshes_without_colours_are_white_beside_others() -> None:
     red = CornerValues(np.array([[1, 0, 0, 1]]), np.zeros(4, int))
-    polygons, surface = join([replace(QUAD, colours=red), PAIR], None)
+    polygons, surface = join_meshes([replace(QUAD, colours=red), PAIR], None)
     assert surface.colours is not None
     assert surface.colours.at_corners.tolist() == [[1, 0, 0, 1]] * 4 + [[1, 1, 1, 1]] * 6
     header = SequenceHeader(polygons=polygons, vertex_count=8, times=np.zeros(1), surface=surface)
-    first, second = split(header)
+    first, second = split_meshes(header)
     assert first.colours is not None and second.colours is None
     assert first.colours.at_corners.tolist() == red.at_corners.tolist()
     alone = SequenceHeader(
@@ -111,19 +120,19 @@ def test_meshes_without_colours_are_white_beside_others() -> None:
             colours=CornerValues(np.ones((1, 4)), red.indices),
         ),
     )
-    assert split(alone)[0].colours is not None  # an only mesh keeps even white
+    assert split_meshes(alone)[0].colours is not None  # an only mesh keeps even white
 
 
 @pytest.mark.parametrize(("body", "sword"), [("none", "loop"), ("loop", "none"), ("loop", "bilinear")])
 def test_subdivision_through_arrays(body: str, sword: str) -> None:
-    _, surface = join([replace(QUAD, subdivision=body), replace(PAIR, subdivision=sword)], None)
-    assert surface_of_arrays(surface_arrays(surface)).subdivisions == (body, sword)
+    _, surface = join_meshes([replace(QUAD, subdivision=body), replace(PAIR, subdivision=sword)], None)
+    assert surface_from_arrays(surface_to_arrays(surface)).subdivisions == (body, sword)
 
 
 def test_meshes_that_are_subdivided_alike_are_stored_as_before() -> None:
-    _, surface = join([replace(mesh, subdivision="loop") for mesh in (QUAD, PAIR)], None)
+    _, surface = join_meshes([replace(mesh, subdivision="loop") for mesh in (QUAD, PAIR)], None)
     assert surface.subdivision == "loop" and {each.subdivision for each in surface.objects} == {None}
-    assert "object_subdivisions" not in surface_arrays(surface)
+    assert "object_subdivisions" not in surface_to_arrays(surface)
 
 
 # Which meshes of a scene are meant
@@ -163,39 +172,40 @@ MESHES = scene("/man/body", "/man/head/hat", "/house", "/copy/hat", "/dog/dog/ea
     ],
 )
 def test_what_is_meant(prim: str, numbers: list[int]) -> None:
-    assert chosen(FILE, MESHES, prim) == numbers
+    assert select_meshes(FILE, MESHES, prim) == numbers
 
 
 def test_other_objects_at_or_below_what_is_meant() -> None:
     others = scene("/man/body/button", "/house", "/hous", "/man")
-    assert chosen(FILE, MESHES, "man", others) == [0, 3]
-    assert chosen(FILE, MESHES, "house", others) == [1]
-    assert chosen(FILE, MESHES, "dog", others) == chosen(FILE, MESHES, "/", []) == []
-    assert chosen(FILE, MESHES, "/", others) == [0, 1, 2, 3]
+    assert select_meshes(FILE, MESHES, "man", others) == [0, 3]
+    assert select_meshes(FILE, MESHES, "house", others) == [1]
+    assert select_meshes(FILE, MESHES, "dog", others) == select_meshes(FILE, MESHES, "/", []) == []
+    assert select_meshes(FILE, MESHES, "/", others) == [0, 1, 2, 3]
 
 
 def test_a_path_as_it_is_listed_comes_before_names() -> None:
     meshes = scene("fox", "den/fox")
-    assert chosen(FILE, meshes, "fox") == [0]
-    assert chosen(FILE, meshes, "den/fox") == [1]
+    assert select_meshes(FILE, meshes, "fox") == [0]
+    assert select_meshes(FILE, meshes, "den/fox") == [1]
 
 
 def test_what_cannot_be_meant() -> None:
     with pytest.raises(
         AmbiguousError, match="'hat' is in several places, '/copy/hat', '/man/head/hat'; give"
     ):
-        chosen(FILE, MESHES, "hat")
+        select_meshes(FILE, MESHES, "hat")
     for prim in ("/hat", "HEAD", "man/hat", "ma"):
         with pytest.raises(FormatError, match=r"no mesh at or below .*; its meshes are '/man/body', "):
-            chosen(FILE, MESHES, prim)
+            select_meshes(FILE, MESHES, prim)
 
 
 def test_what_moves() -> None:
     with pytest.warns(
         MixseqWarning, match=r"prim='/' \(--prim / .*\) takes them, too: '/house', '/copy/hat'"
     ):
-        assert moving(FILE, MESHES[:4], [True, True, False, False]) == [0, 1]
-    assert moving(FILE, MESHES[:2], [False, False]) == moving(FILE, MESHES[:2], [True, True]) == [0, 1]
+        assert select_moving_meshes(FILE, MESHES[:4], [True, True, False, False]) == [0, 1]
+    assert select_moving_meshes(FILE, MESHES[:2], [False, False]) == [0, 1]
+    assert select_moving_meshes(FILE, MESHES[:2], [True, True]) == [0, 1]
 
 
 @pytest.mark.parametrize(
@@ -214,4 +224,4 @@ def test_common_names(paths: list[str], name: str) -> None:
 
 
 def test_long_lists_are_cut() -> None:
-    assert listed([str(i) for i in range(22)]).endswith("'19' and 2 more")
+    assert format_names([str(i) for i in range(22)]).endswith("'19' and 2 more")

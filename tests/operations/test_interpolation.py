@@ -35,9 +35,9 @@ def lengths(points: Float, faces: Any) -> Float:
 
 @pytest.mark.parametrize(("space", "settings"), KINDS, ids=str)
 def test_a_pose_alone_comes_back(space: SpaceName, settings: dict[str, Any]) -> None:
-    blend = PoseInterpolator.of(POSES, space, **settings)
-    assert blend.dim == blend.space.dim == blend.vectors.shape[1]
-    for pose, points in zip(POSES.points, blend.along(np.eye(4)), strict=True):
+    interpolator = PoseInterpolator.from_poses(POSES, space, **settings)
+    assert interpolator.dim == interpolator.space.dim == interpolator.vectors.shape[1]
+    for pose, points in zip(POSES.points, interpolator.iterate_blends(np.eye(4)), strict=True):
         np.testing.assert_allclose(points, pose, atol=1e-9)
 
 
@@ -115,32 +115,36 @@ def test_poses_may_have_any_order() -> None:
 
 
 def test_settings_are_used() -> None:
-    blend = PoseInterpolator.of(POSES, parts=2, joint_width=1)
-    assert isinstance(blend.space, mixseq.spaces.MixedSpace)
-    assert len(blend.space.decomposition.parts) == 2
-    assert blend.space.placement == "anchored"
-    free = PoseInterpolator.of(POSES, parts=np.arange(len(POSES.faces)) % 2 * 0, placement="free").space
+    interpolator = PoseInterpolator.from_poses(POSES, parts=2, joint_width=1)
+    assert isinstance(interpolator.space, mixseq.spaces.MixedSpace)
+    assert len(interpolator.space.decomposition.parts) == 2
+    assert interpolator.space.placement == "anchored"
+    free = PoseInterpolator.from_poses(
+        POSES, parts=np.arange(len(POSES.faces)) % 2 * 0, placement="free"
+    ).space
     assert isinstance(free, mixseq.spaces.MixedSpace)
     assert (free.placement, len(free.decomposition.parts)) == ("free", 1)
 
 
 def test_lengths_and_angles_are_made_to_agree_between_poses_that_are_apart() -> None:
     """In an animation of the same frames there is no need to."""
-    space = PoseInterpolator.of(POSES, among=[0, 3]).space
+    space = PoseInterpolator.from_poses(POSES, pose_ids=[0, 3]).space
     assert isinstance(space, MixedSpace) and space.joint_faces.any()
     assert space.projection.steps > 0 and space.projection.share == 1
     near = MeshSequence.from_arrays(POSES.points[[0, 0]] + np.array([0.0, 1.0])[:, None, None], POSES.faces)
-    for other in (mixseq.fit(POSES).space, PoseInterpolator.of(near).space):
+    for other in (mixseq.fit(POSES).space, PoseInterpolator.from_poses(near).space):
         assert isinstance(other, MixedSpace)
         assert not (other.projection.steps or other.projection.share or other.joint_faces.any())
 
 
 def test_fits_are_reported() -> None:
-    points, reports = PoseInterpolator.of(POSES, "edge", among=[0, 1]).at_with_reports([0.5, 0.5])
+    points, reports = PoseInterpolator.from_poses(POSES, "edge", pose_ids=[0, 1]).blend_with_reports(
+        [0.5, 0.5]
+    )
     np.testing.assert_array_equal(points, mixseq.interpolate(POSES, [0.5, 0.5, 0, 0], "edge"))
     assert reports
     assert all(report.converged for report in reports)
-    assert not PoseInterpolator.of(POSES, "vertex").at_with_reports([1, 0, 0, 0])[1]
+    assert not PoseInterpolator.from_poses(POSES, "vertex").blend_with_reports([1, 0, 0, 0])[1]
 
 
 def test_blends_do_not_depend_on_who_works() -> None:
@@ -148,10 +152,10 @@ def test_blends_do_not_depend_on_who_works() -> None:
     results = []
     for workers in (serially, on_threads(3)):
         told: list[tuple[int, int, str]] = []
-        blend = PoseInterpolator.of(
+        interpolator = PoseInterpolator.from_poses(
             POSES, workers=workers, progress=lambda *step, told=told: told.append(step)
         )
-        results.append(np.stack(list(blend.along(weights, workers=workers))))
+        results.append(np.stack(list(interpolator.iterate_blends(weights, workers=workers))))
         assert [done for done, _, _ in told] == sorted(done for done, _, _ in told)
         assert told[-1][0] == told[-1][1]
     np.testing.assert_array_equal(results[0], results[1])
@@ -192,13 +196,13 @@ def test_weights_in_single_precision_will_do() -> None:
 @pytest.mark.parametrize("rows", [[[0.5, 0.5, 0, 0], [1.0]], [["all", 0, 0, 0]]])
 def test_rows_of_weights_are_checked(rows: Any) -> None:
     with pytest.raises(SettingsError, match="not a table of numbers, with a row for every blend"):
-        next(PoseInterpolator.of(POSES, "vertex").along(rows))
+        next(PoseInterpolator.from_poses(POSES, "vertex").iterate_blends(rows))
 
 
 def test_poses_to_blend_are_checked() -> None:
     for pose in (-1, 4):
         with pytest.raises(SettingsError, match=f"there is no pose {pose}; poses are 0 to 3"):
-            PoseInterpolator.of(POSES, "vertex", among=[0, pose])
+            PoseInterpolator.from_poses(POSES, "vertex", pose_ids=[0, pose])
 
 
 @pytest.mark.parametrize(
@@ -221,7 +225,9 @@ def test_settings_are_checked(settings: dict[str, Any], message: str) -> None:
 def test_lions_come_back(data: Path, space: SpaceName) -> None:
     lions = mixseq.read(data / "npz" / "lion_poses.npz")
     poses = MeshSequence.from_arrays(lions.points[[0, 2, 5]], lions.polygons)
-    for pose, points in zip(poses.points, PoseInterpolator.of(poses, space).along(np.eye(3)), strict=True):
+    for pose, points in zip(
+        poses.points, PoseInterpolator.from_poses(poses, space).iterate_blends(np.eye(3)), strict=True
+    ):
         assert np.linalg.norm(points - pose, axis=1).max() < 1e-6 * poses.diagonal
 
 

@@ -13,7 +13,7 @@ import pytest
 from mixseq.errors import SettingsError
 from mixseq.pictures.sheets import common_parts, heading_degrees, transfer_sheet
 from mixseq.retargeting.markers import Correspondence
-from mixseq.retargeting.transfer import Transfer, plan
+from mixseq.retargeting.transfer import Transfer, TransferSettings, plan_transfer
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import FloatArray
 from tests.meshes import bar, rotation, tetrahedron
@@ -31,7 +31,7 @@ def body() -> MeshSequence:
 
 def planned(source: MeshSequence, points: FloatArray, **settings: Any) -> Transfer:
     target = MeshSequence.from_arrays(points[None], source.faces)
-    return plan(source, target, **{"method": "gradients", **settings})
+    return plan_transfer(source, target, TransferSettings(**{"method": "gradients", **settings}))
 
 
 def sheet(made: Transfer, frames: tuple[int, ...] = (1, 3)) -> bytes:
@@ -103,7 +103,8 @@ def test_what_follows_has_the_colour_of_what_it_follows() -> None:
         faces=np.append(same.faces, np.full(4, -1)),
         leaders=np.append(same.leaders, np.full(4, 3)),
     )
-    made = plan(source, target, mapping=mapping, method="gradients", parts=[0, 1, 1, 1])
+    settings = TransferSettings(mapping=mapping, method="gradients", parts=[0, 1, 1, 1])
+    made = plan_transfer(source, target, settings)
     own, carried = common_parts(made)
     assert own.tolist() == [0, 1, 1, 1]
     assert carried.tolist() == [0, 1, 1, 1, 1, 1, 1, 1]  # vertex 3 is in faces 1, 2, 3

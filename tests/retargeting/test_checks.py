@@ -190,33 +190,33 @@ def test_a_flat_sheet_may_be_turned_over() -> None:
 )
 def test_what_cannot_be_meant_is_refused(pairs: list[list[int]], message: str) -> None:
     with pytest.raises(SettingsError, match=message):
-        check_markers(Markers.of(pairs), creature(), other(creature()))
+        check_markers(Markers.from_pairs(pairs), creature(), other(creature()))
 
 
 def test_markers_on_a_line_are_refused() -> None:
     points = creature()
     points[:5] = np.linspace(0, 1, 5)[:, None] * [1, 2, 3]
     with pytest.raises(SettingsError, match="all markers of the source are on one line"):
-        check_markers(Markers.of([[k, k] for k in range(5)]), points, other(creature()))
+        check_markers(Markers.from_pairs([[k, k] for k in range(5)]), points, other(creature()))
 
 
 def test_markers_on_a_plane_are_told() -> None:
     points = creature()
     points[:6] = [[x, y, 0.0] for x in (-0.5, 0.5) for y in (0.0, 1.0, 2.0)]
     with pytest.warns(MixseqWarning, match="all markers of the source are on one plane"):
-        check_markers(Markers.of([[k, k] for k in range(6)]), points, points + np.eye(28, 3))
+        check_markers(Markers.from_pairs([[k, k] for k in range(6)]), points, points + np.eye(28, 3))
 
 
 def test_markers_on_vertices_without_triangles_are_refused() -> None:
     unused = Topology(np.array([[1, 2, 3]]), 28)
     with pytest.raises(SettingsError, match=r"marker 1 \(0 -> 0\): no triangle of the source uses"):
-        check_markers(Markers.of([[0, 0], [1, 1], [2, 2], [3, 3]]), creature(), creature(), unused)
+        check_markers(Markers.from_pairs([[0, 0], [1, 1], [2, 2], [3, 3]]), creature(), creature(), unused)
 
 
 def test_the_same_marker_twice_is_one() -> None:
     pairs = [[0, 0], [1, 1], [2, 2], [1, 1]]
     with pytest.raises(SettingsError, match="3 markers that differ, of 4; at least 4"):
-        check_markers(Markers.of(pairs), creature(), other(creature()))
+        check_markers(Markers.from_pairs(pairs), creature(), other(creature()))
 
 
 def test_a_flat_mesh_may_have_strays() -> None:
@@ -225,7 +225,7 @@ def test_a_flat_mesh_may_have_strays() -> None:
     points = np.concatenate([points, [[1.0, 1.0, 7.0]]])
     topology = Topology(faces, len(points))
     pairs = [[k, k] for k in (0, 4, 12, 20, 24)]
-    check_markers(Markers.of(pairs), points, 2 * points, topology, topology)
+    check_markers(Markers.from_pairs(pairs), points, 2 * points, topology, topology)
 
 
 # Inside out ---------------------------------------------------------------------------------------------------

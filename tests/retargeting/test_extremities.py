@@ -16,7 +16,7 @@ EARS = {"ear.l", "ear.r"}
 
 
 def surface_of(fox: Fox) -> CoarseSurface:
-    return CoarseSurface.of(fox.points, fox.topology)
+    return CoarseSurface.from_mesh(fox.points, fox.topology)
 
 
 def test_maxima_of_two_hills() -> None:
@@ -28,7 +28,7 @@ def test_maxima_of_two_hills() -> None:
         away = np.linalg.norm(points[:, :2] - place, axis=1) / (high - low)[0]
         return np.asarray(height * np.maximum(1 - away / 0.3, 0))
 
-    surface = CoarseSurface.of(points, topology_of((points, faces)))
+    surface = CoarseSurface.from_mesh(points, topology_of((points, faces)))
     values = np.maximum(hill((0.2, 0.2), 3.0), hill((0.75, 0.75), 2.0))
     vertices, prominences = maxima(values, surface)
     np.testing.assert_allclose(prominences[:2], [values.max(), values[vertices[1]]])  # a plain between them
@@ -55,7 +55,7 @@ def test_the_mean_distance_is_least_in_the_trunk() -> None:
 
 def test_extremities_of_the_fox() -> None:
     for fox in (short(), tall()):
-        found = Extremities.of(surface_of(fox))
+        found = Extremities.from_surface(surface_of(fox))
         names = [fox.bones[vertex] for vertex in found.vertices]
         assert set(names[:6]) == TIPS
         assert set(names[6:8]) == EARS
@@ -68,7 +68,7 @@ def test_extremities_of_the_fox() -> None:
 
 def test_distances_in_a_plane() -> None:
     mesh = grid(20, 20)
-    surface = CoarseSurface.of(mesh[0], topology_of(mesh))
+    surface = CoarseSurface.from_mesh(mesh[0], topology_of(mesh))
     straight = np.linalg.norm(surface.points[:, None] - surface.points, axis=2)
     along = surface.distances(np.arange(len(mesh[0])))
     assert (along >= straight - 1e-9).all()
@@ -77,7 +77,7 @@ def test_distances_in_a_plane() -> None:
 
 def test_distances_around_a_tube() -> None:
     mesh = tube(24, 30, closed=False)
-    surface = CoarseSurface.of(mesh[0], topology_of(mesh))
+    surface = CoarseSurface.from_mesh(mesh[0], topology_of(mesh))
     half = np.pi * 0.5 / surface.size  # radius 0.5
     across = surface.distances(np.array([0]))[0, 12]
     assert across == pytest.approx(half, rel=0.01)
@@ -85,8 +85,8 @@ def test_distances_around_a_tube() -> None:
 
 def test_its_unit_is_that_of_the_area() -> None:
     fox = short()
-    surface = CoarseSurface.of(fox.points, fox.topology)
-    moved = CoarseSurface.of(30 * fox.points @ rotation((1.0, 0.3, 0.2)).T + 7, fox.topology)
+    surface = CoarseSurface.from_mesh(fox.points, fox.topology)
+    moved = CoarseSurface.from_mesh(30 * fox.points @ rotation((1.0, 0.3, 0.2)).T + 7, fox.topology)
     assert surface.mesh.face_areas.sum() == pytest.approx(1)
     assert moved.size == pytest.approx(30 * surface.size)
     own, other = (each.distances(np.array([3])) for each in (surface, moved))
@@ -97,7 +97,7 @@ def test_its_unit_is_that_of_the_area() -> None:
 def test_the_largest_component_is_thinned_out() -> None:
     small, large = tube(6, 5), tube(12, 40, length=9.0, radius=1.0)
     mesh = joined(small, large)
-    surface = CoarseSurface.of(mesh[0], topology_of(mesh), 200)
+    surface = CoarseSurface.from_mesh(mesh[0], topology_of(mesh), 200)
     assert surface.vertices.min() >= len(small[0])
     assert 150 <= len(surface.vertices) <= 200
     assert np.isfinite(surface.distances(np.array([0]))).all()
@@ -106,4 +106,4 @@ def test_the_largest_component_is_thinned_out() -> None:
 def test_no_area() -> None:
     mesh = np.zeros((3, 3)), np.array([[0, 1, 2]])
     with pytest.raises(SettingsError, match="no triangle of the mesh has an area"):
-        CoarseSurface.of(mesh[0], topology_of(mesh))
+        CoarseSurface.from_mesh(mesh[0], topology_of(mesh))

@@ -99,7 +99,7 @@ def test_a_tube_bends_as_much_in_all_as_its_source(
     correspondence = on(source, target)
     longer = target[0] * [1.0, 1.0, length / 4]
     method = joined_in_the_middle(source, (longer, target[1]), correspondence)
-    moved = method.frame(arched(source[0], share))
+    moved = method.transfer_frame(arched(source[0], share))
     ends = (np.flatnonzero(some) for some in (target[0][:, 2] < 0.6, target[0][:, 2] > 3.4))
     first, last = (kabsch(longer[end], moved[end])[0] for end in ends)
     turn = np.arccos((np.trace(first.T @ last) - 1) / 2)

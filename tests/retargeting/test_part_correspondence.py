@@ -16,14 +16,24 @@ from mixseq.retargeting.parts import (
     REACH,
     Pivots,
     PivotSolver,
-    carry_labels,
     carry_parts,
+    transfer_labels,
     vertex_parts,
     without_small_regions,
 )
 from mixseq.segmentation.joints import Decomposition, decompose
 from mixseq.types import Float, Index
-from tests.meshes import Mesh, grid, joined, rigid_motions, rotation, seeds, tetrahedron, topology_of, tube
+from tests.meshes import (
+    Mesh,
+    grid,
+    joined,
+    rigid_motions,
+    rotation,
+    seeds,
+    tetrahedron,
+    topology_of,
+    tube,
+)
 from tests.retargeting.pairs import from_subdivided, gradients, same, subdivided, to_subdivided
 
 
@@ -117,10 +127,10 @@ def test_triangles_with_a_corner_that_follows_are_of_its_leaders_part() -> None:
     corners, leaders = one.corners.copy(), one.leaders.copy()
     corners[5], leaders[5] = -1, 3
     given = replace(one, corners=corners, leaders=leaders, faces=np.array([-1, 1, 2]))
-    assert carry_labels(np.array([0, 1, 2]), given, faces).tolist() == [2, 1, 2]
+    assert transfer_labels(np.array([0, 1, 2]), given, faces).tolist() == [2, 1, 2]
     # Nothing moves a triangle at the leader: the first label.
     alone = replace(given, faces=np.array([-1, 1, -1]))
-    assert carry_labels(np.array([0, 1, 2]), alone, faces).tolist() == [0, 1, 0]
+    assert transfer_labels(np.array([0, 1, 2]), alone, faces).tolist() == [0, 1, 0]
 
 
 def test_vertices_of_no_face_are_a_part_that_follows_the_first() -> None:

@@ -12,8 +12,8 @@ from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.retargeting.contacts import ContactReport
 from mixseq.retargeting.limbs import ArticulatedBody, Contact
 from mixseq.retargeting.mixed_transfer import MixedTransfer
-from mixseq.retargeting.sources import source_motion
-from mixseq.retargeting.transfer import plan
+from mixseq.retargeting.sources import prepare_source
+from mixseq.retargeting.transfer import TransferSettings, plan_transfer
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float, Index
 from tests.meshes import rotation
@@ -63,9 +63,9 @@ def walk() -> Walk:
     rest = source.points[0]
     target = MeshSequence.from_arrays(taller(rest)[None], source.faces, up_axis="Y")
     soles = soles_of(rest)
-    motion = source_motion(source, parts=source_motion(source).part_of_face())
-    with_contacts = plan(motion, target, contacts=soles)
-    free = np.concatenate(list(plan(motion, target).blocks()))
+    motion = prepare_source(source, parts=prepare_source(source).part_of_face())
+    with_contacts = plan_transfer(motion, target, TransferSettings(contacts=soles))
+    free = np.concatenate(list(plan_transfer(motion, target).blocks()))
     planted = np.concatenate(list(with_contacts.blocks()))
     assert isinstance(with_contacts.method, MixedTransfer)
     return Walk(source, target, soles, free, planted, with_contacts.contacts, with_contacts.method)
@@ -142,7 +142,7 @@ def test_a_walk_on_the_spot_never_rests() -> None:
     sole = soles_of(source.points[0])["forepaw.l"]
     target = MeshSequence.from_arrays(source.points[:1], source.faces)
     with pytest.warns(MixseqWarning, match=r"contact 'sole' never rests.*on the spot"):
-        plan(source, target, contacts={"sole": sole}, parts=6)
+        plan_transfer(source, target, TransferSettings(contacts={"sole": sole}, parts=6))
 
 
 def test_one_contact_is_on_one_leg(walk: Walk) -> None:
@@ -150,7 +150,7 @@ def test_one_contact_is_on_one_leg(walk: Walk) -> None:
     with pytest.raises(
         SettingsError, match=r"contact 'paws' are on several limbs.*one contact for each foot"
     ):
-        plan(walk.source, walk.target, contacts={"paws": both})
+        plan_transfer(walk.source, walk.target, TransferSettings(contacts={"paws": both}))
 
 
 def test_a_contact_may_bend_within_its_part() -> None:

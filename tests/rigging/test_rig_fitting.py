@@ -17,7 +17,7 @@ from mixseq.rigging.fitting import fit_morph, fit_skin
 from mixseq.rigging.rigs import Skeleton, Skin, rotation_matrices
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float
-from mixseq_io.rig_arrays import parents_first
+from mixseq_io.rig_arrays import order_parents_first
 from tests.formats.conftest import lossy
 from tests.formats.rig_maker import carried, hinge
 from tests.meshes import SEQUENCES, bar, bent, joined, rotation, tetrahedron, tube
@@ -327,7 +327,7 @@ def test_the_first_frame_is_the_bind_pose_if_there_is_no_other() -> None:
 
 def test_bones_keep_their_lengths() -> None:
     true = hinge(5)
-    local = fit_skin(played(true), skeleton=true.skeleton, bind_pose=bound(true)).local()
+    local = fit_skin(played(true), skeleton=true.skeleton, bind_pose=bound(true)).local_motion()
     np.testing.assert_allclose(local.translations[:, 1], np.tile([0.0, 0, 2], (5, 1)), atol=1e-9)
 
 
@@ -348,7 +348,7 @@ def test_bones_that_move_nothing_keep_their_names_and_stay_to_their_parents() ->
     )
     assert skin.skeleton.names == names
     assert not np.isin(skin.influences[skin.weights > 0], [2, 3]).any()
-    local, rest = skin.local(), skin.skeleton.local_rest()
+    local, rest = skin.local_motion(), skin.skeleton.local_rest()
     for bone in (2, 3):
         np.testing.assert_allclose(
             rotation_matrices(local.rotations[:, bone]),
@@ -468,7 +468,9 @@ def test_vertices_stay_with_their_own_of_bones_that_hardly_move(
     with mixseq.open_sequence(data / file, **options) as reader:
         skinning = reader.markings().skinning
     assert skinning is not None
-    order = parents_first([skinning.joints.index(parent) if parent else -1 for parent in skinning.parents])
+    order = order_parents_first(
+        [skinning.joints.index(parent) if parent else -1 for parent in skinning.parents]
+    )
     own = np.asarray(skinning.weights.todense())[:, order]
     assert np.abs(weights_of(skin) - own).sum(axis=1).mean() < apart
 

@@ -19,7 +19,7 @@ from mixseq.pictures.scene import to_y_up
 from mixseq.signals.model import Model
 from mixseq.types import Float
 from mixseq.viewer.export_data import BYTE_ORDER_MARK, ENCODING, ESCAPE
-from mixseq_io.coded.streams import Container, sequence_of
+from mixseq_io.coded.streams import Container, read_sequence
 
 
 def eventually(holds: Callable[[], Any], seconds: float = 60.0) -> Any:
@@ -86,7 +86,7 @@ class Opened:
 
 def _item(description: dict[str, Any], streams: Any) -> OpenedItem:
     container = Container(description["coding"].encode(), next(streams))
-    model = to_model(sequence_of(Path(description["name"]), container))
+    model = to_model(read_sequence(Path(description["name"]), container))
     colours = {
         each["name"]: rows_of(next(streams), model.header.vertex_count)
         for each in description["colourings"]

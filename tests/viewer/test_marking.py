@@ -44,7 +44,7 @@ def test_deleting() -> None:
 
 
 def test_markers_and_back() -> None:
-    markers = Markers.of([[1, 10], [2, 20]], ("nose", ""))
+    markers = Markers.from_pairs([[1, 10], [2, 20]], ("nose", ""))
     assert Marking.of(markers) == TWO
     again = TWO.markers
     assert (again.source.tolist(), again.target.tolist(), again.names) == ([1, 2], [10, 20], ("nose", ""))

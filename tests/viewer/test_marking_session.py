@@ -15,7 +15,7 @@ from tests.viewer.pages import eventually
 
 pytestmark = pytest.mark.slow
 
-NOTHING = Markers.of(np.zeros((0, 2), np.int64))
+NOTHING = Markers.from_pairs(np.zeros((0, 2), np.int64))
 
 
 class Listener:

@@ -88,7 +88,7 @@ def running(tmp_path: Path) -> Iterator[MarkingViewer]:
         write_markers(tmp_path / "pairs.txt", markers)
         return "saved"
 
-    nothing = Markers.of(np.zeros((0, 2), np.int64))
+    nothing = Markers.from_pairs(np.zeros((0, 2), np.int64))
     meshes = MarkedMeshes(FOXES[0].mesh, FOXES[1].mesh, ("short.obj", "tall.obj"), nothing, "pairs.txt")
     with run_marking_viewer(meshes, ViewSettings(port=own_port(), material="toon5"), save) as started:
         yield started

@@ -13,7 +13,7 @@ from zipfile import ZipFile
 
 import pytest
 
-from mixseq.web import contents
+from mixseq.web import package_files
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page, Route
@@ -68,7 +68,7 @@ def three(kind: str) -> tuple[str, Mapping[str, str | bytes]]:
 
 def serve(page: Page, added: Mapping[str, str | bytes]) -> None:
     """Let a page find what `mixseq web` writes, and more, at `ADDRESS`."""
-    there = {**contents(), **added}
+    there = {**package_files(), **added}
 
     def answer(route: Route) -> None:
         name = route.request.url.removeprefix(ADDRESS).partition("?")[0]

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 import mixseq
 from mixseq import web as bundle
 from mixseq.cli import main
-from mixseq.web import SEQUENCE, bundled, contents
+from mixseq.web import SEQUENCE_MODULE, bundled, package_files
 from tests.formats.gltf.test_mesh_sequences import document, dressed_bar
 from tests.web.conftest import WEB, Node
 from tests.web.played import write_container
@@ -72,7 +72,7 @@ def test_the_decoder_is_a_module_of_its_own(node: Node, tmp_path: Path) -> None:
     bundled_file.write_text(bundled(), encoding="utf-8")
     names = "console.log(Object.keys(await import(process.argv[2])).join());"
     assert node(names, bundled_file) == node(
-        f'import * as all from "{SEQUENCE}";\nconsole.log(Object.keys(all).join());'
+        f'import * as all from "{SEQUENCE_MODULE}";\nconsole.log(Object.keys(all).join());'
     )
 
 
@@ -86,7 +86,7 @@ def test_the_bundled_decoder_decodes(node: Node, tmp_path: Path) -> None:
     const sequence = await open(text, bytes);
     console.log(sequence.at(0.06).join(), sequence.weights(0).join());
     """
-    own, bundle = WEB / SEQUENCE, tmp_path / "mixseq.mjs"
+    own, bundle = WEB / SEQUENCE_MODULE, tmp_path / "mixseq.mjs"
     assert node(script, bundle, tmp_path) == node(script, own, tmp_path)
 
 
@@ -133,7 +133,7 @@ def test_the_command_writes_a_package(tmp_path: Path) -> None:
     out = tmp_path / "site"
     result = CliRunner().invoke(main, ["web", "--out", str(out)])
     assert (result.exit_code, result.output) == (0, f"wrote {out}\n")
-    assert {file.name: file.read_text(encoding="utf-8") for file in out.iterdir()} == contents()
+    assert {file.name: file.read_text(encoding="utf-8") for file in out.iterdir()} == package_files()
     package = json.loads((out / "package.json").read_text())
     assert package["version"] == mixseq.__version__
     for export in package["exports"].values():
@@ -144,13 +144,13 @@ def test_the_command_writes_a_package(tmp_path: Path) -> None:
 
 
 def test_the_readme_names_every_file() -> None:
-    named = re.findall(r"`([\w.-]+\.(?:js|ts|html|json))`", contents()["README.md"])
-    assert {*named, "README.md", "package.json"} == set(contents())
+    named = re.findall(r"`([\w.-]+\.(?:js|ts|html|json))`", package_files()["README.md"])
+    assert {*named, "README.md", "package.json"} == set(package_files())
 
 
 def test_scripts_of_the_documentation_are_those_of_the_readme() -> None:
     shown = re.findall(r"^```js\n(.*?)^```", (ROOT / "docs/web.md").read_text(), re.MULTILINE | re.DOTALL)
-    ours = re.findall(r"^```js\n(.*?)^```", contents()["README.md"], re.MULTILINE | re.DOTALL)
+    ours = re.findall(r"^```js\n(.*?)^```", package_files()["README.md"], re.MULTILINE | re.DOTALL)
     assert len(shown) == 6
     assert shown[0] == ours[0]
     assert shown[1].splitlines()[:4] == ours[1].splitlines()[:4]
@@ -158,8 +158,8 @@ def test_scripts_of_the_documentation_are_those_of_the_readme() -> None:
 
 def test_types_are_of_what_is_exported(node: Node, tmp_path: Path) -> None:
     for script, types in (("mixseq.js", "mixseq.d.ts"), ("mesh_sequence.js", "mesh_sequence.d.ts")):
-        text = contents()[script]
-        told = set(re.findall(r"^export (?:class|function) (\w+)", contents()[types], re.MULTILINE))
+        text = package_files()[script]
+        told = set(re.findall(r"^export (?:class|function) (\w+)", package_files()[types], re.MULTILINE))
         if script == "mixseq.js":
             (tmp_path / script).write_text(text)
             address = (tmp_path / script).as_uri()
@@ -171,7 +171,7 @@ def test_types_are_of_what_is_exported(node: Node, tmp_path: Path) -> None:
 
 
 def test_the_plugin_is_short() -> None:
-    assert contents()["mesh_sequence.js"].count("\n") < 150
+    assert package_files()["mesh_sequence.js"].count("\n") < 150
 
 
 def conforms(value: Any, schema: dict[str, Any]) -> bool:
@@ -191,7 +191,7 @@ def conforms(value: Any, schema: dict[str, Any]) -> bool:
 
 
 def test_files_are_as_the_schema_says(tmp_path: Path) -> None:
-    schema = json.loads(contents()["MIXSEQ_mesh_sequence.schema.json"])
+    schema = json.loads(package_files()["MIXSEQ_mesh_sequence.schema.json"])
     mixseq.save(tmp_path / "walk.glb", mixseq.compress(dressed_bar(), max_error=1e-2), still="none")
     content, _ = document(tmp_path / "walk.glb")
     extension = content["meshes"][0]["extensions"]["MIXSEQ_mesh_sequence"]

@@ -10,7 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from mixseq.compression.bitstream.compressed_sequence import BetweenFrames, CompressedSequence, to_model
+from mixseq.compression.bitstream.compressed_sequence import (
+    CompressedSequence,
+    TemporalInterpolation,
+    to_model,
+)
 from mixseq.compression.encoder.compress import compress
 from mixseq.types import Float, FloatArray, IntArray
 from mixseq.web import bundled
@@ -63,7 +67,7 @@ DRAWN = """async ([times, vertices, groups]) => {
 
 def golden(name: str) -> CompressedSequence:
     """A golden sequence that tells what it is between frames: these do not."""
-    return replace(stored(name)[0], between=BetweenFrames(2.0, (0.2, 0.9)))
+    return replace(stored(name)[0], between=TemporalInterpolation(2.0, (0.2, 0.9)))
 
 
 def opened(page: Page, folder: Path, coded: CompressedSequence | Path) -> None:

@@ -11,8 +11,8 @@ import pytest
 
 import mixseq
 from mixseq.compression.bitstream.compressed_sequence import (
-    BetweenFrames,
     CompressedSequence,
+    TemporalInterpolation,
     decode_basis,
     to_model,
 )
@@ -69,7 +69,7 @@ def fields_are_exact(found: Played, coded: CompressedSequence) -> None:
 
 @pytest.mark.parametrize("name", GOLDEN)
 def test_golden_streams(node: Node, tmp_path: Path, name: str) -> None:
-    coded = replace(stored(name)[0], between=BetweenFrames(2.0, (0.2, 0.9)))
+    coded = replace(stored(name)[0], between=TemporalInterpolation(2.0, (0.2, 0.9)))
     plays_as_in_python(node, tmp_path, coded)
 
 

@@ -49,9 +49,9 @@ from mixseq_io.alembic.samples import (
     time_sampling,
     unique_names,
 )
-from mixseq_io.originals import fit_meshes, warn_of_other_times
+from mixseq_io.originals import match_meshes, warn_of_unretimed_motion
 from mixseq_io.reader import naming, reading, warn
-from mixseq_io.scene_meshes import SceneMesh, listed, split
+from mixseq_io.scene_meshes import SceneMesh, format_names, split_meshes
 
 _SCHEMES = {"catmullClark": "catmull-clark", "loop": "loop", "bilinear": "bilinear"}
 _CORNERS = AbcGeom.GeometryScope.kFacevaryingScope
@@ -190,7 +190,7 @@ class MadeMesh:
 
 def make_targets(header: SequenceHeader) -> list[Target]:
     """Return the meshes to write of a stand-alone sequence."""
-    scene_meshes = split(header)
+    scene_meshes = split_meshes(header)
     return list(map(Target, scene_meshes, object_places(header, scene_meshes)))
 
 
@@ -358,7 +358,7 @@ def open_original(path: Path, header: SequenceHeader) -> Original:
     with reading(path, "Alembic", *ERRORS), naming(path):
         archive = open_archive(path)
         meshes, _ = find_meshes(path, archive)
-        fits = fit_meshes(
+        fits = match_meshes(
             path,
             header,
             {mesh.path: mesh for mesh in meshes},
@@ -379,7 +379,7 @@ def _fitted(path: Path, header: SequenceHeader, scene_mesh: SceneMesh, mesh: Mes
         return None
     placing = Placing.at(mesh.above, header.times, header.fps)
     mirrored = determinant(placing.matrices[0]) < 0
-    found = scene_mesh.matched_to(*_polygons(path, scene_mesh, mesh, mirrored))
+    found = scene_mesh.match(*_polygons(path, scene_mesh, mesh, mirrored))
     return found and Fit(found[0], mesh, found[1].corners, placing, mirrored)
 
 
@@ -484,6 +484,8 @@ def lay_over(
     copier = _Copier(archive, moved, header.times, original.path.stat().st_size)
     copier.copy(original.archive.getTop())
     if copier.lost:
-        warn(f"{path}: of {original.path} the library cannot copy {listed(copier.lost)}; they are left out")
-    warn_of_other_times(path, header, dict(sorted(copier.moving.items())), sources)
+        warn(
+            f"{path}: of {original.path} the library cannot copy {format_names(copier.lost)}; they are left out"
+        )
+    warn_of_unretimed_motion(path, header, dict(sorted(copier.moving.items())), sources)
     return [MovedMesh.make(fit, copier.schemas[fit.mesh.path], sampling, velocities) for fit in original.fits]

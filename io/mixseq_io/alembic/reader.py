@@ -38,7 +38,7 @@ from mixseq_io.alembic.library import (
     values,
 )
 from mixseq_io.alembic.samples import (
-    SAME_TIME,
+    TIME_TOLERANCE,
     Placing,
     SampleWeights,
     Transforms,
@@ -52,15 +52,15 @@ from mixseq_io.reader import SequenceReader, naming, reading, warn
 from mixseq_io.scene_meshes import (
     SceneMesh,
     SceneObject,
-    chosen,
+    base_face_set,
     common_name,
-    join,
-    joined,
-    listed,
-    material_of_the_rest,
-    moving,
+    format_names,
+    join_meshes,
+    merge_times,
+    select_meshes,
+    select_moving_meshes,
 )
-from mixseq_io.surfaces import with_alpha
+from mixseq_io.surfaces import ensure_alpha
 
 _MOST_OBJECTS = 1_000_000
 LAID_OVER = "mixseq_laid_over"
@@ -120,18 +120,18 @@ def choose_meshes(path: Path, archive: Any, prim: str | None) -> list[Mesh]:
         )
         raise FormatError(f"{path} has no mesh; it has {found}. Export meshes, as PolyMesh or SubD")
     if prim is not None:
-        named = [meshes[i] for i in chosen(path, [mesh.place for mesh in meshes], prim)]
+        named = [meshes[i] for i in select_meshes(path, [mesh.place for mesh in meshes], prim)]
         picked = [mesh for mesh in named if not mesh.hidden] or named
     else:
         shown = [mesh for mesh in meshes if not mesh.hidden]
         if not shown:
-            hidden = listed([mesh.path for mesh in meshes])
+            hidden = format_names([mesh.path for mesh in meshes])
             raise FormatError(f"{path}: its meshes are hidden; name one by prim (--prim): {hidden}")
-        numbers = moving(path, [mesh.place for mesh in shown], [mesh.moves for mesh in shown])
+        numbers = select_moving_meshes(path, [mesh.place for mesh in shown], [mesh.moves for mesh in shown])
         picked = [shown[i] for i in numbers]
     flickering = [mesh.path for mesh in picked if mesh.flickers]
     if flickering:
-        warn(f"{path}: {listed(flickering)} are hidden at times; they are taken as visible")
+        warn(f"{path}: {format_names(flickering)} are hidden at times; they are taken as visible")
     return picked
 
 
@@ -294,7 +294,7 @@ def _colours(source: Source, polygons: Polygons) -> CornerValues | None:
     parameter = kinds[name](others, name)
     _warn_of_changes(source, parameter, "colours")
     found = _corner_values(source, parameter, polygons, "colours")
-    return found and CornerValues(with_alpha(found.values), found.indices)
+    return found and CornerValues(ensure_alpha(found.values), found.indices)
 
 
 def _warn_of_changes(source: Source, parameter: Any, what: str) -> None:
@@ -348,9 +348,7 @@ def _face_sets(source: Source, polygon_count: int) -> tuple[FaceSet, ...]:
             polygons = values(faces, 0, source.room)
             sets.append(FaceSet(name, polygons, AbcMaterial.getMaterialAssignmentPath(node)))
     whole = AbcMaterial.getMaterialAssignmentPath(source.mesh.node)
-    rest = (
-        material_of_the_rest(whole, polygon_count, [each for each in sets if each.material]) if whole else ()
-    )
+    rest = base_face_set(whole, polygon_count, [each for each in sets if each.material]) if whole else ()
     return (*rest, *sets)
 
 
@@ -374,7 +372,9 @@ def open_alembic(path: Path, prim: str | None = None) -> SequenceReader:
         fps = frame_rate(frames, metadata.get("_ai_DCC_FPS") or metadata.get("FramesPerTimeUnit"))
         animated_meshes = _animated_meshes(path, room, meshes, frames, fps)
         origin = Origin("Alembic", str(path.resolve()))
-        polygons, surface = join([read_scene_mesh(animated.source) for animated in animated_meshes], origin)
+        polygons, surface = join_meshes(
+            [read_scene_mesh(animated.source) for animated in animated_meshes], origin
+        )
         header = SequenceHeader(
             polygons=polygons,
             vertex_count=animated_meshes[-1].source.vertices.stop,
@@ -429,11 +429,11 @@ def _frames(meshes: list[Mesh]) -> Float:
     laid_over = [mesh for mesh in meshes if mesh.laid_over]
     points = [mesh.schema.getPositionsProperty() for mesh in laid_over or meshes]
     if laid_over:
-        return joined([sample_times(each) for each in points], SAME_TIME)
+        return merge_times([sample_times(each) for each in points], TIME_TOLERANCE)
     transforms = [schema for mesh in meshes for schema in mesh.above]
     changing = [each for each in (*points, *transforms) if not each.isConstant()]
     longest = max(points, key=lambda each: int(each.getNumSamples()))
-    return joined([sample_times(each) for each in changing or [longest]], SAME_TIME)
+    return merge_times([sample_times(each) for each in changing or [longest]], TIME_TOLERANCE)
 
 
 def _animated_meshes(

@@ -89,7 +89,7 @@ def unique_names(names: Iterable[str]) -> list[str]:
     return list(taken)
 
 
-SAME_TIME = 0.999e-6
+TIME_TOLERANCE = 0.999e-6
 """Distance in seconds below which times are equal."""
 
 _MOST_SAMPLES = 1_000_000
@@ -120,7 +120,7 @@ def samples_within(times: Float, window: tuple[float, float]) -> slice:
     >>> samples_within(times, (2.0, 3.0)), samples_within(times, (2.5, 2.6)), samples_within(times, (5.0, 6.0))
     (slice(1, 3, None), slice(1, 3, None), slice(0, 4, None))
     """
-    start, end = window[0] + SAME_TIME, window[1] - SAME_TIME
+    start, end = window[0] + TIME_TOLERANCE, window[1] - TIME_TOLERANCE
     if not len(times) or window[1] < times[0] or window[0] > times[-1]:
         return slice(0, len(times))
     first, last = np.searchsorted(times, start, side="right") - 1, np.searchsorted(times, end, side="left")
@@ -154,10 +154,10 @@ class SampleWeights:
 
 def locate(own: Float, frames: Float) -> SampleWeights:
     """Return the samples, at the times `own` ``(N,)``, around frames ``(T,)``."""
-    before = np.clip(np.searchsorted(own, frames + SAME_TIME, side="right") - 1, 0, len(own) - 1)
+    before = np.clip(np.searchsorted(own, frames + TIME_TOLERANCE, side="right") - 1, 0, len(own) - 1)
     after = np.minimum(before + 1, len(own) - 1)
     since, step = frames - own[before], own[after] - own[before]
-    weight = np.divide(since, step, out=np.zeros_like(since), where=(step > 0) & (since > SAME_TIME))
+    weight = np.divide(since, step, out=np.zeros_like(since), where=(step > 0) & (since > TIME_TOLERANCE))
     return SampleWeights(before, weight)
 
 

@@ -37,7 +37,7 @@ from mixseq_io.alembic.overlay import (
 )
 from mixseq_io.alembic.samples import time_sampling, valid_name
 from mixseq_io.files import replacing
-from mixseq_io.originals import opened_original
+from mixseq_io.originals import open_original_file
 from mixseq_io.reader import Numbered, as_float32, brief, checked
 from mixseq_io.surfaces import lost_scale, warn_of_losses
 
@@ -58,7 +58,7 @@ def write_alembic(
         raise SettingsError(
             f"sources are {np.size(sources)} times for {header.frame_count} frames; give one each"
         )
-    original = opened_original(
+    original = open_original_file(
         path, header, flatten, onto, "Alembic", lambda file: open_original(file, header)
     )
     targets = [] if original else make_targets(header)

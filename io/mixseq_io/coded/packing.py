@@ -51,7 +51,7 @@ def room_for_signals(
     Texture coordinates and order are options of `mixseq.compress`; `container` is the size of text and file format, by
     default HDF5. Raises `SettingsError` if nothing is left, `uv_error` is out of range, or the order is unknown.
     """
-    header = cheapest_numbering(header, order).of_header(header)
+    header = cheapest_numbering(header, order).renumber_header(header)
     ground = _ground(*with_quantised_uvs(header, uv_error, uvs))
     connectivity, surface, times, *textures = map(len, ground)
     surface += sum(textures)

@@ -39,10 +39,10 @@ from numpy.typing import NDArray
 
 from mixseq.choices import ORDERS, OrderName
 from mixseq.compression.bitstream.compressed_sequence import (
-    BetweenFrames,
     Chunk,
     CodingParameters,
     CompressedSequence,
+    TemporalInterpolation,
     to_model,
 )
 from mixseq.compression.bitstream.connectivity import decode_polygons
@@ -53,7 +53,7 @@ from mixseq.mesh.surface import WHITE, CornerValues, Surface
 from mixseq.sequence.header import SequenceHeader
 from mixseq.signals.model import Model
 from mixseq_io.files import check_memory, gigabytes, max_memory
-from mixseq_io.surfaces import surface_arrays, surface_of_arrays
+from mixseq_io.surfaces import surface_from_arrays, surface_to_arrays
 
 COMPRESSED_VERSION = 1
 """Version of compressed models, separate from that of models with datasets. Frozen: breaks old files."""
@@ -279,7 +279,7 @@ def _arrays_on(surface: Surface, mesh: Mesh) -> dict[str, NDArray[Any]]:
     if colours is not None and of_vertices:
         values = colours.at_vertices(corners, vertex_count, WHITE)
         surface = replace(surface, colours=CornerValues(values, corners))
-    arrays = surface_arrays(surface)
+    arrays = surface_to_arrays(surface)
     if of_vertices:
         del arrays["colour_indices"]
     coded = None if surface.hard_edges is None else encode_hard_edges(*mesh, surface.hard_edges)
@@ -307,7 +307,7 @@ def unpack_surface(packed: bytes, folder: Path, mesh: Mesh) -> Surface:
             arrays["creases"] = decode_hard_edges(coded.tobytes(), *mesh)
         if "colour_values" in arrays:
             arrays.setdefault("colour_indices", mesh[0].indices)
-        return surface_of_arrays(arrays, folder)
+        return surface_from_arrays(arrays, folder)
     except (ValueError, TypeError, KeyError, IndexError) as error:
         raise FormatError(f"the surface is damaged ({error})") from error
 
@@ -347,7 +347,7 @@ _DECODED = 16
 """Memory in bytes that decoding takes per number of a basis and its coefficients."""
 
 
-def sequence_of(path: Path, container: Container) -> CompressedSequence:
+def read_sequence(path: Path, container: Container) -> CompressedSequence:
     """Return the compressed sequence of a file, checked; raise `FormatError` with the damaged stream and its frames."""
     index = read_index(path, container)
 
@@ -391,7 +391,7 @@ def _parameters(path: Path, facts: Mapping[str, Any]) -> CodingParameters:
     return parameters
 
 
-def _between(path: Path, facts: Mapping[str, Any]) -> BetweenFrames | None:
+def _between(path: Path, facts: Mapping[str, Any]) -> TemporalInterpolation | None:
     """Return the prediction of coefficients between frames, None if absent; raise `FormatError` if it is invalid."""
     given = facts.get("between")
     if given is None:
@@ -400,7 +400,7 @@ def _between(path: Path, facts: Mapping[str, Any]) -> BetweenFrames | None:
         raise FormatError(f"{path}: between is {given!r}; length and cubic are expected; it is damaged")
     length, cubic = given["length"], given["cubic"]
     try:
-        return BetweenFrames(
+        return TemporalInterpolation(
             inf if length is None else length, tuple(cubic) if isinstance(cubic, list) else cubic
         )
     except SettingsError as error:
@@ -448,7 +448,7 @@ def _header(
         raise FormatError(f"{path}: {error}; it is damaged, or there is too little memory") from error
 
 
-def decoded(path: Path, coded: CompressedSequence) -> Model:
+def decode_model(path: Path, coded: CompressedSequence) -> Model:
     """Return the model of a sequence read from a file; raise `FormatError` for contradictions or too much memory."""
     width, frames = 3 if coded.parameters.factors == "shapes" else 1, coded.header.frame_count
     numbers = coded.parameters.rank * (width * coded.header.vertex_count + 3 * frames)

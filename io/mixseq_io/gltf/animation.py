@@ -23,7 +23,13 @@ from mixseq_io.gltf.document import Document, Fields
 from mixseq_io.gltf.primitives import Weld, deltas, influences, target_count
 from mixseq_io.gltf.scene import Pose, Scene
 from mixseq_io.reader import warn
-from mixseq_io.scene_meshes import MOST_PLAYED, SAME_TIME, listed, on_grid, united
+from mixseq_io.scene_meshes import (
+    MAX_INSERTED_FRAMES,
+    TIME_TOLERANCE,
+    format_names,
+    insert_times,
+    snap_to_frames,
+)
 
 USUAL_RATES = (24.0, 30.0, 25.0, 60.0, 50.0, 48.0, 120.0, 100.0, 12.0, 15.0, 20.0, 10.0, *NTSC_RATES)
 """Rates in Hz, the most usual first."""
@@ -37,14 +43,14 @@ _GRID = 2e-3  # of a frame; keys are float32
 
 def time_tolerance(times: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the difference ``(n,)`` in s below which times are equal: a microsecond or a float32 step."""
-    return np.maximum(SAME_TIME, np.spacing(np.abs(times).astype(np.float32)).astype(np.float64))
+    return np.maximum(TIME_TOLERANCE, np.spacing(np.abs(times).astype(np.float32)).astype(np.float64))
 
 
 def key_times(channels: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
     """Return the times ``(n,)`` of all channels, increasing; equal times of two channels count once."""
     found = np.empty(0)
     for times in sorted(channels, key=len, reverse=True):
-        found = united(found, times, time_tolerance(times))
+        found = insert_times(found, times, time_tolerance(times))
     return found
 
 
@@ -76,9 +82,9 @@ def played_times(keys: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
     """
     gaps = np.diff(keys) * rate
     wide = gaps > _GAP
-    if not wide.any() or not gaps.sum() < MOST_PLAYED:
+    if not wide.any() or not gaps.sum() < MAX_INSERTED_FRAMES:
         return keys
-    first = on_grid(keys[:1], rate)[0] * rate
+    first = snap_to_frames(keys[:1], rate)[0] * rate
     whole = np.rint(first)
     start = whole if abs(first - whole) < _GRID else first
     frames = (start + np.arange(int(gaps.sum()) + 2)) / rate
@@ -263,7 +269,7 @@ def choose_animation(document: Document, choice: str | int | None) -> Fields | N
 
 def _numbered(names: Sequence[str], first: int = 0) -> str:
     """Return at most 20 names with their numbers, from `first` on, for a message: ``1 'Dance', 2 'Death'``."""
-    return listed([f"{number} {name!r}" for number, name in enumerate(names)][first:], str)
+    return format_names([f"{number} {name!r}" for number, name in enumerate(names)][first:], str)
 
 
 def told_by(animation: Fields | None, name: str, least: float = -_LATEST) -> float | None:

@@ -35,7 +35,7 @@ from mixseq.errors import MissingExtraError, OutputError
 from mixseq.version import __version__
 from mixseq_io.gltf.document import DRACO, MESHOPT, Document, Fields, layout_of
 from mixseq_io.isolation import call_isolated
-from mixseq_io.surfaces import nearest_bytes
+from mixseq_io.surfaces import colours_to_bytes
 
 Json = dict[str, Any]
 Bounds = tuple[list[float], list[float]]
@@ -44,7 +44,7 @@ Chunk = bytes | memoryview | NDArray[Any]
 GENERATOR = f"mixseq {__version__}"
 FLOAT, UNSIGNED = 5126, 5125
 COMPONENT_OF = {"f4": FLOAT, "u4": UNSIGNED, "u2": 5123, "u1": 5121}
-VERTICES, INDICES = 34962, 34963
+ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 
 _LARGEST_GLB = 2**32 - 1
 _LARGEST_TEXT = 384 << 20  # of the buffer; browsers hold no string of more than 512 MiB
@@ -84,7 +84,7 @@ class Layout:
 
     def add_points(self, points: NDArray[np.float32]) -> int:
         """Add positions of vertices ``(n, 3)``, with their bounds; return their accessor."""
-        accessor = self.add_array(points, target=VERTICES)
+        accessor = self.add_array(points, target=ARRAY_BUFFER)
         self.bounded(accessor, bounds_of(points))
         return accessor
 
@@ -118,7 +118,7 @@ def append(document: Json, member: str, entry: Json) -> int:
     return len(entries) - 1
 
 
-def glb_size(layout: Layout) -> int:
+def compute_glb_size(layout: Layout) -> int:
     """Return the size of a .glb in bytes; the writer adds the document's ``buffers``."""
     return 28 + _aligned(len(_encoded(layout.document))) + _aligned(layout.length)
 
@@ -142,7 +142,7 @@ class BufferWriter:
 
 
 @contextmanager
-def writing_buffer(path: Path, temporary: Path, layout: Layout) -> Iterator[BufferWriter]:
+def open_buffer_writer(path: Path, temporary: Path, layout: Layout) -> Iterator[BufferWriter]:
     """Write a file: data of the layout, then data put by the block, then the document in its final state."""
     binary = path.suffix.lower() == ".glb"
     layout.document["buffers"] = [{"byteLength": layout.length}]
@@ -222,12 +222,14 @@ def unpacked_view(document: Document, packed: Fields) -> bytes:
     count, stride = packed.integer("count"), packed.integer("byteStride")
     mode, name = packed.text("mode"), packed.text("filter", "NONE")
     data = document.part(packed)
-    here = "mixseq_io.gltf.codecs:unpacked"
+    here = "mixseq_io.gltf.codecs:unpack_meshopt"
     rows = call_isolated(here, document.path, data, packed.place, count, stride, mode, name)
     return bytes(rows.tobytes())
 
 
-def unpacked(path: Path, data: bytes, place: str, count: int, stride: int, mode: str, name: str) -> Rows:
+def unpack_meshopt(
+    path: Path, data: bytes, place: str, count: int, stride: int, mode: str, name: str
+) -> Rows:
     """Unpack a view; see `unpacked_view`. Damaged data may end the process."""
     import meshopt
 
@@ -264,11 +266,13 @@ def unpacked_primitive(
             f"{document.path} is compressed with Draco; to read it: pip install 'mixseq[gltf]'"
         )
     data = document.part(document.item("bufferViews", packed.integer("bufferView")))
-    arrays = call_isolated("mixseq_io.gltf.codecs:decoded", document.path, data, packed.place, list(wanted))
+    arrays = call_isolated(
+        "mixseq_io.gltf.codecs:decode_draco", document.path, data, packed.place, list(wanted)
+    )
     return b"".join(each.tobytes().ljust(size, b"\0") for each, size in zip(arrays, sizes, strict=True))
 
 
-def decoded(path: Path, data: bytes, place: str, wanted: Sequence[Wanted]) -> list[NDArray[Any]]:
+def decode_draco(path: Path, data: bytes, place: str, wanted: Sequence[Wanted]) -> list[NDArray[Any]]:
     """Decode a primitive; see `unpacked_primitive`. Damaged data may end the process."""
     import DracoPy
 
@@ -328,7 +332,7 @@ def compressed_triangles(
             triangles,
             quantization_bits=_POSITION_BITS,
             compression_level=_BEST,
-            colors=None if colours is None else nearest_bytes(colours),
+            colors=None if colours is None else colours_to_bytes(colours),
             normals=attributes["NORMAL"].astype(np.float64),
             normal_quantization_bits=_NORMAL_BITS,
             tex_coord=None if uvs is None else uvs.astype(np.float64),
@@ -358,7 +362,7 @@ def _library() -> ModuleType:
     return library
 
 
-def plain(document: Document) -> Document:
+def decompress_document(document: Document) -> Document:
     """Return a document without compression; data are unpacked when they are read."""
     edits = _Edits(document)
     for number, view in enumerate(document.items("bufferViews")):

@@ -20,9 +20,9 @@ from mixseq_io.gltf.animation import Channel, read_channels, told_by
 from mixseq_io.gltf.codecs import Json, Layout, append
 from mixseq_io.gltf.document import Document, Fields, data_of_uri
 from mixseq_io.gltf.scene import Scene
-from mixseq_io.originals import warn_of_other_times
+from mixseq_io.originals import warn_of_unretimed_motion
 from mixseq_io.reader import warn
-from mixseq_io.scene_meshes import listed
+from mixseq_io.scene_meshes import format_names
 
 _PRUNED = ("meshes", "accessors", "bufferViews")  # referrers before their targets
 
@@ -45,7 +45,7 @@ def prune(path: Path, document: Json) -> None:
     unknown = sorted(name for name in used_extensions(document) if not name.startswith(_HARMLESS))
     if unknown:
         warn(
-            f"{path}: the data of its old animation is kept, too, because {listed(unknown)} may refer to it; "
+            f"{path}: the data of its old animation is kept, too, because {format_names(unknown)} may refer to it; "
             "flatten=True writes the sequence without"
         )
         return
@@ -243,7 +243,7 @@ class OtherMotion:
         ends = [channel.times[[0, -1]] + self.start for channel in self.channels if channel.moves]
         if ends:
             span = float(np.min(ends)), float(np.max(ends))
-            warn_of_other_times(path, header, dict.fromkeys(self.things, span), sources)
+            warn_of_unretimed_motion(path, header, dict.fromkeys(self.things, span), sources)
 
 
 NOTHING = OtherMotion()

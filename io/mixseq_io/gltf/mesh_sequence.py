@@ -40,19 +40,19 @@ from mixseq_io.coded.packing import pack
 from mixseq_io.coded.streams import Container
 from mixseq_io.files import check_memory, replacing
 from mixseq_io.gltf.codecs import (
+    ARRAY_BUFFER,
     COMPONENT_OF,
+    ELEMENT_ARRAY_BUFFER,
     FLOAT,
     GENERATOR,
-    INDICES,
     UNSIGNED,
-    VERTICES,
     Json,
     Layout,
     append,
     bounds_of,
     compressed_triangles,
-    glb_size,
-    writing_buffer,
+    compute_glb_size,
+    open_buffer_writer,
 )
 from mixseq_io.gltf.document import (
     DAMAGE,
@@ -68,13 +68,13 @@ from mixseq_io.gltf.edits import content_of_image, used_extensions
 from mixseq_io.gltf.new_document import (
     SplitPrimitive,
     add_colours,
+    axis_conversion,
     material,
     material_name,
     named,
     narrow,
     owners,
     split_corners,
-    upright,
     upside_down,
 )
 from mixseq_io.reader import as_float32, reading, warn
@@ -109,7 +109,7 @@ def read_container(path: Path) -> Container:
     )
 
 
-def other_data(path: Path) -> int:
+def overhead_size(path: Path) -> int:
     """Return the size in bytes of a .glb without text and streams: a still, and images."""
     document = load_document(path)
     extension = _only_one(document)
@@ -285,13 +285,15 @@ def _plain(
     layout: Layout, triangles: NDArray[np.uint32], attributes: Mapping[str, NDArray[np.float32]]
 ) -> Json:
     accessors = {
-        name: add_colours(layout, values) if name == "COLOR_0" else layout.add_array(values, target=VERTICES)
+        name: add_colours(layout, values)
+        if name == "COLOR_0"
+        else layout.add_array(values, target=ARRAY_BUFFER)
         for name, values in attributes.items()
     }
     layout.bounded(accessors["POSITION"], bounds_of(attributes["POSITION"]))
     return {
         "attributes": accessors,
-        "indices": layout.add_array(narrow(triangles.reshape(-1)), target=INDICES),
+        "indices": layout.add_array(narrow(triangles.reshape(-1)), target=ELEMENT_ARRAY_BUFFER),
     }
 
 
@@ -349,14 +351,14 @@ def write_container(
 ) -> None:
     """Write text, streams, and a still of `points` ``(V, 3)``; see `write_sequence`."""
     layout = _layout(header, points, container, still)
-    with replacing(path) as temporary, writing_buffer(path, temporary, layout):
+    with replacing(path) as temporary, open_buffer_writer(path, temporary, layout):
         pass
 
 
-def other_bytes(header: SequenceHeader, points: FloatArray, still: StillName) -> int:
+def bound_overhead_size(header: SequenceHeader, points: FloatArray, still: StillName) -> int:
     """Return an upper bound in bytes of a .glb without its streams: points ``(V, 3)``."""
     layout = _layout(header, points, Container(bytes(_TEXT + 6 * len(header.name)), b""), still)
-    return int(_FINER * glb_size(layout))
+    return int(_FINER * compute_glb_size(layout))
 
 
 def _layout(header: SequenceHeader, points: FloatArray, container: Container, still: StillName) -> Layout:
@@ -376,7 +378,7 @@ def _layout(header: SequenceHeader, points: FloatArray, container: Container, st
     }
     document = layout.document
     entry = {**named(header.name), "primitives": primitives, "extensions": {SEQUENCE_EXTENSION: extension}}
-    node = {**named(header.name), "mesh": append(document, "meshes", entry), **upright(header)}
+    node = {**named(header.name), "mesh": append(document, "meshes", entry), **axis_conversion(header)}
     document["scene"], document["scenes"] = 0, [{"nodes": [append(document, "nodes", node)]}]
     document["extensionsUsed"] = sorted(used_extensions(document))
     needed = [DRACO] if still == "draco" else [SEQUENCE_EXTENSION] if still == "none" else []

@@ -26,11 +26,20 @@ from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import FaceSet
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, IntArray, Single
-from mixseq_io.gltf.codecs import GENERATOR, INDICES, VERTICES, BufferWriter, Json, Layout, append, bounds_of
+from mixseq_io.gltf.codecs import (
+    ARRAY_BUFFER,
+    ELEMENT_ARRAY_BUFFER,
+    GENERATOR,
+    BufferWriter,
+    Json,
+    Layout,
+    append,
+    bounds_of,
+)
 from mixseq_io.gltf.edits import NOTHING, OtherMotion
 from mixseq_io.reader import as_float32
-from mixseq_io.scene_meshes import SceneMesh, split
-from mixseq_io.surfaces import as_bytes, within_one
+from mixseq_io.scene_meshes import SceneMesh, split_meshes
+from mixseq_io.surfaces import clip_to_unit, colours_to_exact_bytes
 
 _BYTES_PER_VECTOR = 12
 
@@ -58,7 +67,7 @@ class MovingMesh:
         return shared_normals(points[:, mesh.vertices], mesh.polygons, mesh.hard_edges)
 
 
-class Morphs:
+class MorphFrameWriter:
     """Frames in the buffer: laid out on construction, then written one after the other."""
 
     def __init__(
@@ -97,7 +106,7 @@ class Morphs:
             for mesh in self._meshes
             for each in mesh.primitives
         )
-        view = layout.reserve(vectors * _BYTES_PER_VECTOR, byteStride=_BYTES_PER_VECTOR, target=VERTICES)
+        view = layout.reserve(vectors * _BYTES_PER_VECTOR, byteStride=_BYTES_PER_VECTOR, target=ARRAY_BUFFER)
         offset, unbounded = 0, []
         for mesh in self._meshes:
             for each in mesh.primitives:
@@ -205,7 +214,7 @@ def split_corners(mesh: SceneMesh) -> list[SplitPrimitive]:
             name: np.append(key[corners], alone if name == "vertices" else np.zeros_like(alone))
             for name, key in keys.items()
         }
-        chosen, copies = _distinct(list(some.values()))
+        chosen, copies = _unique_tuples(list(some.values()))
         place[corners] = copies[: corners.size]
         rows = {name: key[chosen] for name, key in some.items()}
         values = {name: each.values[rows[name]] for name, each in on.items()}
@@ -231,7 +240,7 @@ def _by_owner(owner: IntArray) -> Iterator[tuple[int, IntArray]]:
     yield from zip(found.tolist(), np.split(order, starts[1:])[: len(found)], strict=True)
 
 
-def _distinct(columns: Sequence[IntArray]) -> tuple[IntArray, IntArray]:
+def _unique_tuples(columns: Sequence[IntArray]) -> tuple[IntArray, IntArray]:
     """Return the rows of the distinct tuples of n columns ``(n,)``, and the index of each row's tuple."""
     numbers = columns[0].astype(np.int64)
     for column in columns[1:]:
@@ -264,7 +273,7 @@ _SPARSE = 4
 _LARGEST_SHORT = 2**16 - 1
 
 
-def new_scene(header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
+def create_scene(header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
     """Return a document of a sequence without frames, and its moving meshes; objects without polygons are left out."""
     layout, meshes = new_meshes(header)
     root = group(layout.document, [mesh.node for mesh in meshes], header)
@@ -275,7 +284,7 @@ def new_scene(header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
 def new_meshes(header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
     """Return a document of a sequence's meshes with a node each, without a scene, and its moving meshes."""
     layout = Layout({"asset": {"version": "2.0", "generator": GENERATOR}})
-    scene_meshes = [scene_mesh for scene_mesh in split(header) if scene_mesh.polygons.counts.size]
+    scene_meshes = [scene_mesh for scene_mesh in split_meshes(header) if scene_mesh.polygons.counts.size]
     names = [header.name if len(scene_meshes) == 1 else scene_mesh.name for scene_mesh in scene_meshes]
     materials: dict[str, int] = {}
     return layout, [
@@ -294,11 +303,11 @@ def group(document: Json, nodes: list[int], header: SequenceHeader, vacant: int 
     else:
         root = vacant
         document["nodes"][root] = entry
-    document["nodes"][root].update(upright(header))
+    document["nodes"][root].update(axis_conversion(header))
     return root
 
 
-def upright(header: SequenceHeader) -> Json:
+def axis_conversion(header: SequenceHeader) -> Json:
     """Return the transform of a node from the sequence's axes and units to glTF's, Y up and metres; {} for identity."""
     columns = {"X": [(0, 1, 0), (-1, 0, 0), (0, 0, 1)], "Z": [(1, 0, 0), (0, 0, -1), (0, 1, 0)]}
     matrix = np.eye(4)
@@ -330,12 +339,12 @@ def _new_primitive(
 ) -> MovingPrimitive:
     attributes: dict[str, int] = {}
     if primitive.uvs is not None:
-        attributes["TEXCOORD_0"] = layout.add_array(upside_down(primitive.uvs), target=VERTICES)
+        attributes["TEXCOORD_0"] = layout.add_array(upside_down(primitive.uvs), target=ARRAY_BUFFER)
     if primitive.colours is not None:
         attributes["COLOR_0"] = add_colours(layout, primitive.colours)
     entry: Json = {
         "attributes": attributes,
-        "indices": layout.add_array(narrow(primitive.triangles.reshape(-1)), target=INDICES),
+        "indices": layout.add_array(narrow(primitive.triangles.reshape(-1)), target=ELEMENT_ARRAY_BUFFER),
     }
     if primitive.face_set is not None:
         entry["material"] = material(layout.document, material_name(primitive.face_set), materials)
@@ -351,8 +360,8 @@ def upside_down(uvs: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def add_colours(layout: Layout, colours: NDArray[np.float32]) -> int:
     """Add colours ``(n, 4)``, as bytes where that is exact; return their accessor."""
-    exact = as_bytes(colours)
-    number = layout.add_array(within_one(colours) if exact is None else exact, target=VERTICES)
+    exact = colours_to_exact_bytes(colours)
+    number = layout.add_array(clip_to_unit(colours) if exact is None else exact, target=ARRAY_BUFFER)
     if exact is not None:
         layout.document["accessors"][number]["normalized"] = True
     return number
@@ -367,17 +376,17 @@ def add_vertex_numbers(layout: Layout, primitive: MovingPrimitive, vertex_count:
     """Store the sequence's vertex of each glTF vertex in ``_VERTEX``, as float32, unless the numbers are too large."""
     if vertex_count <= _LARGEST_EXACT:
         numbers = primitive.vertices.astype(np.float32)
-        primitive.entry["attributes"]["_VERTEX"] = layout.add_array(numbers, target=VERTICES)
+        primitive.entry["attributes"]["_VERTEX"] = layout.add_array(numbers, target=ARRAY_BUFFER)
 
 
 def material(document: Json, name: str, materials: dict[str, int]) -> int:
     """Return the index of the material of a name, added if missing; `materials` are indices by name."""
     if name in materials:
         return materials[name]
-    plain = {
+    entry = {
         **named(name),
         "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.8},
         "doubleSided": True,
     }
-    materials[name] = append(document, "materials", plain)
+    materials[name] = append(document, "materials", entry)
     return materials[name]

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from mixseq.errors import FormatError
 from mixseq.types import IntArray
 from mixseq_io.gltf.document import Document, Fields
-from mixseq_io.surfaces import numbered_by_appearance
+from mixseq_io.surfaces import renumber_by_appearance
 
 _NAME = "KHR_texture_transform"
 _TEXTURES = ("normalTexture", "occlusionTexture", "emissiveTexture")
@@ -236,7 +236,7 @@ def _found(primitives: Sequence[Primitive]) -> IntArray:
     labels: IntArray = np.zeros(sum(len(each.positions) for each in primitives), dtype=np.int64)
     for columns in _columns(primitives):
         labels = numbered(np.column_stack([labels, columns]))
-    return numbered_by_appearance(labels)[0]
+    return renumber_by_appearance(labels)[0]
 
 
 def target_count(primitives: Sequence[Primitive]) -> int:

@@ -50,15 +50,22 @@ from mixseq_io.gltf.animation import (
     sampled_times,
     told_by,
 )
-from mixseq_io.gltf.codecs import plain
+from mixseq_io.gltf.codecs import decompress_document
 from mixseq_io.gltf.document import Document, Fields, load_document
 from mixseq_io.gltf.primitives import Primitive, Weld, primitives_of, texture_transform, weld
 from mixseq_io.gltf.scene import Pose, Scene, read_scene
 from mixseq_io.reader import SequenceReader, naming, warn
-from mixseq_io.rig_arrays import choose_skeleton, skeleton_of
-from mixseq_io.scene_meshes import SceneMesh, chosen, common_name, join, moving, on_grid
-from mixseq_io.surfaces import with_alpha
-from mixseq_io.text.labels import Markings, Skinning, joined_skinning
+from mixseq_io.rig_arrays import build_skeleton, choose_skeleton
+from mixseq_io.scene_meshes import (
+    SceneMesh,
+    common_name,
+    join_meshes,
+    select_meshes,
+    select_moving_meshes,
+    snap_to_frames,
+)
+from mixseq_io.surfaces import ensure_alpha
+from mixseq_io.text.labels import Markings, Skinning, concatenate_skinning
 
 if TYPE_CHECKING:
     from mixseq.rigging.rigs import Skeleton
@@ -68,7 +75,9 @@ def chosen_nodes(document: Document, scene: Scene, prim: str | None) -> list[int
     """Return the nodes with meshes selected by `prim`, or all; hidden ones only if there are no others."""
     nodes = [node for node in scene.objects if "mesh" in scene.nodes[node]]
     if prim is not None:
-        nodes = [nodes[i] for i in chosen(document.path, [scene.objects[node] for node in nodes], prim)]
+        nodes = [
+            nodes[i] for i in select_meshes(document.path, [scene.objects[node] for node in nodes], prim)
+        ]
     return [node for node in nodes if node not in scene.hidden] or nodes
 
 
@@ -82,7 +91,9 @@ def moving_nodes(
         node in morphed or not moved.isdisjoint(scene.with_above(bearers(document, scene.nodes[node], node)))
         for node in nodes
     ]
-    return [nodes[i] for i in moving(document.path, [scene.objects[node] for node in nodes], moves)]
+    return [
+        nodes[i] for i in select_moving_meshes(document.path, [scene.objects[node] for node in nodes], moves)
+    ]
 
 
 def scene_mesh_of(document: Document, shape: Shape, first: int, mirrored: bool) -> SceneMesh:
@@ -134,7 +145,7 @@ def _colours_of_vertices(primitive: Primitive) -> FloatArray | None:
     assert values is not None
     if values.dtype.kind == "u":  # exporters that forget to say "normalized"
         values = values / float(np.iinfo(values.dtype).max)
-    return with_alpha(values)
+    return ensure_alpha(values)
 
 
 def _joined_values(
@@ -203,13 +214,13 @@ def _skinning(shape: Shape) -> Skinning:
 
 def read_joints(path: Path, name: str | None) -> Skeleton:
     """Read the joints of a skin; see `mixseq_io.read_skeleton`."""
-    document = plain(load_document(path))
+    document = decompress_document(load_document(path))
     scene = read_scene(document)
     skin = _chosen(document, name)
     joints = joints_of(document, skin)
     parents = _parents(scene, joints)
     labels = [scene.nodes[joint].text("name") for joint in joints]
-    return skeleton_of(labels, parents, _bind_pose(document, scene, skin, parents))
+    return build_skeleton(labels, parents, _bind_pose(document, scene, skin, parents))
 
 
 def _nodes_on(document: Document, scene: Scene, skeleton: Fields) -> list[int]:
@@ -294,7 +305,7 @@ def open_gltf(
     """Open a glTF file."""
     # Non-finite points are reported with their vertex when they are read.
     with naming(path), np.errstate(all="ignore"):
-        document = plain(load_document(path))
+        document = decompress_document(load_document(path))
         scene = read_scene(document)
         nodes = chosen_nodes(document, scene, prim)
         chosen = choose_animation(document, animation)
@@ -312,7 +323,7 @@ def open_gltf(
 def open_gltf_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
     """Open the meshes of a skeleton in their bind pose; see `mixseq_io.read_bind_pose`."""
     with naming(path), np.errstate(all="ignore"):
-        document = plain(load_document(path))
+        document = decompress_document(load_document(path))
         scene = read_scene(document)
         skin = _chosen(document, skeleton)
         shapes = _shapes(document, scene, _nodes_on(document, scene, skin), ())
@@ -413,11 +424,11 @@ class _GltfReader(SequenceReader):
             for shape, first, flip in zip(shapes, ends, mirrored, strict=False)
         ]
         path = document.path
-        polygons, surface = join(scene_meshes, Origin("glTF", str(path.resolve())))
+        polygons, surface = join_meshes(scene_meshes, Origin("glTF", str(path.resolve())))
         header = SequenceHeader(
             polygons=polygons,
             vertex_count=ends[-1],
-            times=on_grid(times + start, rate),
+            times=snap_to_frames(times + start, rate),
             fps=rate,
             name=common_name([scene.objects[shape.node] for shape in shapes]) or path.stem,
             surface=surface,
@@ -429,7 +440,7 @@ class _GltfReader(SequenceReader):
     def markings(self) -> Markings:
         """Return the sets of polygons and the joints of the meshes."""
         skinned = any(shape.skin is not None for shape in self._shapes)
-        skinning = joined_skinning([_skinning(shape) for shape in self._shapes]) if skinned else None
+        skinning = concatenate_skinning([_skinning(shape) for shape in self._shapes]) if skinned else None
         return replace(super().markings(), skinning=skinning)
 
     def _read(self, what: str, size: int) -> Iterator[FloatArray]:

@@ -1,10 +1,10 @@
 r"""Skins and morphs in glTF: a base mesh with morph targets, which may follow bones.
 
-A target is displacements ``d_m`` and weights ``w_tm``, scaled to sliders' range (`mixseq_io.rig_arrays.shape_of`).
-glTF blends normals as it does points, ``n_t ~ n_0 + sum_m w_tm e_m`` before normalisation. The ``e_m`` are fitted to
-the true normals ``N_t`` of all frames by least squares: with the matrix ``W`` of weights, ``E = W^+ (N - n_0)``.
+A target is displacements ``d_m`` and weights ``w_tm`` from 0 to 1 (`rig_arrays.normalise_morph_weights`). glTF blends
+normals as it does points, ``n_t ~ n_0 + sum_m w_tm e_m`` before normalisation. The ``e_m`` are fitted to the true
+normals ``N_t`` of all frames by least squares: with the matrix ``W`` of weights, ``E = W^+ (N - n_0)``.
 
-Joints are nodes in a tree. The node of joint b has the rotation and translation of `mixseq.rigging.rigs.Skin.local`
+Joints are nodes in a tree. The node of joint b has the rotation and translation of `Skin.local_motion`
 relative to its parent; in the world it takes the axes ``A_b`` at the pivot ``p_b`` to ``R_tb A_b`` at ``c_tb``. Its
 inverse bind matrix takes them to the axes of the world at the origin,
 
@@ -29,10 +29,22 @@ from mixseq.errors import OutputError
 from mixseq.rigging.rigs import Morph, Skin, rotation_matrices
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Single
-from mixseq_io.gltf.codecs import VERTICES, Json, Layout, append
-from mixseq_io.gltf.new_document import MovingMesh, named, new_animation, new_meshes, new_scene, upright
+from mixseq_io.gltf.codecs import ARRAY_BUFFER, Json, Layout, append
+from mixseq_io.gltf.new_document import (
+    MovingMesh,
+    axis_conversion,
+    create_scene,
+    named,
+    new_animation,
+    new_meshes,
+)
 from mixseq_io.reader import as_float32
-from mixseq_io.rig_arrays import four_influences, numbered_names, shape_of, steady_joints
+from mixseq_io.rig_arrays import (
+    four_influences,
+    local_joint_transforms,
+    normalise_morph_weights,
+    numbered_names,
+)
 
 _KINDS = {"translation": "VEC3", "rotation": "VEC4", "weights": "SCALAR"}
 
@@ -74,10 +86,10 @@ _ILL_DEFINED = 1e-6
 """Singular values of the weights below this fraction of the largest are ignored for normals."""
 
 
-def morphed_scene(morph: Morph) -> Layout:
+def create_morphed_scene(morph: Morph) -> Layout:
     """Return a document of a mesh with morph targets and the animation of their weights."""
-    layout, meshes = new_scene(morph.header)
-    animate(layout, morph.header, add_targets(layout, meshes, shape_of(morph)))
+    layout, meshes = create_scene(morph.header)
+    animate(layout, morph.header, add_targets(layout, meshes, normalise_morph_weights(morph)))
     return layout
 
 
@@ -104,7 +116,7 @@ def _add(layout: Layout, mesh: MovingMesh, morph: Morph, base: Single, targets: 
             attributes = each.entry["attributes"] if number == 0 else {}
             attributes["POSITION"] = layout.add_points(points[mesh.scene_mesh.vertices][each.vertices])
             if each.normals is not None:
-                attributes["NORMAL"] = layout.add_array(directions[each.normals], target=VERTICES)
+                attributes["NORMAL"] = layout.add_array(directions[each.normals], target=ARRAY_BUFFER)
             if number > 0:
                 append(each.entry, "targets", attributes)
 
@@ -127,7 +139,7 @@ MOST_BONES = 65535
 _MOST_OF_A_BYTE = 256
 
 
-def skinned_scene(skin: Skin) -> Layout:
+def create_skinned_scene(skin: Skin) -> Layout:
     """Return a document of a skinned mesh, its bones and their animation."""
     if skin.bone_count > MOST_BONES:
         raise OutputError(
@@ -135,7 +147,7 @@ def skinned_scene(skin: Skin) -> Layout:
         )
     layout, meshes = new_meshes(skin.header)
     document = layout.document
-    of_targets = add_targets(layout, meshes, shape_of(skin))
+    of_targets = add_targets(layout, meshes, normalise_morph_weights(skin))
     root, joints, of_bones = _add_bones(document, skin)
     document["skins"] = [
         {
@@ -159,8 +171,8 @@ def skinned_scene(skin: Skin) -> Layout:
 def _add_bones(document: Json, skin: Skin) -> tuple[int, list[int], list[Track]]:
     """Add a node for every bone in its first-frame pose, and a common root; return root, nodes and tracks."""
     skeleton = skin.skeleton
-    rotations, translations = steady_joints(skin, "glTF")
-    root = append(document, "nodes", {"name": "skeleton", "children": [], **upright(skin.header)})
+    rotations, translations = local_joint_transforms(skin, "glTF")
+    root = append(document, "nodes", {"name": "skeleton", "children": [], **axis_conversion(skin.header)})
     joints: list[int] = []
     tracks: list[Track] = []
     for bone, (name, parent) in enumerate(zip(skeleton.names, skeleton.parents.tolist(), strict=True)):
@@ -197,5 +209,5 @@ def _attach(
     for each in mesh.primitives:
         attributes = each.entry["attributes"]
         own = mesh.scene_mesh.vertices
-        attributes["JOINTS_0"] = layout.add_array(bones[own][each.vertices], target=VERTICES)
-        attributes["WEIGHTS_0"] = layout.add_array(weights[own][each.vertices], target=VERTICES)
+        attributes["JOINTS_0"] = layout.add_array(bones[own][each.vertices], target=ARRAY_BUFFER)
+        attributes["WEIGHTS_0"] = layout.add_array(weights[own][each.vertices], target=ARRAY_BUFFER)

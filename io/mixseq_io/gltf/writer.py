@@ -26,7 +26,15 @@ from mixseq.mesh.polygons import Polygons, difference
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, Index
 from mixseq_io.files import replacing
-from mixseq_io.gltf.codecs import GENERATOR, INDICES, Json, Layout, append, plain, writing_buffer
+from mixseq_io.gltf.codecs import (
+    ELEMENT_ARRAY_BUFFER,
+    GENERATOR,
+    Json,
+    Layout,
+    append,
+    decompress_document,
+    open_buffer_writer,
+)
 from mixseq_io.gltf.document import DAMAGE, Document, Fields, load_document
 from mixseq_io.gltf.edits import (
     NOTHING,
@@ -39,23 +47,23 @@ from mixseq_io.gltf.edits import (
     vacant,
 )
 from mixseq_io.gltf.new_document import (
-    Morphs,
+    MorphFrameWriter,
     MovingMesh,
     MovingPrimitive,
     add_vertex_numbers,
+    axis_conversion,
+    create_scene,
     distinguishes,
     group,
     material_name,
-    new_scene,
     owners,
     time_shift,
-    upright,
 )
 from mixseq_io.gltf.primitives import Primitive, Weld, weld
 from mixseq_io.gltf.scene import MARK, Scene, read_scene, undoing
-from mixseq_io.originals import fit_meshes, opened_original
+from mixseq_io.originals import match_meshes, open_original_file
 from mixseq_io.reader import as_float32, checked, reading, warn
-from mixseq_io.scene_meshes import SceneMesh, listed, split
+from mixseq_io.scene_meshes import SceneMesh, format_names, split_meshes
 from mixseq_io.surfaces import lost_colours, lost_subdivision, warn_of_losses
 
 _REPLACED = ("POSITION", "NORMAL", "TANGENT", "JOINTS_", "WEIGHTS_", "_VERTEX")
@@ -84,7 +92,7 @@ def find_places(document: Document, scene: Scene, header: SequenceHeader) -> lis
     def welded(node: int) -> Weld:
         return weld(document, scene.nodes[node].index("mesh") or 0)
 
-    return fit_meshes(
+    return match_meshes(
         document.path,
         header,
         meshes,
@@ -101,7 +109,7 @@ def _fitted(scene_mesh: SceneMesh, node: int, welded: Weld) -> Place | None:
     theirs = _triangles(welded)
     for mirrored in (False, True):
         read = Polygons.from_triangles(_turned(theirs, mirrored))
-        found = scene_mesh.matched_to(read)
+        found = scene_mesh.match(read)
         if found is not None:
             ours, match = found
             return Place(ours, node, welded, mirrored, match.corners)
@@ -143,7 +151,9 @@ def lay_over(
     shown_in = [each for each in carried.get("scenes", ()) if roots.intersection(each.get("nodes", ()))]
     above = {scene.parents[place.node] for place in places}
     animated = {channel.node for channel in others.channels}
-    inverses = [None if upright(header) else _inverse(scene, place.node, animated) for place in places]
+    inverses = [
+        None if axis_conversion(header) else _inverse(scene, place.node, animated) for place in places
+    ]
     stay = None not in inverses
     others = others.instead({place.node: detach(carried, place.node, stay) for place in places})
     for place, inverse in zip(places, inverses, strict=True):
@@ -161,7 +171,9 @@ def lay_over(
             add_vertex_numbers(layout, moving, place.weld.count)
             if place.mirrored:
                 turned = place.triangles(primitive).astype(np.uint32).reshape(-1)
-                moving.entry.update(indices=layout.add_array(turned, target=INDICES), mode=_TRIANGLES)
+                moving.entry.update(
+                    indices=layout.add_array(turned, target=ELEMENT_ARRAY_BUFFER), mode=_TRIANGLES
+                )
     return layout, meshes, others
 
 
@@ -194,8 +206,8 @@ def _drop_animations(carried: Json, document: Document, scene: Scene, places: Se
     others = moved_by_animations(carried, animations, scene) - {place.node for place in places}
     names = [each.get("name") or f"animation {number}" for number, each in enumerate(animations)]
     still = [scene.paths[node] for node in sorted(others)]
-    rest = f"; what else they moved will stand still: {listed(still)}" if still else ""
-    warn(f"{document.path}: the sequence takes the place of all its animations, {listed(names)}{rest}")
+    rest = f"; what else they moved will stand still: {format_names(still)}" if still else ""
+    warn(f"{document.path}: the sequence takes the place of all its animations, {format_names(names)}{rest}")
 
 
 def _new_mesh(carried: Json, document: Document, place: Place) -> MovingMesh:
@@ -272,16 +284,16 @@ def write_gltf(
 
     def opened(file: Path) -> tuple[Layout, list[MovingMesh], OtherMotion]:
         with reading(file, "glTF", *DAMAGE):
-            return lay_over(plain(load_document(file)), header, sources)
+            return lay_over(decompress_document(load_document(file)), header, sources)
 
-    overlay = opened_original(path, header, flatten, onto, "glTF", opened)
-    layout, meshes, others = overlay or (*new_scene(header), NOTHING)
-    lost = [] if overlay else lost_alone(header)
+    overlay = open_original_file(path, header, flatten, onto, "glTF", opened)
+    layout, meshes, others = overlay or (*create_scene(header), NOTHING)
+    lost = [] if overlay else standalone_losses(header)
     warn_of_changes(path, header, [*(["velocities"] if velocities is not None else []), *lost], keep_start)
     warn_of_many_frames(path, header)
-    morphs = Morphs(layout, meshes, header, keep_start, others)
+    morphs = MorphFrameWriter(layout, meshes, header, keep_start, others)
     _, numbered = checked(header, blocks, velocities)
-    with replacing(path) as temporary, writing_buffer(path, temporary, layout) as writer:
+    with replacing(path) as temporary, open_buffer_writer(path, temporary, layout) as writer:
         for first, block, _ in numbered:
             # One by one, because a block may be the whole sequence.
             for frame, points in enumerate(block, start=first):
@@ -292,7 +304,7 @@ def write_gltf(
 _USUAL_LIMIT_OF_FRAMES = 1000
 
 
-def lost_alone(header: SequenceHeader) -> list[str]:
+def standalone_losses(header: SequenceHeader) -> list[str]:
     """Return the losses of a mesh in a document of its own, in words."""
     lost = []
     if not header.polygons.only_triangles:
@@ -301,7 +313,7 @@ def lost_alone(header: SequenceHeader) -> list[str]:
     subdivision = lost_subdivision(header.surface)
     if subdivision:
         lost.append(subdivision)
-    meshes = split(header)
+    meshes = split_meshes(header)
     if any(_overlap(mesh) for mesh in meshes):
         lost.append("face sets that overlap")
     if any(each.name != material_name(each) for mesh in meshes for each in mesh.face_sets):
@@ -317,7 +329,7 @@ def warn_of_changes(
 ) -> None:
     """Warn of losses, and of differences when the file is read again."""
     warn_of_losses(path, "glTF files", lost)
-    if upright(header):
+    if axis_conversion(header):
         warn(
             f"{path}: glTF is in metres with Y up; the points stay as they are, in {header.metres_per_unit:g} metres "
             f"per unit with {header.up_axis} up, under a node that turns and scales them; convert_units "

@@ -20,7 +20,7 @@ from mixseq.mesh.polygons import Polygons
 from mixseq.sequence.header import SequenceHeader
 from mixseq_io.isolation import call_isolated
 from mixseq_io.reader import check_regular, reading
-from mixseq_io.surfaces import SURFACE_ARRAYS, surface_of_arrays
+from mixseq_io.surfaces import SURFACE_ARRAY_NAMES, surface_from_arrays
 
 _OTHER_SIDE = "mixseq_io.hdf5.permitted"
 
@@ -93,12 +93,12 @@ def read_header(path: Path, file: Contents, vertex_count: int, times: NDArray[np
         up_axis=file.text("up_axis"),
         metres_per_unit=float(file.attrs["metres_per_unit"]),
         name=file.text("name"),
-        surface=surface_of_arrays(_surface_arrays(file), path.parent),
+        surface=surface_from_arrays(_surface_arrays(file), path.parent),
     )
 
 
 def _surface_arrays(file: Contents) -> dict[str, NDArray[Any]]:
-    names = [name for name in SURFACE_ARRAYS if f"surface/{name}" in file.arrays]
+    names = [name for name in SURFACE_ARRAY_NAMES if f"surface/{name}" in file.arrays]
     arrays = {name: np.asarray(file.arrays[f"surface/{name}"]) for name in names}
     return {
         name: np.char.decode(array, "utf-8") if array.dtype.kind == "S" else array

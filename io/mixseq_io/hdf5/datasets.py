@@ -25,7 +25,7 @@ from mixseq.sequence.sequence import LARGEST, SMALLEST
 from mixseq.types import Float, Index
 from mixseq_io.files import replacing
 from mixseq_io.hdf5.contents import Contents
-from mixseq_io.surfaces import surface_arrays
+from mixseq_io.surfaces import surface_to_arrays
 
 CHECKED: dict[str, Any] = {"fletcher32": True, "shuffle": True, "compression": "gzip", "compression_opts": 6}
 """Storage options of every dataset with elements."""
@@ -67,7 +67,7 @@ def write_header(file: h5py.File, header: SequenceHeader) -> None:
     file.attrs["metres_per_unit"] = header.metres_per_unit
     put_array(file, "polygons/counts", header.polygons.counts)
     put_array(file, "polygons/indices", header.polygons.indices)
-    for name, array in surface_arrays(header.surface).items():
+    for name, array in surface_to_arrays(header.surface).items():
         if array.dtype.kind == "U":
             # Fixed length: strings of any length lie outside the dataset and its checksum.
             array = np.char.encode(array, "utf-8")

@@ -25,7 +25,7 @@ from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import FloatArray
 from mixseq_io.files import replacing_many
 from mixseq_io.reader import SequenceReader, checked, naming, read_whole, reading, warn
-from mixseq_io.surfaces import from_text, lost_scale, lost_times, warn_of_losses
+from mixseq_io.surfaces import lost_scale, lost_times, scale_text_colours, warn_of_losses
 
 _PLACEHOLDER = re.compile(r"#+|%0?(\d*)d")
 _LAST_NUMBER = re.compile(r"(\d+)(?=\D*$)")
@@ -36,7 +36,7 @@ def is_pattern(path: Path) -> bool:
     return _PLACEHOLDER.search(path.name) is not None
 
 
-def numbered_name(pattern: Path, number: int) -> str:
+def frame_file_name(pattern: Path, number: int) -> str:
     """Return a pattern's name with a frame number, or the unchanged name without a placeholder."""
     return _PLACEHOLDER.sub(lambda found: str(number).zfill(_width(found)), pattern.name, count=1)
 
@@ -50,7 +50,7 @@ def find_frames(path: Path, allow_gaps: bool, extension: str = ".obj") -> tuple[
             path, [file for file in path.iterdir() if file.suffix.lower() == extension]
         )
     elif is_pattern(path):
-        numbered = files_of_pattern(path)
+        numbered = find_numbered_files(path)
     elif "*" in path.name or "?" in path.name:
         numbered = _by_last_number(path, path.parent.glob(path.name))
     else:
@@ -63,7 +63,7 @@ def find_frames(path: Path, allow_gaps: bool, extension: str = ".obj") -> tuple[
     return [file for _, file in numbered], numbers
 
 
-def files_of_pattern(path: Path) -> list[tuple[int, Path]]:
+def find_numbered_files(path: Path) -> list[tuple[int, Path]]:
     """Find the numbers and files that match a pattern, in no order."""
     place = _PLACEHOLDER.search(path.name)
     if place is None or not path.parent.is_dir():
@@ -170,7 +170,7 @@ class FrameFormat:
 
     def read(self, file: Path, like: MeshFile | None = None) -> MeshFile:
         """Read a file, given the first frame's mesh for later frames."""
-        with reading(file, a_file(self.name), *self.damage):
+        with reading(file, with_article(self.name), *self.damage):
             return self.parse(file, read_whole(file, self.is_text), like)
 
     def write(
@@ -190,15 +190,15 @@ class FrameFormat:
             raise SettingsError(f"start is {start}; files are numbered from 0 or more")
         if header.frame_count > 1 and not is_pattern(path):
             raise OutputError(
-                f"{path}: {a_file(self.name)} holds one frame, this sequence has {header.frame_count}; give a pattern "
-                f"such as {path.stem.rstrip('*')}_####{path.suffix}"
+                f"{path}: {with_article(self.name)} holds one frame, this sequence has {header.frame_count}; give a "
+                f"pattern such as {path.stem.rstrip('*')}_####{path.suffix}"
             )
         own = number_at(header.times[0], header.fps)
         first = start if start is not None else int(own) if own >= 0 and own.is_integer() else 1
         lost = lost_times(header, first if start is None else own)
         lost += lost_scale(header, velocities is not None) + self.lost(header)
         warn_of_losses(path, f"{self.name} files", lost)
-        names = [numbered_name(path, number) for number in range(first, first + header.frame_count)]
+        names = [frame_file_name(path, number) for number in range(first, first + header.frame_count)]
         encode = self.encoder(path, header)
         with replacing_many(path) as folder:
             _, numbered = checked(header, blocks, velocities)
@@ -253,14 +253,14 @@ def _alike(colours: CornerValues | None, first: CornerValues | None) -> bool:
     return np.array_equal(colours.at_corners, first.at_corners, equal_nan=True)
 
 
-def a_file(kind: str) -> str:
+def with_article(kind: str) -> str:
     """Return "a file" of a format with its article: "a PLY file", "an OBJ file"."""
     return f"{'a' if kind.startswith('P') else 'an'} {kind} file"
 
 
 def _warn_of_others(path: Path, written: set[str]) -> None:
     """Warn of files left by a longer sequence, which would be read with this one."""
-    others = sorted({file.name for _, file in files_of_pattern(path)} - written)
+    others = sorted({file.name for _, file in find_numbered_files(path)} - written)
     if others:
         warn(
             f"{path}: {len(others)} files of another sequence, {others[0]} to {others[-1]}, match as well; "
@@ -290,7 +290,7 @@ def colours_of_words(
 ) -> FloatArray:
     """Return the colours ``(n, 3)`` or ``(n, 4)`` of some vertices; unreadable ones are NaN in later frames."""
     try:
-        return from_text(np.array(rows, dtype=np.float64))
+        return scale_text_colours(np.array(rows, dtype=np.float64))
     except ValueError:
         if like is not None:
             return np.full((len(rows), len(rows[0])), np.nan)

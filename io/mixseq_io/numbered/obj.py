@@ -52,7 +52,7 @@ from mixseq_io.numbered.files import (
     number_lines,
 )
 from mixseq_io.reader import warn
-from mixseq_io.surfaces import colours_of_vertices, lost_colours, lost_surface
+from mixseq_io.surfaces import format_vertex_colours, lost_colours, lost_surface
 
 NOTHING = "(null)"
 """Name for no group or no material after faces that had one, as exporters write it."""
@@ -342,7 +342,7 @@ def obj_encoder(path: Path, header: SequenceHeader) -> Encoder:
     faces = ["".join(lines[a:b]).encode(errors="replace") for a, b in pairwise(polygons)]
     uvs = b"" if header.surface.uvs is None else number_lines("vt ", header.surface.uvs.values)
     hard_edges = header.surface.hard_edges
-    colours = colours_of_vertices(header, 3)
+    colours = format_vertex_colours(header, 3)
 
     def encode(points: FloatArray, frame: int) -> Iterable[bytes]:
         yield WRITTEN_BY + str(points.dtype).encode() + b"\n"

@@ -35,12 +35,12 @@ from mixseq_io.numbered.files import Encoder, FrameFormat, MeshFile
 from mixseq_io.reader import warn
 from mixseq_io.surfaces import (
     LARGEST_BYTE,
-    as_bytes,
-    from_text,
+    clip_to_unit,
+    colours_to_exact_bytes,
+    ensure_alpha,
     lost_colours,
     lost_surface,
-    with_alpha,
-    within_one,
+    scale_text_colours,
 )
 
 _TYPES = {
@@ -358,7 +358,7 @@ def _colours(
         wrong = (lists.counts != 0) & (lists.counts != width * polygons.counts)
         if not wrong.any():
             shares = replace(lists, values=_from_zero_to_one([lists])[0])
-            return CornerValues.of_corners(with_alpha(_of_lists(shares, polygons, WHITE[:width])))
+            return CornerValues.of_corners(ensure_alpha(_of_lists(shares, polygons, WHITE[:width])))
         face = int(np.argmax(wrong))
         if like is None:
             warn(
@@ -384,14 +384,14 @@ def _colour_rows(columns: Columns) -> FloatArray | None:
     for names in (_COLOUR, _COLOUR[:3]):
         found = [columns[name] for name in names if name in columns and columns[name].counts is None]
         if len(found) == len(names) and len(found[0].values):
-            return with_alpha(np.stack(_from_zero_to_one(found), axis=1))
+            return ensure_alpha(np.stack(_from_zero_to_one(found), axis=1))
     return None
 
 
 def _from_zero_to_one(columns: Sequence[Column]) -> list[FloatArray]:
     """Return colours scaled to 0 to 1: integers by the value of 1 in their type, floats by all of them."""
     floats = [each.values for each in columns if each.type.kind == "f"]
-    shares = iter(from_text(np.stack(floats)) if floats else ())
+    shares = iter(scale_text_colours(np.stack(floats)) if floats else ())
     return [
         next(shares) if each.type.kind == "f" else each.values / np.float64(_one_of(each.type, columns))
         for each in columns
@@ -424,10 +424,10 @@ def _encoder(path: Path, header: SequenceHeader) -> Encoder:
             lists.append(("texcoord", surface.uvs.at_corners))
     if surface.colours is not None:
         channels = 3 if (surface.colours.values[:, 3] == 1).all() else 4
-        colours = replace(surface.colours, values=within_one(surface.colours.values))
+        colours = replace(surface.colours, values=clip_to_unit(surface.colours.values))
         if colours.one_per_vertex(polygons.indices):
             values = colours.at_vertices(polygons.indices, header.vertex_count, WHITE)[:, :channels]
-            exact = as_bytes(values)
+            exact = colours_to_exact_bytes(values)
             columns.append((" ".join(_COLOUR[:channels]), values if exact is None else exact))
         else:
             lists.append(("color", colours.at_corners[:, :channels]))

@@ -41,12 +41,12 @@ from mixseq_io.numbered.files import (
 )
 from mixseq_io.reader import as_float32, warn
 from mixseq_io.surfaces import (
-    colours_of_vertices,
+    ensure_alpha,
+    format_vertex_colours,
     lost_colours,
     lost_polygons,
     lost_surface,
-    numbered_by_appearance,
-    with_alpha,
+    renumber_by_appearance,
 )
 
 _COLOUR = 4
@@ -86,7 +86,7 @@ def _colours(file: Path, texts: list[bytes], like: MeshFile | None) -> FloatArra
     rows = [text.split() for text in texts]
     if not rows or len(rows[0]) not in (3, 4) or any(len(row) != len(rows[0]) for row in rows):
         return None
-    return with_alpha(colours_of_words(file, range(len(rows)), rows, like))
+    return ensure_alpha(colours_of_words(file, range(len(rows)), rows, like))
 
 
 def _check_lines(file: Path, lines: list[bytes]) -> list[bytes]:
@@ -114,7 +114,7 @@ def _check_lines(file: Path, lines: list[bytes]) -> list[bytes]:
 def _off_encoder(path: Path, header: SequenceHeader) -> Encoder:
     counts = f"{header.vertex_count} {len(header.faces)} 0\n".encode()
     faces = "".join(f"3 {a} {b} {c}\n" for a, b, c in header.faces.tolist()).encode()
-    colours = colours_of_vertices(header, 4)
+    colours = format_vertex_colours(header, 4)
     kind = b"COFF\n" if colours else b"OFF\n"
 
     def encode(points: FloatArray, frame: int) -> Iterable[bytes]:
@@ -172,7 +172,7 @@ def parse_stl(file: Path, data: bytes, like: MeshFile | None) -> MeshFile:
 
 def _weld(corners: FloatArray) -> tuple[IntArray, IntArray]:
     """Merge equal corners ``(3 F, 3)`` in order of appearance: return vertices ``(3 F,)``, first corners ``(V,)``."""
-    return numbered_by_appearance(np.unique(corners + 0.0, axis=0, return_inverse=True)[1])  # -0 is 0
+    return renumber_by_appearance(np.unique(corners + 0.0, axis=0, return_inverse=True)[1])  # -0 is 0
 
 
 def _read_corners(file: Path, data: bytes) -> FloatArray:

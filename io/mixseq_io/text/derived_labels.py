@@ -27,7 +27,14 @@ from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import FaceSet
 from mixseq.mesh.topology import Topology
 from mixseq.types import FloatArray, Index
-from mixseq_io.text.labels import SMALLEST_JOINT, Labels, Skinning, most_frequent, shortest, triangle_labels
+from mixseq_io.text.labels import (
+    MIN_JOINT_FACE_RATIO,
+    Labels,
+    Skinning,
+    most_frequent,
+    shorten_paths,
+    triangle_labels,
+)
 
 UNNAMED = "(none)"
 """Name of the label of polygons in no set."""
@@ -78,7 +85,9 @@ def labels_of_colours(colours: FloatArray, polygons: Polygons) -> Labels:
     return Labels(triangle_labels(dense, polygons), tuple(_hexadecimal(kinds[kind]) for kind in used))
 
 
-def labels_of_skinning(skinning: Skinning, polygons: Polygons, smallest: float = SMALLEST_JOINT) -> Labels:
+def labels_of_skinning(
+    skinning: Skinning, polygons: Polygons, smallest: float = MIN_JOINT_FACE_RATIO
+) -> Labels:
     """Label polygons by the joint with the largest sum of weights."""
     count = len(polygons.counts)
     rows = np.repeat(np.arange(count), polygons.counts)
@@ -93,7 +102,7 @@ def labels_of_skinning(skinning: Skinning, polygons: Polygons, smallest: float =
     merged = _merged_up(skinning, followed, smallest * count)
     tidy = without_small_regions(merged, polygons, skinning.weights.shape[0], smallest * count)
     used, dense = np.unique(tidy, return_inverse=True)
-    texts = shortest(skinning.joints[joint] for joint in used)
+    texts = shorten_paths(skinning.joints[joint] for joint in used)
     return Labels(triangle_labels(dense, polygons), tuple(texts.values()))
 
 

@@ -36,16 +36,16 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames, MeshSequence
 from mixseq.types import FloatArray, Index, IntArray, PathLike
 from mixseq_io.files import replacing
-from mixseq_io.npz import opened_archive
+from mixseq_io.npz import open_archive
 from mixseq_io.reader import SequenceReader, warn
 from mixseq_io.registry import FORMATS, open_sequence, write_blocks
-from mixseq_io.surfaces import within
+from mixseq_io.surfaces import are_valid_indices
 from mixseq_io.text.labels import (
-    COLOURS,
-    FAMILY,
-    LABELS,
-    SKELETON,
-    SMALLEST_JOINT,
+    COLOURS_SOURCE,
+    LABEL_SUBSET_FAMILY,
+    LABELS_SOURCE,
+    MIN_JOINT_FACE_RATIO,
+    SKELETON_SOURCE,
     Labels,
     polygon_labels,
     triangle_labels,
@@ -62,7 +62,7 @@ def read_labels(
     sequence: Frames | SequenceHeader,
     source: str | None = None,
     *,
-    smallest_joint: float = SMALLEST_JOINT,
+    smallest_joint: float = MIN_JOINT_FACE_RATIO,
     **options: Any,
 ) -> Labels:
     """Read labels of a mesh's faces from a file, unchanged.
@@ -83,14 +83,14 @@ def read_labels(
     file = Path(path)
     header = sequence if isinstance(sequence, SequenceHeader) else sequence.header
     sources = _stored(file, header)
-    if _is_mesh(file) and not (sources and source in (None, LABELS)):
+    if _is_mesh(file) and not (sources and source in (None, LABELS_SOURCE)):
         with open_sequence(file, **options) as reader:
             sources |= _marked(reader, header, smallest_joint)
     return _chosen(file, sources, source)()
 
 
-def labels_of(
-    reader: SequenceReader, source: str | None = None, *, smallest_joint: float = SMALLEST_JOINT
+def extract_labels(
+    reader: SequenceReader, source: str | None = None, *, smallest_joint: float = MIN_JOINT_FACE_RATIO
 ) -> Labels:
     """Return the labels from an open sequence's own file; see `read_labels`."""
     sources = _stored(reader.path, reader.header) | _marked(reader, reader.header, smallest_joint)
@@ -98,14 +98,14 @@ def labels_of(
 
 
 def _chosen(file: Path, sources: Sources, wanted: str | None) -> Callable[[], Labels]:
-    if wanted == FAMILY and wanted not in sources:
-        wanted = LABELS  # what the family that `mixseq segment` writes is called here
+    if wanted == LABEL_SUBSET_FAMILY and wanted not in sources:
+        wanted = LABELS_SOURCE  # what the family that `mixseq segment` writes is called here
     if wanted is not None:
         if wanted not in sources:
             raise FormatError(f"{file} has no {wanted!r} to label faces by; {_what_there_is(list(sources))}")
         return sources[wanted]
-    if LABELS in sources:
-        return sources[LABELS]
+    if LABELS_SOURCE in sources:
+        return sources[LABELS_SOURCE]
     if len(sources) == 1:
         return next(iter(sources.values()))
     telling = {}
@@ -139,14 +139,14 @@ def _stored(file: Path, header: SequenceHeader) -> Sources:
     """Return the label array of an npz file, if any, as a source."""
     if file.suffix.lower() != ".npz":
         return {}
-    with opened_archive(file) as archive:
+    with open_archive(file) as archive:
         members = archive.names
         name = next((each for each in LABEL_ARRAYS if each in members), "")
         values = archive.read(name) if name else None
         names = archive.read("names") if "names" in members else None
     if values is not None:
         labels = _of_array(file, name, values, names, header.polygons)
-        return {LABELS: lambda: labels}
+        return {LABELS_SOURCE: lambda: labels}
     if "points" not in members:
         raise FormatError(
             f"{file} has the arrays {', '.join(sorted(members)) or 'none'}; `part_of_face` or `labels`, a number for "
@@ -159,7 +159,7 @@ def _is_mesh(file: Path) -> bool:
     """Whether a file is a sequence, as opposed to an array of labels."""
     if file.suffix.lower() != ".npz":
         return True
-    with opened_archive(file) as archive:
+    with open_archive(file) as archive:
         return "points" in archive.names
 
 
@@ -178,7 +178,12 @@ def _of_array(
             + (f" and {count} polygons" if count != triangles else "")
             + "; give one for each"
         )
-    if names is not None and values.dtype.kind != "U" and values.size and within(values, np.size(names)):
+    if (
+        names is not None
+        and values.dtype.kind != "U"
+        and values.size
+        and are_valid_indices(values, np.size(names))
+    ):
         dense, texts = values, tuple(str(each) for each in np.ravel(names).tolist())
     else:
         kinds, dense = np.unique(values, return_inverse=True)
@@ -199,9 +204,9 @@ def _marked(reader: SequenceReader, header: SequenceHeader, smallest: float) -> 
     sources: Sources = {name: partial(labels_of_sets, sets, polygons) for name, sets in markings.sets.items()}
     colours = reader.header.surface.colours
     if colours is not None:
-        sources[COLOURS] = partial(_colours, file, colours.at_corners, polygons)
+        sources[COLOURS_SOURCE] = partial(_colours, file, colours.at_corners, polygons)
     if markings.skinning is not None:
-        sources[SKELETON] = partial(labels_of_skinning, markings.skinning, polygons, smallest)
+        sources[SKELETON_SOURCE] = partial(labels_of_skinning, markings.skinning, polygons, smallest)
     if face is None:
         return sources
     return {name: partial(_carried, make, face) for name, make in sources.items()}
@@ -262,7 +267,7 @@ def write_labels(
     - OBJ, Alembic and HDF5 sequences: a face set for every part in place of those without material.
     """
     file, header = Path(path), sequence.header
-    form = check_holds_labels(file)
+    form = check_label_target(file)
     if form == ARRAYS:
         _write_arrays(file, header, labels)
         return
@@ -279,7 +284,7 @@ def write_labels(
     write_blocks(file, replace(header, surface=surface), points, velocities, **alone)
 
 
-def check_holds_labels(path: PathLike) -> str:
+def check_label_target(path: PathLike) -> str:
     """Return the name of a file's format; raise an error if it cannot hold parts."""
     extension = Path(path).suffix.lower()
     able = [form for form in FORMATS if form.name in (ARRAYS, SUBSETS, *SETS)]
@@ -326,7 +331,7 @@ def _write_subsets(
     if untouched and not flatten and file.suffix.lower() != ".usdz" and write_usd_parts(file, header, parts):
         return
     if isinstance(sequence, SequenceReader):
-        header = _without(header, sequence.markings().sets.get(LABELS, ()))
+        header = _without(header, sequence.markings().sets.get(LABELS_SOURCE, ()))
     write_usd(file, header, *_values(sequence), flatten=flatten, parts=parts)
 
 

@@ -53,13 +53,19 @@ def most_frequent(owner: Index, value: Index) -> Index:
     return np.asarray(pairs[order][first] % span, dtype=np.int64)
 
 
-LABELS, GROUPS, MATERIALS, COLOURS, SKELETON = "labels", "groups", "materials", "colours", "skeleton"
+LABELS_SOURCE, GROUPS_SOURCE, MATERIALS_SOURCE, COLOURS_SOURCE, SKELETON_SOURCE = (
+    "labels",
+    "groups",
+    "materials",
+    "colours",
+    "skeleton",
+)
 """Names of sources; other families of USD subsets are sources by their own names."""
 
-FAMILY = "mixseq"
-"""Family of USD subsets that are parts: the source `LABELS`."""
+LABEL_SUBSET_FAMILY = "mixseq"
+"""Family of USD subsets that are parts: the source `LABELS_SOURCE`."""
 
-SMALLEST_JOINT = 0.01
+MIN_JOINT_FACE_RATIO = 0.01
 """Smallest share of the polygons of a joint that is a part of its own."""
 
 
@@ -87,18 +93,20 @@ class Markings:
     skinning: Skinning | None = None
 
 
-def sets_of(header: SequenceHeader) -> dict[str, tuple[FaceSet, ...]]:
+def group_face_sets(header: SequenceHeader) -> dict[str, tuple[FaceSet, ...]]:
     """Return the face sets of a surface: those with materials, and the others."""
     every = header.surface.face_sets
-    materials = shortest(each.material for each in every if each.material)
+    materials = shorten_paths(each.material for each in every if each.material)
     named = {
-        GROUPS: tuple(each for each in every if not each.material),
-        MATERIALS: tuple(FaceSet(materials[each.material], each.polygons) for each in every if each.material),
+        GROUPS_SOURCE: tuple(each for each in every if not each.material),
+        MATERIALS_SOURCE: tuple(
+            FaceSet(materials[each.material], each.polygons) for each in every if each.material
+        ),
     }
     return {source: sets for source, sets in named.items() if sets}
 
 
-def joined_skinning(meshes: Sequence[Skinning]) -> Skinning:
+def concatenate_skinning(meshes: Sequence[Skinning]) -> Skinning:
     """Concatenate the skinning of several meshes; shared joints are merged."""
     from scipy.sparse import csr_array, vstack
 
@@ -114,7 +122,7 @@ def joined_skinning(meshes: Sequence[Skinning]) -> Skinning:
     return Skinning(csr_array(vstack(rows)), tuple(column), tuple(parents.values()))
 
 
-def shortest(paths: Iterable[str]) -> dict[str, str]:
+def shorten_paths(paths: Iterable[str]) -> dict[str, str]:
     """Return the last name of each path, or the whole path where it is ambiguous."""
     last = {path: path.rstrip("/").rpartition("/")[2] or path for path in paths}
     often = Counter(last.values())

@@ -37,10 +37,10 @@ from numpy.typing import NDArray
 
 from mixseq.errors import FormatError, OutputError, SettingsError
 from mixseq.retargeting.markers import Correspondence
-from mixseq.retargeting.matching import Mesh, from_barycentric, from_triangles, from_vertices
+from mixseq.retargeting.matching import RestMesh, from_barycentric, from_triangles, from_vertices
 from mixseq.types import Float, IntArray, PathLike
 from mixseq_io.files import replacing
-from mixseq_io.npz import opened_archive
+from mixseq_io.npz import open_archive
 from mixseq_io.text.markers import parse_json, read_text
 
 Kind = Literal["vertices", "triangles", "barycentric"]
@@ -59,7 +59,7 @@ _STORED = ("corners", "weights", "faces", "leaders", "sizes", "source", "target"
 
 
 @dataclass(frozen=True, eq=False)
-class GivenMap:
+class MapFile:
     """Map as stored in a file."""
 
     file: Path  # the file, for messages
@@ -72,15 +72,15 @@ FEW = 0.1
 """Smallest mapped share of a mesh; a map with less is a list of markers given by mistake."""
 
 
-def read_map(path: PathLike, kind: Kind | None = None) -> GivenMap:
+def read_map(path: PathLike, kind: Kind | None = None) -> MapFile:
     """Read a map; see the head of this module."""
     file = Path(path)
     if file.suffix.lower() == ".npz":
         return _read_npz(file)
-    return GivenMap(file, *_read_rows(file, kind), {})
+    return MapFile(file, *_read_rows(file, kind), {})
 
 
-def to_correspondence(given: GivenMap, source: Mesh, target: Mesh) -> Correspondence:
+def to_correspondence(given: MapFile, source: RestMesh, target: RestMesh) -> Correspondence:
     """Return a map's correspondence of two meshes: source, target ``(V, 3)``."""
     try:
         if given.kind == "stored":
@@ -128,22 +128,22 @@ def write_map(
         "faces": correspondence.faces.astype(np.int32),
         "leaders": correspondence.leaders.astype(np.int32),
         "sizes": np.array(sizes, np.int64),
-        "source": np.array(checksum(sizes[0][0], source_faces)),
-        "target": np.array(checksum(sizes[1][0], target_faces)),
+        "source": np.array(mesh_checksum(sizes[0][0], source_faces)),
+        "target": np.array(mesh_checksum(sizes[1][0], target_faces)),
     }
     with replacing(file) as temporary, temporary.open("wb") as stream:
         np.savez_compressed(stream, allow_pickle=False, **arrays)
 
 
-def checksum(vertex_count: int, faces: IntArray) -> str:
+def mesh_checksum(vertex_count: int, faces: IntArray) -> str:
     """Return the SHA-256 of a mesh's number of vertices and triangles ``(F, 3)``, its identity."""
     hashed = hashlib.sha256(str(vertex_count).encode())
     hashed.update(np.ascontiguousarray(faces, "<i8").tobytes())
     return hashed.hexdigest()
 
 
-def _read_npz(file: Path) -> GivenMap:
-    with opened_archive(file) as archive:
+def _read_npz(file: Path) -> MapFile:
+    with open_archive(file) as archive:
         arrays = {name: archive.read(name) for name in archive.names}
     empty = np.zeros((0, 0))
     if "version" in arrays and "corners" in arrays:
@@ -154,23 +154,23 @@ def _read_npz(file: Path) -> GivenMap:
         missing = [name for name in _STORED if name not in arrays]
         if missing:
             raise FormatError(f"{file} has no array {missing[0]!r}; it is damaged")
-        return GivenMap(file, "stored", empty, arrays)
+        return MapFile(file, "stored", empty, arrays)
     if {"corners", "weights"} <= arrays.keys():
-        return GivenMap(file, "corners", empty, arrays)
+        return MapFile(file, "corners", empty, arrays)
     for kind in ("vertices", "triangles"):
         if kind in arrays:
-            return GivenMap(file, kind, empty, arrays)
+            return MapFile(file, kind, empty, arrays)
     raise FormatError(
         f"{file} has the arrays {', '.join(arrays) or 'none'}; a map has `vertices`, `triangles`, or `corners` and "
         "`weights`"
     )
 
 
-def _stored(arrays: dict[str, NDArray[Any]], source: Mesh, target: Mesh) -> Correspondence:
+def _stored(arrays: dict[str, NDArray[Any]], source: RestMesh, target: RestMesh) -> Correspondence:
     """Return the correspondence written by `write_map`; raise an error for other meshes or damage."""
     sizes = [(len(points), len(faces)) for points, faces in (source, target)]
     for name, mesh in (("source", source), ("target", target)):
-        if str(arrays[name]) != checksum(len(mesh[0]), mesh[1]):
+        if str(arrays[name]) != mesh_checksum(len(mesh[0]), mesh[1]):
             raise SettingsError(
                 f"this is a map of another {name}, of other vertices or triangles than the {len(mesh[0])} and "
                 f"{len(mesh[1])} given; make it anew from markers"

@@ -140,7 +140,7 @@ def read_markers(path: PathLike, *, reverse: bool = False) -> Markers:
     found = [_marker(f"{file}, {entry.where}", entry) for entry in entries]
     pairs = [(target, source) if reverse else (source, target) for source, target, _ in found]
     names = tuple(name for _, _, name in found)
-    return Markers.of(pairs, names if any(names) else ())
+    return Markers.from_pairs(pairs, names if any(names) else ())
 
 
 def write_markers(path: PathLike, markers: Markers) -> None:

@@ -30,7 +30,7 @@ from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.mesh.polygons import Polygons
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import IntArray
-from mixseq_io.surfaces import numbered_by_appearance, within
+from mixseq_io.surfaces import are_valid_indices, renumber_by_appearance
 from mixseq_io.usd.stage import Notes, Placement, lineage, time_codes, varies
 
 
@@ -212,7 +212,7 @@ def weld(mesh: UsdGeom.Mesh, points: NDArray[np.float32]) -> Weld:
     labels = _told(mesh, len(points))
     if labels is None:
         labels = _found(mesh, points)
-    return Weld(*numbered_by_appearance(labels))
+    return Weld(*renumber_by_appearance(labels))
 
 
 def _told(mesh: UsdGeom.Mesh, count: int) -> IntArray | None:
@@ -253,7 +253,7 @@ def _influences(mesh: UsdGeom.Mesh, count: int) -> Iterator[NDArray[np.float32] 
             continue  # the shape at weight 0
         rows = indices[query.GetBlendShapeIndex(subshape)]
         rows = rows if rows.size else np.arange(count)
-        if len(rows) != len(offsets) or not within(rows, count):
+        if len(rows) != len(offsets) or not are_valid_indices(rows, count):
             yield None
             continue
         dense = np.zeros((count, 3), dtype=np.float32)

@@ -27,10 +27,10 @@ from mixseq.errors import FormatError, OutputError
 from mixseq.mesh.polygons import PolygonMatch, Polygons, difference, reversed_corners
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, IntArray
-from mixseq_io.originals import fit_meshes, is_retimed
+from mixseq_io.originals import is_retimed, match_meshes
 from mixseq_io.reader import warn
 from mixseq_io.scene_meshes import SceneMesh
-from mixseq_io.surfaces import within
+from mixseq_io.surfaces import are_valid_indices
 from mixseq_io.usd.layers import (
     WORLD,
     Bounds,
@@ -188,7 +188,7 @@ def open_original(path: Path, header: SequenceHeader) -> Original:
         raise OutputError(f"{path} has {rate:g} time codes per second, a positive number is needed")
     try:
         meshes = {str(prim.GetPath()): mesh for prim in prims_of(path, stage) if (mesh := UsdGeom.Mesh(prim))}
-        return Original(path, stage, tuple(fit_meshes(path, header, meshes, _fitted, _difference)))
+        return Original(path, stage, tuple(match_meshes(path, header, meshes, _fitted, _difference)))
     except FormatError as error:
         raise OutputError(str(error)) from error
 
@@ -217,7 +217,7 @@ def _fitted(scene_mesh: SceneMesh, mesh: UsdGeom.Mesh) -> Fit | None:
             continue
         # Readers reverse left-handed faces.
         for turned in (False, True):
-            found = scene_mesh.matched_to(seams.polygons(stored), reverse if turned else None)
+            found = scene_mesh.match(seams.polygons(stored), reverse if turned else None)
             if found is not None:
                 ours, match = found
                 return Fit(ours, mesh, stored.indices, match, turned, seams)
@@ -230,7 +230,9 @@ def _stored(mesh: UsdGeom.Mesh) -> tuple[Polygons | None, FloatArray]:
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get(earliest) or (), dtype=np.int32)
     points = np.array(mesh.GetFaceVertexIndicesAttr().Get(earliest) or (), dtype=np.int32)
     places = np.array(mesh.GetPointsAttr().Get(earliest) or (), dtype=np.float32).reshape(-1, 3)
-    sound = counts.min(initial=3) >= 3 and counts.sum() == points.size and within(points, len(places))
+    sound = (
+        counts.min(initial=3) >= 3 and counts.sum() == points.size and are_valid_indices(points, len(places))
+    )
     return (Polygons(counts, points) if sound else None), places
 
 

@@ -23,7 +23,15 @@ from mixseq.mesh.surface import Origin
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray
 from mixseq_io.reader import SequenceReader, naming, warn
-from mixseq_io.scene_meshes import MOST_PLAYED, SAME_TIME, common_name, join, joined, moving, united
+from mixseq_io.scene_meshes import (
+    MAX_INSERTED_FRAMES,
+    TIME_TOLERANCE,
+    common_name,
+    insert_times,
+    join_meshes,
+    merge_times,
+    select_moving_meshes,
+)
 from mixseq_io.text.labels import Markings
 from mixseq_io.usd.motion import AnimatedMesh, Mover, Pose, Skeleton, bound, skins_of
 from mixseq_io.usd.rigs import skeleton_prim
@@ -135,7 +143,7 @@ def _shot(path: Path, stage: Usd.Stage, prim: str | None, notes: Notes) -> _Shot
     skins = skins_of(meshes, notes)
     movers = [Mover(mesh, skins.get(mesh.GetPath())) for mesh in meshes]
     if prim is None:
-        numbers = moving(path, places_of(meshes), [bool(mover.sources) for mover in movers])
+        numbers = select_moving_meshes(path, places_of(meshes), [bool(mover.sources) for mover in movers])
         movers = [movers[i] for i in numbers]
     codes = _frame_codes(path, stage, movers)
     return _Shot(stage, [AnimatedMesh(mover, codes) for mover in movers], codes)
@@ -149,7 +157,7 @@ def _header(path: Path, shot: _Shot, notes: Notes) -> SequenceHeader:
         scene_mesh_of(mesh, end - mesh.vertex_count, shot.codes, notes)
         for mesh, end in zip(shot.meshes, ends, strict=True)
     ]
-    polygons, surface = join(scene_meshes, Origin("USD", absolute(path)))
+    polygons, surface = join_meshes(scene_meshes, Origin("USD", absolute(path)))
     return SequenceHeader(
         polygons=polygons,
         vertex_count=ends[-1],
@@ -169,13 +177,13 @@ def _frame_codes(path: Path, stage: Usd.Stage, movers: Sequence[Mover]) -> NDArr
         if is_spline(each):
             raise FormatError(f"{path}: {each.GetPath()} is a spline; bake it into time samples")
     channels = dict.fromkeys(tuple(each.GetTimeSamples()) for each in sources)
-    codes = joined(map(np.array, channels), SAME_TIME * stage.GetTimeCodesPerSecond())
+    codes = merge_times(map(np.array, channels), TIME_TOLERANCE * stage.GetTimeCodesPerSecond())
     if not codes.size:  # the time of the only sample of the points, if there is one
         return np.array(movers[0].mesh.GetPointsAttr().GetTimeSamples()[:1] or [0.0], dtype=np.float64)
     if all(mover.only_points_move for mover in movers):
         return codes
     played, step = _played(stage, codes[0], codes[-1])
-    return united(codes, played, step / 2)
+    return insert_times(codes, played, step / 2)
 
 
 def _played(stage: Usd.Stage, first: float, last: float) -> tuple[NDArray[np.float64], float]:
@@ -186,6 +194,6 @@ def _played(stage: Usd.Stage, first: float, last: float) -> tuple[NDArray[np.flo
         return np.empty(0), 0.0
     begin = np.ceil((max(first, start) - start) / step)
     end = np.floor((min(last, stage.GetEndTimeCode()) - start) / step)
-    if not end - begin < MOST_PLAYED:
+    if not end - begin < MAX_INSERTED_FRAMES:
         return np.empty(0), 0.0
     return start + np.arange(begin, end + 1) * step, step

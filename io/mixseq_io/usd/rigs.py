@@ -4,7 +4,7 @@ Bind transforms are in skeleton space, placed in the world by the skeleton's tra
 matrices act on row vectors.
 
 Written, a SkelRoot holds the meshes, a Skeleton and a SkelAnimation. Bind transforms are in world space, with the axes
-``A_b`` at the pivot ``p_b``. The animation moves joints relative to their parents by `mixseq.rigging.rigs.Skin.local`,
+``A_b`` at the pivot ``p_b``. The animation moves joints relative to their parents by `Skin.local_motion`,
 so that UsdSkel takes a point from the bind pose to ``R_tb (r_v - p_b) + c_tb``, the skin's formula; blend shapes come
 before joints. A morph has a Skeleton without joints. Joints are named by paths (``hips/leg``) of
 valid names; ``jointNames`` keeps the others. Materials are copied from the sequence's original USD file.
@@ -27,12 +27,12 @@ from mixseq.types import Float
 from mixseq_io.files import replacing
 from mixseq_io.reader import as_float32
 from mixseq_io.rig_arrays import (
+    build_skeleton,
     choose_skeleton,
     four_influences,
+    local_joint_transforms,
+    normalise_morph_weights,
     numbered_names,
-    shape_of,
-    skeleton_of,
-    steady_joints,
 )
 from mixseq_io.usd.layers import Cast, Placed, declare, extent_of, frames, pack
 from mixseq_io.usd.motion import shown_by
@@ -79,7 +79,7 @@ def read_skel_joints(path: Path, name: str | None) -> Skeleton:
         bind = (np.array(binds, dtype=np.float64).reshape(-1, 4, 4) @ to_world).swapaxes(1, 2)
         told = list(skeleton.GetJointNamesAttr().Get() or [])
         names = told if len(told) == len(joints) else [Sdf.Path(joint).name for joint in joints]
-        return skeleton_of(names, parents, bind)
+        return build_skeleton(names, parents, bind)
 
 
 def skeleton_prim(path: Path, stage: Usd.Stage, name: str | None) -> Usd.Prim:
@@ -91,7 +91,7 @@ def skeleton_prim(path: Path, stage: Usd.Stage, name: str | None) -> Usd.Prim:
 
 def define_rig(layer: Sdf.Layer, target: Path, rig: Skin | Morph) -> None:
     """Author a skin or a morph."""
-    shape = shape_of(rig)
+    shape = normalise_morph_weights(rig)
     cast = define_component(layer, target, rig.header, velocities=False)
     _put_base(layer, cast, shape)
     stage = Usd.Stage.Open(layer)
@@ -151,7 +151,7 @@ def _matrices(rotations: Float, translations: Float) -> Any:
 def _animate_joints(
     animation: UsdSkel.Animation, skeleton: UsdSkel.Skeleton, skin: Skin, codes: NDArray[np.float64]
 ) -> None:
-    rotations, translations = steady_joints(skin, "USD", skin.header)
+    rotations, translations = local_joint_transforms(skin, "USD", skin.header)
     animation.CreateJointsAttr(skeleton.GetJointsAttr().Get())
     # The numbers of a Gf.Quatf lie in memory as x, y, z, w.
     _set(animation.CreateRotationsAttr(), [Vt.QuatfArrayFromBuffer(each) for each in rotations], codes)

@@ -28,7 +28,7 @@ from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdUtils
 from mixseq.errors import FormatError, NoMeshError, OutputError
 from mixseq_io.files import out_of_memory, raise_system_error
 from mixseq_io.reader import check_regular, warn
-from mixseq_io.scene_meshes import SceneObject, chosen, listed
+from mixseq_io.scene_meshes import SceneObject, format_names, select_meshes
 
 _LONGEST_REASON = 200
 
@@ -258,7 +258,7 @@ class Notes:
 
 def shortened(paths: list[str]) -> str:
     """Return a list of paths for a message, truncated if long."""
-    return listed(paths, str)
+    return format_names(paths, str)
 
 
 Operations = tuple[UsdGeom.XformOp, ...]
@@ -355,8 +355,8 @@ def meshes_of(path: Path, stage: Usd.Stage, prim: str | None, notes: Notes) -> l
         raise NoMeshError(f"{path} holds no mesh; {_what_else(prims, instancers)}")
     if prim is not None:
         places = places_of(meshes)
-        instancers = [instancers[i] for i in chosen(path, places, prim, among=places_of(instancers))]
-        meshes = [meshes[i] for i in chosen(path, places, prim)]
+        instancers = [instancers[i] for i in select_meshes(path, places, prim, among=places_of(instancers))]
+        meshes = [meshes[i] for i in select_meshes(path, places, prim)]
     for each in instancers:
         notes.add(each, "point instances cannot be read and are left out; make them real first")
     visibility = cache(_visibility)

@@ -26,17 +26,17 @@ from mixseq.mesh.surface import CornerValues, FaceSet, Origin
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import IntArray
 from mixseq_io.reader import naming, warn
-from mixseq_io.scene_meshes import SceneMesh, material_of_the_rest
-from mixseq_io.surfaces import with_alpha, within
+from mixseq_io.scene_meshes import SceneMesh, base_face_set
+from mixseq_io.surfaces import are_valid_indices, ensure_alpha
 from mixseq_io.text.labels import (
-    FAMILY,
-    GROUPS,
-    LABELS,
-    MATERIALS,
+    GROUPS_SOURCE,
+    LABEL_SUBSET_FAMILY,
+    LABELS_SOURCE,
+    MATERIALS_SOURCE,
     Markings,
     Skinning,
-    joined_skinning,
-    sets_of,
+    concatenate_skinning,
+    group_face_sets,
 )
 from mixseq_io.usd.motion import AnimatedMesh
 from mixseq_io.usd.stage import (
@@ -166,10 +166,12 @@ def markings_of(header: SequenceHeader, meshes: Sequence[AnimatedMesh]) -> Marki
     """Return the families of subsets and the joints of a stage's meshes."""
     polygons = [_polygons_in_file(animated) for animated in meshes]
     skinned = any(animated.mover.skin and animated.mover.skin.has_joints for animated in meshes)
-    materials = {source: sets for source, sets in sets_of(header).items() if source == MATERIALS}
+    materials = {
+        source: sets for source, sets in group_face_sets(header).items() if source == MATERIALS_SOURCE
+    }
     return Markings(
         sets=_families(meshes, polygons) | materials,
-        skinning=joined_skinning([_skinning(animated) for animated in meshes]) if skinned else None,
+        skinning=concatenate_skinning([_skinning(animated) for animated in meshes]) if skinned else None,
     )
 
 
@@ -192,8 +194,8 @@ def _families(meshes: Sequence[AnimatedMesh], polygons: Sequence[Polygons]) -> d
             faces = faces[(faces >= 0) & (faces < len(own.counts))]
             number = subset.GetPrim().GetCustomDataByKey(NUMBER)
             face_set = FaceSet(display_name(subset.GetPrim()), faces + first)
-            family = str(subset.GetFamilyNameAttr().Get() or GROUPS)
-            source = LABELS if family == FAMILY else family
+            family = str(subset.GetFamilyNameAttr().Get() or GROUPS_SOURCE)
+            source = LABELS_SOURCE if family == LABEL_SUBSET_FAMILY else family
             found.setdefault(source, []).append((number if isinstance(number, int) else 0, face_set))
         first += len(own.counts)
     return {
@@ -262,7 +264,7 @@ def define_parts(layer: Sdf.Layer, meshes: Sequence[str], parts: Parts) -> None:
 
 
 def _define(mesh: UsdGeom.Mesh, of_polygon: IntArray, names: Sequence[str]) -> None:
-    old = {each.GetPrim().GetName() for each in UsdGeom.Subset.GetGeomSubsets(mesh, "", FAMILY)}
+    old = {each.GetPrim().GetName() for each in UsdGeom.Subset.GetGeomSubsets(mesh, "", LABEL_SUBSET_FAMILY)}
     others = mesh.GetPrim().GetFilteredChildren(Usd.TraverseInstanceProxies(Usd.PrimAllPrimsPredicate))
     kept = {name for each in others if (name := each.GetName()) not in old}
     free = Identifiers(*kept)
@@ -271,7 +273,7 @@ def _define(mesh: UsdGeom.Mesh, of_polygon: IntArray, names: Sequence[str]) -> N
         kept.add(name)
         faces = np.flatnonzero(of_polygon == part).astype(np.int32)
         subset = UsdGeom.Subset.CreateGeomSubset(
-            mesh, name, UsdGeom.Tokens.face, Vt.IntArrayFromBuffer(faces), FAMILY
+            mesh, name, UsdGeom.Tokens.face, Vt.IntArrayFromBuffer(faces), LABEL_SUBSET_FAMILY
         )
         prim = subset.GetPrim()
         prim.SetCustomDataByKey(NUMBER, part)
@@ -279,7 +281,7 @@ def _define(mesh: UsdGeom.Mesh, of_polygon: IntArray, names: Sequence[str]) -> N
             prim.SetDisplayName(names[part])
     for name in old.difference(kept):
         mesh.GetPrim().GetChild(name).SetActive(False)
-    UsdGeom.Subset.SetFamilyType(mesh, FAMILY, UsdGeom.Tokens.partition)
+    UsdGeom.Subset.SetFamilyType(mesh, LABEL_SUBSET_FAMILY, UsdGeom.Tokens.partition)
 
 
 _UV_TYPES = (
@@ -372,7 +374,7 @@ def _colours(animated: AnimatedMesh, polygons: Polygons, notes: Notes) -> Corner
         return None
     alpha = _values(animated, polygons, notes, "opacities", opacity) if opacity.HasAuthoredValue() else None
     if alpha is None:
-        return CornerValues(with_alpha(colours.values), colours.indices)
+        return CornerValues(ensure_alpha(colours.values), colours.indices)
     return CornerValues.of_corners(np.hstack([colours.at_corners[:, :3], alpha.at_corners]))
 
 
@@ -407,8 +409,8 @@ def _values(
     rows = rows_of_corners(primvar.GetInterpolation(), polygons)
     if primvar.IsIndexed():
         indices = np.array(primvar.GetIndices(code) or (), dtype=np.int32)
-        rows = indices[rows] if within(rows, len(indices)) else np.array([-1])
-    if not within(rows, len(values)):
+        rows = indices[rows] if are_valid_indices(rows, len(indices)) else np.array([-1])
+    if not are_valid_indices(rows, len(values)):
         notes.add(prim, f"{what} {primvar.GetPrimvarName()!r} do not fit the faces and are left out")
         return None
     if not len(values):  # of a mesh without faces
@@ -430,7 +432,7 @@ def _hard_edges(animated: AnimatedMesh, polygons: Polygons, notes: Notes) -> NDA
         return None
     normals = np.array(values, dtype=np.float32).reshape(-1, 3)
     rows = rows_of_corners(interpolation, polygons)
-    if not within(rows, len(normals)) or not np.isfinite(normals).all():
+    if not are_valid_indices(rows, len(normals)) or not np.isfinite(normals).all():
         notes.add(mesh.GetPrim(), "normals do not fit the faces and are left out")
         return None
     return hard_edges_of_normals(animated.weld.polygons(polygons), normals[rows])
@@ -473,7 +475,7 @@ def _face_sets(mesh: UsdGeom.Mesh, polygon_count: int, code: Usd.TimeCode, notes
         if material and subset.GetFamilyNameAttr().Get() == UsdShade.Tokens.materialBind:
             bound.append(sets[-1])
     whole = _material(mesh.GetPrim())
-    rest = material_of_the_rest(str(whole.GetPath()), polygon_count, bound) if whole else ()
+    rest = base_face_set(str(whole.GetPath()), polygon_count, bound) if whole else ()
     return [*rest, *sets]
 
 

@@ -25,7 +25,7 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray
 from mixseq_io.files import replacing
 from mixseq_io.reader import checked, warn
-from mixseq_io.scene_meshes import SceneMesh, split
+from mixseq_io.scene_meshes import SceneMesh, split_meshes
 from mixseq_io.usd.layers import (
     Cast,
     Frame,
@@ -65,7 +65,7 @@ def define_component(layer: Sdf.Layer, target: Path, header: SequenceHeader, vel
     _show_name(root.GetPrim(), header.name)
     stage.SetDefaultPrim(root.GetPrim())
     Usd.ModelAPI(root.GetPrim()).SetKind(Kind.Tokens.component)
-    scene_meshes = split(header)
+    scene_meshes = split_meshes(header)
     wanted = [each.material for scene_mesh in scene_meshes for each in scene_mesh.face_sets if each.material]
     materials = define_materials(stage, target, f"/{name}/{_LOOKS}", wanted, header.surface.origin)
     placed, names = [], Identifiers(_LOOKS)

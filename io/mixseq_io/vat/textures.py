@@ -35,8 +35,8 @@ from mixseq.errors import MissingExtraError, SettingsError
 from mixseq.rigging.low_rank import LowRank
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, Index
-from mixseq_io.gltf.codecs import VERTICES, Layout
-from mixseq_io.gltf.new_document import MovingMesh, new_scene
+from mixseq_io.gltf.codecs import ARRAY_BUFFER, Layout
+from mixseq_io.gltf.new_document import MovingMesh, create_scene
 
 Pixels = NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32]
 Kind = type[np.uint8] | type[np.uint16] | type[np.float32]
@@ -169,7 +169,7 @@ class Texels:
     @staticmethod
     def of(header: SequenceHeader) -> Texels:
         """Find the texels of a sequence."""
-        layout, meshes = new_scene(header)
+        layout, meshes = create_scene(header)
         keys, first = [], 0
         for mesh in meshes:
             hard_edges = mesh.scene_mesh.hard_edges
@@ -231,11 +231,11 @@ class Texels:
         for each in (primitive for mesh in self.meshes for primitive in mesh.primitives):
             texels, attributes = next(numbers), each.entry["attributes"]
             attributes["POSITION"] = self.layout.add_points(here[texels])
-            attributes["NORMAL"] = self.layout.add_array(normals[texels], target=VERTICES)
+            attributes["NORMAL"] = self.layout.add_array(normals[texels], target=ARRAY_BUFFER)
             if "TEXCOORD_0" not in attributes:  # glTF counts sets of texture coordinates from 0 on
                 none = np.zeros((len(texels), 2), np.float32)
-                attributes["TEXCOORD_0"] = self.layout.add_array(none, target=VERTICES)
-            attributes["TEXCOORD_1"] = self.layout.add_array(lookup[texels], target=VERTICES)
+                attributes["TEXCOORD_0"] = self.layout.add_array(none, target=ARRAY_BUFFER)
+            attributes["TEXCOORD_1"] = self.layout.add_array(lookup[texels], target=ARRAY_BUFFER)
 
 
 def in_fours(numbers: NDArray[np.floating]) -> NDArray[np.floating]:

@@ -21,7 +21,7 @@ from mixseq.runtime.progress import Progress, silent
 from mixseq.runtime.public import public
 from mixseq.sequence.sequence import MeshSequence, bounding_diagonal
 from mixseq_io.files import replacing_folder
-from mixseq_io.gltf.codecs import writing_buffer
+from mixseq_io.gltf.codecs import open_buffer_writer
 from mixseq_io.reader import warn
 from mixseq_io.vat.textures import (
     Frames,
@@ -64,7 +64,7 @@ VAT_EXTENSION = ".vat"
 TextureName = Literal["png16", "exr"]
 TEXTURES: tuple[TextureName, ...] = get_args(TextureName)
 
-OWN = {
+VAT_FILE_NAMES = {
     *("vat.json", "mesh.glb", *SHADERS),
     *(f"{name}.{suffix}" for name in ("points", "normals", "coefficients") for suffix in ("png", "exr")),
 }
@@ -148,10 +148,10 @@ def write_vat(
     else:
         textures, report = _bounded(sequence, frames, texels, kind, max_error, progress)
     texels.add_vertices(np.asarray(sequence.points[0]), len(textures.images["points"].pixels) // texels.rows)
-    with replacing_folder(folder, OWN) as temporary:
+    with replacing_folder(folder, VAT_FILE_NAMES) as temporary:
         report = replace(report, file_bytes=sum(_write_images(temporary, textures, texture)))
         mesh = temporary / "mesh.glb"
-        with writing_buffer(mesh, mesh, texels.layout):
+        with open_buffer_writer(mesh, mesh, texels.layout):
             pass
         told = _told(sequence, texels, textures, texture, report)
         (temporary / "vat.json").write_text(json.dumps(told, indent=1), encoding="utf-8")

@@ -111,7 +111,7 @@ class CodingParameters:
 
 
 @dataclass(frozen=True)
-class BetweenFrames:
+class TemporalInterpolation:
     """The prediction of coefficients between frames, as found by `mixseq.spaces.temporal.chosen`."""
 
     length: float  # length of the covariance, in mean steps between frames: from 0.5 to 64, or infinite
@@ -148,7 +148,7 @@ class CompressedSequence:
     # Numbers kept from the original: vertices and polygons, vertices only, or neither. Decoders ignore it.
     order: OrderName = "keep"
     # Prediction of coefficients between frames. None if the decoder chooses it.
-    between: BetweenFrames | None = None
+    between: TemporalInterpolation | None = None
 
 
 def to_model(coded: CompressedSequence) -> Model:
@@ -156,7 +156,7 @@ def to_model(coded: CompressedSequence) -> Model:
     return decode(coded)[0]
 
 
-def decode(coded: CompressedSequence) -> tuple[Model, BetweenFrames]:
+def decode(coded: CompressedSequence) -> tuple[Model, TemporalInterpolation]:
     """Decode a compressed sequence as `to_model` does; also return the prediction of coefficients between frames."""
     parameters, header = coded.parameters, coded.header
     graph = mesh_graph(header.faces, header.vertex_count)
@@ -181,7 +181,7 @@ def decode(coded: CompressedSequence) -> tuple[Model, BetweenFrames]:
     between = coded.between
     if between is None:
         operator = chosen(header.times, scores)
-        between = BetweenFrames(operator.length, operator.cubic)
+        between = TemporalInterpolation(operator.length, operator.cubic)
     times = with_middles(header.times)
     time = Curve(times, Operator(header.times, between.length, between.cubic).at(times).of(scores))
     placement = Curve(times, np.zeros((len(times), 0)))

@@ -93,7 +93,7 @@ def compress(
     if not chunk >= FEWEST:
         raise SettingsError(f"chunk is {chunk}; {FEWEST} frames or more are expected")
     numbering = cheapest_numbering(sequence.header, order)
-    sequence = numbering.of_frames(sequence)
+    sequence = numbering.renumber_frames(sequence)
     header, uv_steps = with_quantised_uvs(sequence.header, uv_error, uvs)
     stages = Stages(progress, 2 + ROUNDS, sequence.header.frame_count)
     with one_blas_thread():

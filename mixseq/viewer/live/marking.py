@@ -20,7 +20,7 @@ from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.pictures.colours import SceneColours
 from mixseq.pictures.scene import SCENE_SIZE, Scene, SceneItem
 from mixseq.retargeting.markers import Markers
-from mixseq.retargeting.suggestions import FEWEST, Examination
+from mixseq.retargeting.suggestions import MIN_EXAMINED_MARKERS, Examination
 from mixseq.sequence.sequence import MeshSequence, frame_store
 from mixseq.types import Float, Index
 from mixseq.viewer.live.controls import notify_all
@@ -304,9 +304,11 @@ def _map_lines(marking: Marking, examination: Examination | None, work: str) -> 
         ]
     elif examination.refusal:
         lines = [escape(examination.refusal)]
-    elif count < FEWEST:
-        lines = [f"tells how well pairs fit, from {FEWEST} on"]
-    suspects = [f'<span style="color: #c92a2a">{escape(each.why)}</span>' for each in examination.suspicions]
+    elif count < MIN_EXAMINED_MARKERS:
+        lines = [f"tells how well pairs fit, from {MIN_EXAMINED_MARKERS} on"]
+    suspects = [
+        f'<span style="color: #c92a2a">{escape(each.message)}</span>' for each in examination.suspicions
+    ]
     return lines + suspects
 
 

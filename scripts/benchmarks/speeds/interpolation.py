@@ -88,9 +88,9 @@ def _measure_pair(
     blends: dict[str, PoseInterpolator] = {}
     for method, told in SPACES.items():
         say(f"{pair}: {method}")
-        blends[method] = PoseInterpolator.of(sequence, among=[first, second], **told)
+        blends[method] = PoseInterpolator.from_poses(sequence, pose_ids=[first, second], **told)
         blends[method].space.prepared()
-        timing, points = repeated(partial(blends[method].at, [0.5, 0.5]), 7, 20.0, warm=True)
+        timing, points = repeated(partial(blends[method].blend, [0.5, 0.5]), 7, 20.0, warm=True)
         solved.append((method, timing, [], points / sequence.diagonal, 1))
     settings = ShellSettings()
 
@@ -149,8 +149,8 @@ def _measure_pair(
         whole = FullMesh(topology, ends, 2, settings, weight)
         solve = whole.from_frames if topology.component_count == 1 else whole.from_vertices
         theirs = envelope(topology, solve()[0], whole.lengths, whole.angles)
-        for method, blend in blends.items():
-            points = blend.at([1.0 - weight, weight]) / sequence.diagonal
+        for method, interpolator in blends.items():
+            points = interpolator.blend([1.0 - weight, weight]) / sequence.diagonal
             mine = envelope(topology, points, whole.lengths, whole.angles)
             what = f"{pair}, {method}, w = {weight}"
             lengths, angles = mine.lengths[1] / theirs.lengths[1], mine.degrees[0] / theirs.degrees[0]

@@ -19,7 +19,7 @@ from click.testing import CliRunner
 
 import mixseq
 from mixseq.cli import main as command_line
-from mixseq.web import contents
+from mixseq.web import package_files
 from scripts.benchmarks.common.node import node_executable
 
 DRACO_BITS = {1e-3: 10, 1e-4: 14}
@@ -125,7 +125,7 @@ def _sequence(folder: Path, coded: object, page: str) -> Shipped:
     folder.mkdir()
     file = folder / "shot.glb"
     mixseq.save(file, coded)  # type: ignore[arg-type]
-    for each, text in contents().items():
+    for each, text in package_files().items():
         (folder / each).write_text(text, encoding="utf-8")
     title = OURS if page == "player.html" else _PLUGIN
     if title == _PLUGIN:

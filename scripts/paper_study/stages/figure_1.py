@@ -26,7 +26,9 @@ def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
     weights = between(0.5)
     blends: dict[str, Float] = {}
     for name, space in SPACES.items():
-        blends[name] = PoseInterpolator.of(poses.sequence, space, among=poses.frames).at(weights)
+        blends[name] = PoseInterpolator.from_poses(poses.sequence, space, pose_ids=poses.frames).blend(
+            weights
+        )
     labels = poses.segmented()
     for name in ("DSO", "MixIT"):
         method = METHODS[name](poses, labels)

@@ -12,8 +12,8 @@ import pytest
 
 from mixseq.compression.bitstream import compressed_sequence, residual_layer
 from mixseq.compression.bitstream.compressed_sequence import (
-    BetweenFrames,
     CompressedSequence,
+    TemporalInterpolation,
     decode_basis,
     decode_coefficients,
     to_model,
@@ -125,7 +125,7 @@ def test_what_encoders_choose_between_frames_is_what_decoders_would(
 
 def test_what_a_file_says_is_between_frames_is_there() -> None:
     made = noisy()
-    for between in (BetweenFrames(inf, (0.25, 1.0)), BetweenFrames(1.0, (0.0, 0.0))):
+    for between in (TemporalInterpolation(inf, (0.25, 1.0)), TemporalInterpolation(1.0, (0.0, 0.0))):
         model = to_model(replace(made, between=between))
         scores = model.time(model.times)
         operator = Operator(model.times, between.length, between.cubic)

@@ -11,7 +11,7 @@ import pytest
 import mixseq
 from mixseq.choices import ORDERS, OrderName
 from mixseq.compression.bitstream.connectivity import encode_polygons
-from mixseq.compression.numbering import cheapest_numbering, numbering_of, object_sizes
+from mixseq.compression.numbering import cheapest_numbering, find_numbering, object_vertex_counts
 from mixseq.errors import SettingsError
 from mixseq.mesh.polygons import Polygons, matched
 from mixseq.sequence.sequence import MeshSequence
@@ -26,7 +26,7 @@ BOUND = 1e-3
 
 def bits(sequence: MeshSequence, order: OrderName) -> float:
     """Bits of connectivity per triangle."""
-    polygons = cheapest_numbering(sequence, order).of_polygons(sequence.polygons)
+    polygons = cheapest_numbering(sequence, order).renumber_polygons(sequence.polygons)
     return 8 * len(encode_polygons(polygons, sequence.vertex_count)) / len(sequence.faces)
 
 
@@ -51,7 +51,7 @@ def test_numbers_that_are_no_worse_are_kept() -> None:
     for order in ORDERS:
         found = cheapest_numbering(regular, order)
         assert found.order == "keep"
-        assert found.of_polygons(regular.polygons).same_as(regular.polygons)
+        assert found.renumber_polygons(regular.polygons).same_as(regular.polygons)
 
 
 def test_another_order_is_refused() -> None:
@@ -68,9 +68,9 @@ def test_a_compressed_grid_is_the_same_mesh(order: OrderName, tmp_path: Path) ->
     coded = read_compressed(file)
     assert coded.order == order
     assert (matched(original.polygons, coded.header.polygons) is None) == (order == "free")
-    numbering = numbering_of(coded.header.polygons, original.polygons, object_sizes(original))
+    numbering = find_numbering(coded.header.polygons, original.polygons, object_vertex_counts(original))
     assert numbering is not None
-    same = numbering.of_frames(original)
+    same = numbering.renumber_frames(original)
     assert isinstance(same, MeshSequence)
     # with the original's points, which were not rounded, everything is as it was, bit for bit
     decoded = MeshSequence.from_header(coded.header, same.points, same.velocities)

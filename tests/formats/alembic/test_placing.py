@@ -11,7 +11,7 @@ from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import MeshObject, Surface
 from mixseq.sequence.header import SequenceHeader
 from mixseq_io.alembic.samples import Placing, object_places
-from mixseq_io.scene_meshes import split
+from mixseq_io.scene_meshes import split_meshes
 from tests.formats.alembic.alembic_maker import SQUARE, shift
 
 
@@ -60,7 +60,7 @@ def places(name: str, *paths: str) -> list[str]:
         name=name,
         surface=Surface(objects=objects),
     )
-    return ["/" + "/".join(place) for place in object_places(header, split(header))]
+    return ["/" + "/".join(place) for place in object_places(header, split_meshes(header))]
 
 
 @pytest.mark.parametrize(

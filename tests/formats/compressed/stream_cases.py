@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from mixseq.compression.bitstream.compressed_sequence import (
-    BetweenFrames,
     CodingParameters,
     CompressedSequence,
+    TemporalInterpolation,
 )
 from mixseq_io.coded.streams import MAGIC, Stream, StreamIndex, read_index
 from mixseq_io.verification import read_container
@@ -27,7 +27,7 @@ PARAMETERS = CodingParameters(
     promised=True,
 )
 
-BETWEEN = BetweenFrames(2.8, (1 / 3, 0.1 + 0.2))
+BETWEEN = TemporalInterpolation(2.8, (1 / 3, 0.1 + 0.2))
 
 
 def any_bytes(size: int) -> bytes:

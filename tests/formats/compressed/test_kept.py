@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 import mixseq
-from mixseq.compression.bitstream.compressed_sequence import BetweenFrames, Chunk, CompressedSequence
+from mixseq.compression.bitstream.compressed_sequence import Chunk, CompressedSequence, TemporalInterpolation
 from mixseq.errors import FormatError, MixseqWarning, OutputError
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.spaces.vertex import BasisSpace
@@ -50,7 +50,7 @@ def test_the_file_says_what_it_is(h5: Path) -> None:
 
 
 def test_infinite_lengths_come_back(h5: Path, coded: CompressedSequence) -> None:
-    endless = replace(coded, between=BetweenFrames(inf, (0, 1)))
+    endless = replace(coded, between=TemporalInterpolation(inf, (0, 1)))
     mixseq.save(h5, endless)
     with h5py.File(h5) as file:
         assert json.loads(file.attrs["coding"])["between"] == {"length": None, "cubic": [0, 1]}

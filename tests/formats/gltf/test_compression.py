@@ -15,7 +15,7 @@ import pytest
 from mixseq.errors import FormatError, MissingExtraError
 from mixseq.sequence.sequence import MeshSequence
 from mixseq_io.gltf import codecs
-from mixseq_io.gltf.codecs import plain
+from mixseq_io.gltf.codecs import decompress_document
 from mixseq_io.gltf.document import load_document
 from mixseq_io.gltf.reader import open_gltf
 from mixseq_io.gltf.writer import write_gltf
@@ -98,7 +98,7 @@ def test_frames_over_a_compressed_file(name: str, tmp_path: Path) -> None:
 
 def test_plain_files_stay_as_they_are() -> None:
     document = load_document(FOLDER / "tube.glb")
-    assert plain(document).json == document.json
+    assert decompress_document(document).json == document.json
 
 
 def parts(name: str) -> tuple[Json, bytes]:
@@ -192,4 +192,5 @@ def test_a_packed_primitive_that_has_plain_data_is_read_plain(tmp_path: Path) ->
     maker.json["extensionsUsed"] = ["KHR_draco_mesh_compression"]
     found = load(maker.glb(tmp_path / "both.glb"))
     np.testing.assert_array_equal(found.points, load(FOLDER / "tube.glb").points)
-    assert "extensions" not in plain(load_document(tmp_path / "both.glb")).json["meshes"][0]["primitives"][0]
+    document = decompress_document(load_document(tmp_path / "both.glb"))
+    assert "extensions" not in document.json["meshes"][0]["primitives"][0]

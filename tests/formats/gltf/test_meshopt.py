@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mixseq.errors import FormatError, MissingExtraError
 from mixseq_io.gltf import codecs
-from mixseq_io.gltf.codecs import unpacked
+from mixseq_io.gltf.codecs import unpack_meshopt
 from tests.formats.gltf.packed_files import FOLDER
 from tests.formats.gltf_maker import load
 
@@ -38,7 +38,7 @@ SEQUENCE = "d10004cd010407981fb701a0ec1000000000"
 
 
 def view(data: bytes, count: int, stride: int, mode: str, name: str = "NONE") -> NDArray[np.uint8]:
-    return unpacked(PATH, data, "bufferViews[0]", count, stride, mode, name).reshape(count, stride)
+    return unpack_meshopt(PATH, data, "bufferViews[0]", count, stride, mode, name).reshape(count, stride)
 
 
 def vertices() -> NDArray[np.uint8]:

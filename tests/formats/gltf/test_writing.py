@@ -16,7 +16,7 @@ from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Surface
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import FloatArray
-from mixseq_io.gltf.new_document import _distinct
+from mixseq_io.gltf.new_document import _unique_tuples
 from mixseq_io.gltf.writer import write_gltf
 from tests.formats.conftest import CASES, lossy
 from tests.formats.gltf_files import Gltf, read, validate, write_glb, written
@@ -362,7 +362,7 @@ def test_the_validator_passes_what_is_written(tmp_path: Path) -> None:
 @pytest.mark.parametrize("columns", [1, 2, 3])
 def test_corners_that_are_alike_become_one_vertex(columns: int) -> None:
     rows = np.random.default_rng(0).integers(0, 4, (60, columns)) * 1000
-    chosen, kinds = _distinct(list(rows.T))
+    chosen, kinds = _unique_tuples(list(rows.T))
     expected, inverse = np.unique(rows, axis=0, return_inverse=True)
     np.testing.assert_array_equal(rows[chosen], expected)
     np.testing.assert_array_equal(kinds, inverse)

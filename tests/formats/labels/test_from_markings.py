@@ -16,7 +16,7 @@ from mixseq_io.text.derived_labels import (
     labels_of_skinning,
     without_small_regions,
 )
-from mixseq_io.text.labels import Skinning, joined_skinning, polygon_labels, triangle_labels
+from mixseq_io.text.labels import Skinning, concatenate_skinning, polygon_labels, triangle_labels
 from tests.formats.labels.labelled_files import FACES, told
 from tests.meshes import grid
 
@@ -97,7 +97,7 @@ def quads_of(triangles: Any) -> Any:
 
 
 def test_meshes_share_joints_and_those_without_a_skin_follow_themselves() -> None:
-    whole = joined_skinning([chain(np.eye(3)), Skinning.rigid("/hat", 2), chain(np.eye(3)[::-1])])
+    whole = concatenate_skinning([chain(np.eye(3)), Skinning.rigid("/hat", 2), chain(np.eye(3)[::-1])])
     assert whole.joints == ("a", "a/b", "a/b/c", "/hat")
     assert whole.weights.toarray().argmax(axis=1).tolist() == [0, 1, 2, 3, 3, 2, 1, 0]
 

@@ -15,7 +15,7 @@ from mixseq.mesh.topology import Topology
 from mixseq.segmentation.methods import segment_by_labels
 from mixseq.sequence.sequence import MeshSequence
 from mixseq_io import Labels, open_sequence, read, read_labels, write
-from mixseq_io.text.label_files import labels_of, write_labels
+from mixseq_io.text.label_files import extract_labels, write_labels
 from mixseq_io.text.labels import triangle_labels
 from tests.formats.gltf_maker import SQUARE, Maker, skinned, split_square
 from tests.formats.labels.labelled_files import (
@@ -139,7 +139,7 @@ def test_a_sequence_may_bring_its_labels_along(tmp_path: Path) -> None:
     np.savez(path, labels=[0, 1, 1], **arrays)
     assert read_labels(path, read(path)).part_of_face.tolist() == [0, 1, 1]
     with open_sequence(path) as reader:
-        assert labels_of(reader).part_of_face.tolist() == [0, 1, 1]
+        assert extract_labels(reader).part_of_face.tolist() == [0, 1, 1]
     with pytest.raises(FormatError, match=r"no 'groups' .* it has labels"):
         read_labels(path, read(path), "groups")
 
@@ -306,13 +306,13 @@ def test_parts_of_before_are_no_groups_of_a_file_that_stands_alone(
 def test_a_skeleton_stays_alive(tmp_path: Path) -> None:
     path = skinned_strip(tmp_path / "man.usda")
     with open_sequence(path) as reader:
-        write_labels(tmp_path / "out.usda", reader, labels_of(reader))
+        write_labels(tmp_path / "out.usda", reader, extract_labels(reader))
     old, new = read(path), read(tmp_path / "out.usda")
     assert np.array_equal(old.points.view(np.int32), new.points.view(np.int32))
     for source in (None, "skeleton"):
         assert told(read_labels(tmp_path / "out.usda", old, source)) == ["hip", "knee"]
     with open_sequence(path) as reader:
-        write_labels(tmp_path / "alone.usda", reader, labels_of(reader), flatten=True)
+        write_labels(tmp_path / "alone.usda", reader, extract_labels(reader), flatten=True)
     assert "subLayers" not in (tmp_path / "alone.usda").read_text()
     assert told(read_labels(tmp_path / "alone.usda", old)) == ["hip", "knee"]
 

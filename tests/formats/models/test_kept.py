@@ -23,7 +23,7 @@ from mixseq.signals.model import Model
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.edge import EdgeSpace
 from mixseq.spaces.mixed.mixed_space import MixedSpace
-from mixseq_io.surfaces import surface_arrays
+from mixseq_io.surfaces import surface_to_arrays
 from tests.formats.models.model_cases import ATTRIBUTES, DATASETS, POSES, SETTINGS, SHAPES, assert_equal
 from tests.meshes import SEQUENCES, bar
 
@@ -105,7 +105,7 @@ def test_header_and_settings_are_kept(tmp_path: Path) -> None:
     assert isinstance(loaded.space, EdgeSpace)
     assert loaded.space.shell == shell
     assert not loaded.header.polygons.only_triangles
-    ours, theirs = surface_arrays(surface), surface_arrays(loaded.header.surface)
+    ours, theirs = surface_to_arrays(surface), surface_to_arrays(loaded.header.surface)
     assert ours.keys() == theirs.keys()
     for name, array in ours.items():
         np.testing.assert_array_equal(array, theirs[name], err_msg=name)
