@@ -135,7 +135,7 @@ def picture_format(target: Target, chosen: Format | None = None) -> Format:
         if extension == known:
             return known
     where = f"{target}: " if chosen is None else ""
-    raise OutputError(f"{where}pictures are PNG or SVG files; give a name that ends in .png or .svg")
+    raise OutputError(f"{where}pictures are PNG or SVG files; end the name in .png or .svg")
 
 
 def save_page(page: Figure, target: Target, file_format: Format) -> None:

@@ -494,6 +494,6 @@ def check_original(scene: Scene, original: FrameStore) -> None:
     if not items:
         raise SettingsError(
             f"none of the meshes has the {header.vertex_count} vertices and {len(header.faces)} triangles of the "
-            "original; errors compare meshes with the same topology"
+            "original; errors need the same topology"
         )
     check_start_times(items, header)

@@ -209,26 +209,24 @@ def test_ends_of_scales_have_two_digits() -> None:
 
 @pytest.mark.parametrize("top", [0, -1, np.nan, np.inf])
 def test_scales_are_positive(top: float) -> None:
-    with pytest.raises(SettingsError, match="a positive number is expected"):
+    with pytest.raises(SettingsError, match="give a positive number"):
         available_colourings(BAR.header, REST)["strain"].with_top(top)
 
 
 def test_what_means_no_numbers_has_no_scale() -> None:
-    with pytest.raises(SettingsError, match="clay has no scale; choose a colour that means numbers"):
+    with pytest.raises(SettingsError, match="the colour clay has no scale; choose another one"):
         available_colourings(BAR.header, REST)["clay"].with_top(1)
 
 
 def test_colours_are_fixed_or_measured() -> None:
     constant_entries = np.zeros(3, dtype=np.uint8)
     for given_ in ({}, {"fixed": constant_entries, "measure": lambda points, elapsed: constant_entries}):
-        with pytest.raises(SettingsError, match="either fixed or measured"):
+        with pytest.raises(SettingsError, match="either constant entries or a measure"):
             Colouring("a", PALETTE, **given_)  # type: ignore[arg-type]
 
 
 def test_other_meshes_are_refused() -> None:
-    with pytest.raises(
-        SettingsError, match=r"the pose at rest has the shape \(7, 3\), the mesh 202 vertices"
-    ):
+    with pytest.raises(SettingsError, match=r"the rest pose has the shape \(7, 3\), the mesh 202 vertices"):
         available_colourings(BAR.header, REST[:7])
     with pytest.raises(SettingsError, match=r"the original has the shape \(7, 3\)"):
         available_colourings(BAR.header, REST, original=lambda elapsed: REST[:7])
@@ -320,7 +318,7 @@ def test_faces_of_films_have_the_mean_of_their_vertices() -> None:
 
 def test_films_of_meshes_without_colours_are_refused(tmp_path: object) -> None:
     sequence = bar(sides=5, rings=5, frames=2)
-    with pytest.raises(SettingsError, match="bar has no colours of its own; choose another colour"):
+    with pytest.raises(SettingsError, match="bar has no vertex colours; choose another colour"):
         film(f"{tmp_path}/a.gif", [SceneItem("bar", sequence)], FilmSettings(colour="own"))
 
 

@@ -62,7 +62,7 @@ def test_errors_tell_how_far_they_are(model: Model, original: MeshSequence) -> N
 
 def test_another_mesh_is_refused(model: Model, original: MeshSequence) -> None:
     turned = MeshSequence.from_arrays(original.points, original.faces[:, ::-1], fps=10)
-    with pytest.raises(SettingsError, match="in another order; errors need one mesh"):
+    with pytest.raises(SettingsError, match="in another order; errors need the same topology"):
         vertex_errors(model, turned)
 
 

@@ -126,7 +126,7 @@ def test_layout_numbers_the_frames_that_are_chosen(model: Model, ax: Any) -> Non
 
 
 def test_layout_refuses_frames_that_are_not_there(model: Model, ax: Any) -> None:
-    with pytest.raises(SettingsError, match="there is no frame 8; frames are 0 to 7"):
+    with pytest.raises(SettingsError, match="there is no frame 8; choose frames from 0 to 7"):
         draw_embedding(ax, model, [0, 8])
     with pytest.raises(SettingsError, match="there is no frame -1"):
         check_frames([-1], FRAMES)

@@ -154,7 +154,7 @@ def test_a_marker_is_chosen_moved_and_deleted(new_page: NewPage, running: Markin
     hand.click(0, "thigh.l")
     assert hand.bones()[number] == ("thigh.l", "nose")
     hand.click_vertex(0, running.session.marking.pairs[number].vertices[0])
-    assert running.session.marking.chosen == number
+    assert running.session.marking.selected == number
     hand.button("Delete")
     eventually(lambda: len(hand.bones()) == 7)
     hand.button("Undo")
