@@ -138,7 +138,12 @@ def __getattr__(name: str) -> Any:
     return import_module("mixseq.operations") if name == "operations" else _home(name)
 
 
-connect(Facade(__getattr__, lambda name, types: import_module("mixseq_io.given").reader_of(name, types)))
+connect(
+    Facade(
+        __getattr__,
+        lambda name, types: import_module("mixseq_io.path_arguments").argument_reader(name, types),
+    )
+)
 
 
 def __dir__() -> list[str]:

@@ -5,7 +5,7 @@ Readers run in a reused worker (`mixseq_io.worker`), a second Python with limits
 time per answer; its death is reported as an error of the file. ``MIXSEQ_READER_SECONDS`` sets the limit of time: by
 default 120 s of processor time, and four times that by the clock.
 
-Workers are started on demand and reused, one for each open file. Above `MOST` files, the least recently used
+Workers are started on demand and reused, one for each open file. Above `MAX_WORKERS` files, the least recently used
 one gives up its worker; at its next request it is opened again, and iterations continue where they were.
 """
 
@@ -31,11 +31,11 @@ from weakref import WeakSet, finalize
 from mixseq.errors import FormatError
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray
-from mixseq_io.files import gigabytes, max_memory
+from mixseq_io.files import format_gigabytes, max_memory
 from mixseq_io.reader import SequenceReader, warn
 from mixseq_io.text.labels import Markings
 
-MOST = 8
+MAX_WORKERS = 8
 """Largest number of files with workers at a time, unless more threads read files."""
 
 _MOST_IDLE = 2
@@ -82,7 +82,7 @@ class OpenFile:
         with self.lock:
             worker, self.worker = self.worker, None
         if worker is not None:
-            dismiss(worker)
+            release_worker(worker)
 
     def give_up(self) -> bool:
         """Release the worker if it is idle; return whether it was released."""
@@ -106,7 +106,7 @@ class OpenFile:
 
     def _open(self) -> Any:
         _make_room()
-        self.worker = hire()
+        self.worker = acquire_worker()
         try:
             answer = self.worker.ask(self.path, *self._question, again=self._times > 0)
         except BaseException:
@@ -202,7 +202,7 @@ class Worker:
             )
         return (
             f"{path}: the library that reads it crashed; it is damaged, export it again (or it needs more than "
-            f"{gigabytes(max_memory())} of memory: --max-memory)"
+            f"{format_gigabytes(max_memory())} of memory: --max-memory)"
         )
 
 
@@ -218,30 +218,30 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 _files: WeakSet[OpenFile] = WeakSet()
 _questions = count(1)
-idle: list[Worker] = []
+idle_workers: list[Worker] = []
 _of_parent: list[Worker] = []
 _lock = threading.Lock()
 
 
-def hire() -> Worker:
+def acquire_worker() -> Worker:
     """Return a worker without a file, a new one if none is idle."""
     with _lock:
-        while idle:
-            worker = idle.pop()
+        while idle_workers:
+            worker = idle_workers.pop()
             if worker.alive:
                 return worker
             worker.close()
     return Worker()
 
 
-def dismiss(worker: Worker) -> None:
+def release_worker(worker: Worker) -> None:
     """Keep a worker for the next file if it is alive and few are idle; else end it."""
     with suppress(FormatError):
         if worker.alive:
             worker.ask(Path(), "close")
     with _lock:
-        if worker.alive and len(idle) < _MOST_IDLE:
-            idle.append(worker)
+        if worker.alive and len(idle_workers) < _MOST_IDLE:
+            idle_workers.append(worker)
             return
     worker.close()
 
@@ -249,7 +249,7 @@ def dismiss(worker: Worker) -> None:
 def _make_room() -> None:
     """Release the least recently used file's worker if there are too many."""
     held = sorted((file for file in list(_files) if file.worker is not None), key=lambda file: file.asked)
-    many = len(held) - MOST + 1
+    many = len(held) - MAX_WORKERS + 1
     for file in held:
         if many > 0:
             many -= file.give_up()
@@ -268,8 +268,8 @@ def _leave_to_parent() -> None:
     """Drop inherited workers in a forked process, since answers at a shared pipe would be mixed up."""
     global _lock
     _lock = threading.Lock()  # a thread that is not there may hold the other one
-    _of_parent.extend(idle)
-    idle.clear()
+    _of_parent.extend(idle_workers)
+    idle_workers.clear()
     for file in list(_files):
         if file.worker is not None:
             _of_parent.append(file.worker)
@@ -283,16 +283,16 @@ if hasattr(os, "register_at_fork"):
 
 
 @atexit.register
-def dismiss_all() -> None:
+def close_idle_workers() -> None:
     """End all idle workers."""
-    while idle:
-        idle.pop().close()
+    while idle_workers:
+        idle_workers.pop().close()
 
 
 def open_isolated(reader: str, path: Path, options: dict[str, Any]) -> SequenceReader:
     """Open a file in a worker, or in this process where none can be started."""
     if not can_isolate():
-        reader_here: SequenceReader = loaded(reader)(path, **options)
+        reader_here: SequenceReader = import_function(reader)(path, **options)
         return reader_here
     with ExitStack() as resources:
         file = OpenFile(path, reader, options)
@@ -306,26 +306,26 @@ def call_isolated(
 ) -> Any:
     """Call a function of a file in a worker and return its value; arguments and errors as in `open_isolated`."""
     if not can_isolate():
-        return loaded(function)(path, *arguments)
-    worker = hire()
+        return import_function(function)(path, *arguments)
+    worker = acquire_worker()
     try:
         question = "call", function, str(path), arguments, str(Path.cwd()), max_memory()
         return worker.ask(path, *question, meanwhile=meanwhile)
     finally:
-        dismiss(worker)
+        release_worker(worker)
 
 
-clocks: list[Callable[[float], None]] = []
+time_limiters: list[Callable[[float], None]] = []
 """Functions that limit time in this process, if it is a worker."""
 
 
 def limit_time(share: float) -> None:
     """Restart the clock of an answer with a share of the time limit; does nothing outside of a worker."""
-    for start in clocks:
+    for start in time_limiters:
         start(share)
 
 
-def loaded(reference: str) -> Callable[..., Any]:
+def import_function(reference: str) -> Callable[..., Any]:
     """Return the function named ``"module:function"`` or ``"module:object.method"``."""
     module, function = reference.split(":")
     found: Callable[..., Any] = attrgetter(function)(import_module(module))

@@ -13,7 +13,7 @@ from mixseq.runtime.public import public
 from mixseq.types import FloatArray, PathLike
 from mixseq_io.files import check_memory, memory_limit
 from mixseq_io.format import HDF5_SIGNATURE
-from mixseq_io.hdf5.contents import MODEL_FORMAT, read_attributes, read_contents, reading_h5
+from mixseq_io.hdf5.contents import MODEL_FORMAT, read_attributes, read_contents, translate_h5_errors
 from mixseq_io.reader import SequenceReader
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def _load_h5(source: Path) -> Model:
         raise FormatError(
             f"{source} is an HDF5 file, but not a mixseq model (format = {file.kind!r}); make one with mixseq encode"
         )
-    with reading_h5(source):
+    with translate_h5_errors(source):
         if "coding" in file.attrs:
             from mixseq_io.coded.streams import decode_model, read_sequence
             from mixseq_io.hdf5.coded_files import container_of

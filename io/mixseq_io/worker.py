@@ -28,8 +28,8 @@ from typing import Any
 import numpy as np
 
 from mixseq.errors import MixseqError
-from mixseq_io.files import VARIABLE, out_of_memory
-from mixseq_io.isolation import clocks, loaded
+from mixseq_io.files import MEMORY_LIMIT_VARIABLE, out_of_memory_error
+from mixseq_io.isolation import import_function, time_limiters
 from mixseq_io.reader import SequenceReader
 
 _SECONDS = float(os.environ.get("MIXSEQ_READER_SECONDS", "120"))
@@ -50,12 +50,12 @@ class Worker:
         return getattr(self, f"_{kind}")(*arguments)
 
     def _call(self, function: str, path: str, arguments: tuple[Any, ...], folder: str, limit: int) -> Any:
-        found = loaded(function)
+        found = import_function(function)
         self._begin(path, folder, limit)
         return found(Path(path), *arguments)
 
     def _open(self, reader: str, path: str, options: dict[str, Any], folder: str, limit: int) -> Any:
-        found = loaded(reader)
+        found = import_function(reader)
         self._begin(path, folder, limit)
         self._reader = found(Path(path), **options)
         return self._reader.header, self._reader.has_velocities
@@ -100,7 +100,7 @@ class Worker:
             except MixseqError as raised:
                 error = raised
             except MemoryError:
-                error = out_of_memory(self._path)
+                error = out_of_memory_error(self._path)
             except Exception:  # a bug: the other side shows where it was
                 error = RuntimeError(f"in the reader's process:\n{traceback.format_exc()}")
         return answer, error, [str(warning.message) for warning in caught]
@@ -108,7 +108,7 @@ class Worker:
 
 def limit_memory(most: int) -> None:
     """Limit the memory that allocations may add to the process, in bytes; memory-mapped files do not count."""
-    os.environ[VARIABLE] = str(most / (1 << 30))  # what `max_memory` returns from here on
+    os.environ[MEMORY_LIMIT_VARIABLE] = str(most / (1 << 30))  # what `max_memory` returns from here on
     try:
         import resource
     except ImportError:  # Windows
@@ -142,7 +142,7 @@ def main() -> None:
     # C++ libraries print to stdout, too; it is kept for answers under another number.
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    clocks.append(limit_time)
+    time_limiters.append(limit_time)
     worker = Worker()
     while True:
         try:

@@ -24,7 +24,7 @@ from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile, ZipInfo
 
 import mixseq
 from mixseq.errors import OutputError, SettingsError
-from mixseq_io.files import replacing
+from mixseq_io.files import atomic_file
 
 LIBRARIES = ("h5py", "numba", "scipy", "threadpoolctl")
 """Libraries that read and decode models, besides NumPy; those of other file formats, such as usd-core, are left out."""
@@ -162,7 +162,7 @@ def archive_name(platform: str, release: Release) -> str:
 
 def write_extension(path: Path, platform: str, release: Release) -> None:
     """Write the extension for a platform and a range of Blender versions."""
-    with replacing(path) as temporary, TemporaryDirectory() as scratch:
+    with atomic_file(path) as temporary, TemporaryDirectory() as scratch:
         folder = Path(scratch)
         libraries = download_wheels(folder, release, platform)
         wheels = [build_wheel(folder), *libraries]

@@ -28,6 +28,7 @@ from mixseq.cli.compressed import aiming, compressed
 from mixseq.cli.files import Claim, check_options, decoded, is_model, options_of, overwriting
 from mixseq.cli.formats import as_markdown
 from mixseq.cli.group import format_bytes, print_table, printable, progress_bar, say
+from mixseq.cli.lengths import in_diagonals
 from mixseq.errors import FormatError, GivenUpError, MixseqError, MixseqWarning, OutputError, SettingsError
 from mixseq.runtime.progress import Progress, silent
 from mixseq.version import __version__
@@ -276,7 +277,7 @@ def read_report(folder: Path) -> Report:
 
 def write_report(folder: Path, report: Report) -> None:
     """Write ``report.json`` and ``report.md``, each atomically."""
-    from mixseq_io.files import replacing
+    from mixseq_io.files import atomic_file
 
     stored = {
         "mixseq": __version__,
@@ -287,7 +288,7 @@ def write_report(folder: Path, report: Report) -> None:
         ("report.json", json.dumps(stored, indent=2) + "\n"),
         ("report.md", in_markdown(report)),
     ):
-        with replacing(folder / name) as temporary:
+        with atomic_file(folder / name) as temporary:
             temporary.write_text(text, encoding="utf-8")
 
 
@@ -473,6 +474,7 @@ def _encode(settings: Settings, asset: Asset, workers: Executor | None, progress
         if "aim" in settings:
             mixseq.save(file, compressed(reader, settings["aim"], progress))
         else:
+            fitting = in_diagonals(fitting, reader, "tolerance")
             mixseq.save(file, mixseq.fit(reader, **fitting, progress=progress, workers=mapped))
         seconds = perf_counter() - start
         error = mixseq.compare(reader, decoded(mixseq.load(file), progress, mapped))

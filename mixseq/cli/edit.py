@@ -134,14 +134,14 @@ def command(
 def _write_travel(path: Path, model: Model, edit: Edit) -> None:
     """Write the distance that a body has travelled at every frame, before an edit removes it."""
     from mixseq.operations import travel_of
-    from mixseq_io.files import replacing
+    from mixseq_io.files import atomic_file
 
     places = travel_of(model, **edit.arguments)(model.times)
     rows = (
         ",".join(f"{number:.9g}" for number in (time, *place))
         for time, place in zip(model.times, places, strict=True)
     )
-    with replacing(path) as file:
+    with atomic_file(path) as file:
         file.write_text("\n".join(["seconds,x,y,z", *rows, ""]), encoding="utf-8")
 
 

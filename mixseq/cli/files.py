@@ -55,7 +55,7 @@ def read_sequence(path: Path, reading: Mapping[str, Any], progress: Progress) ->
     from mixseq.sequence.sequence import collect
 
     with mixseq.open_sequence(path, **reading) as reader:
-        reader.check_whole()
+        reader.check_total_memory()
         frames = reader.header.frame_count
         return collect(reader.header, counted(reader.blocks(), frames, f"reading {path.name}", progress))
 
@@ -109,10 +109,10 @@ def write_frames(
     sources: ArrayLike | None = None,
 ) -> None:
     """Decode the frames of a header and write them block by block, with velocities or without."""
-    from mixseq_io.reader import in_step
+    from mixseq_io.reader import unzip_blocks
 
     if velocities:
-        points, speeds = in_step(model.moving_blocks(header.times, progress=progress, workers=workers))
+        points, speeds = unzip_blocks(model.moving_blocks(header.times, progress=progress, workers=workers))
         write_sequence(path, header, points, speeds, writing, sources)
     else:
         blocks = model.blocks(header.times, progress=progress, workers=workers)

@@ -98,9 +98,9 @@ def needed(path: Path) -> str:
     """Return the files that a USD file depends on, "" if there are none."""
     if path.suffix.lower() not in (".usd", ".usda", ".usdc"):
         return ""
-    from mixseq_io.usd.stage import clips_of, sublayer_of
+    from mixseq_io.usd.stage import find_clips, find_sublayer
 
-    below, clips = sublayer_of(path), clips_of(path)
+    below, clips = find_sublayer(path), find_clips(path)
     over = f", a layer over {below}" if below else ""
     if not clips:
         return over
@@ -201,10 +201,10 @@ def as_bytes(text: str) -> int:
 
 def _limit_memory(context: click.Context, option: click.Parameter, size: int | None) -> None:
     if size is not None:
-        from mixseq_io.files import VARIABLE
+        from mixseq_io.files import MEMORY_LIMIT_VARIABLE
 
         # Inherited by threads and processes started here.
-        context.with_resource(environment(**{VARIABLE: str(size / (1 << 30))}))
+        context.with_resource(environment(**{MEMORY_LIMIT_VARIABLE: str(size / (1 << 30))}))
 
 
 @contextmanager

@@ -160,7 +160,7 @@ def _rows(facts: dict[str, Any]) -> Rows:
     if facts["kind"] == "model":
         rows += _dimension_rows(facts, facts["triangles"])
     if "coding" in facts:
-        rows += coding_rows(facts)
+        rows += coding_rows(facts, facts["metres_per_unit"])
     elif facts["kind"] == "model":
         rows.append(size_row(**facts["bytes"]))
     elif facts["bytes"]["total"] is not None:

@@ -250,11 +250,11 @@ def _draw(picture: Path, header: SequenceHeader, points: FloatArray, labels: Lab
     import numpy as np
 
     from mixseq.pictures.sheets import draw_segmentation
-    from mixseq_io.files import replacing
+    from mixseq_io.files import atomic_file
 
     no_joints: NDArray[np.int64] = np.full(len(header.faces), -1)
     title = f"{header.name}: {len(labels.names)} parts"
-    with replacing(picture) as temporary:
+    with atomic_file(picture) as temporary:
         draw_segmentation(
             temporary, points, header.faces, labels.part_of_face, no_joints, header.up_axis, title
         )

@@ -335,7 +335,7 @@ def command(
         from mixseq.retargeting.sources import prepare_source
         from mixseq.retargeting.transfer import TransferSettings, plan_transfer
         from mixseq.sequence.sequence import collect
-        from mixseq_io.files import replacing
+        from mixseq_io.files import atomic_file
         from mixseq_io.text.maps import read_map, to_correspondence, write_map
         from mixseq_io.text.markers import read_contacts, read_markers
 
@@ -372,7 +372,7 @@ def command(
         if drawn is not None:
             from mixseq.pictures.sheets import transfer_sheet
 
-            with replacing(drawn) as temporary:
+            with atomic_file(drawn) as temporary:
                 transfer_sheet(temporary, made, shown, np.stack(points))
     if as_json:
         named = {"source": str(source), "target": str(target), "out": str(out)}

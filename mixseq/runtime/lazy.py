@@ -54,7 +54,7 @@ class Facade(NamedTuple):
 
     find: Callable[[str], Any]
     """Return a public object by its name; raises AttributeError."""
-    reader_of: Callable[[str, Collection[str]], Callable[[str, Mapping[str, Any]], Any] | None]
+    argument_reader: Callable[[str, Collection[str]], Callable[[str, Mapping[str, Any]], Any] | None]
     """Return the reader for an argument by its name and type names: a function of a path and the other arguments."""
 
 

@@ -1,8 +1,8 @@
 """Arguments of public functions: checks of annotated types, and files in place of their contents.
 
 Paths in place of sequences, models, markers, contacts, maps, labels or keys of a retiming are read first
-(`mixseq_io.given`). A model in place of a sequence is sampled at its frames. Other types raise a `TypeError` that names
-the argument. Values are checked by the functions.
+(`mixseq_io.path_arguments`). A model in place of a sequence is sampled at its frames. Other types raise a `TypeError`
+that names the argument. Values are checked by the functions.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def _taken(name: str, value: Any, wanted: tuple[Any, ...], arguments: Mapping[st
     """Return the value that a path or a model stands for, else the value; earlier `arguments` are read already."""
     names = {getattr(choice, "__name__", "") for choice in wanted}
     if isinstance(value, str | os.PathLike) and not any(_fits(value, choice) for choice in wanted):
-        read = connected().reader_of(name, names)
+        read = connected().argument_reader(name, names)
         return value if read is None else read(os.fspath(value), arguments)
     if names & _SEQUENCES and "Model" not in names and type(value).__name__ == "Model":
         return value.sample()

@@ -17,7 +17,7 @@ import pytest
 from mixseq.runtime import interrupts
 from mixseq.runtime.interrupts import answered, held, unbroken, unwinding
 from mixseq_io import files as temporary
-from mixseq_io.files import replacing, replacing_many
+from mixseq_io.files import atomic_file, atomic_files
 
 PATIENCE = 60.0  # seconds
 
@@ -123,7 +123,7 @@ def test_other_errors_are_printed_as_ever(monkeypatch: pytest.MonkeyPatch) -> No
     assert [kind for kind, *_ in told] == [ValueError]
 
 
-@pytest.mark.parametrize("write", [replacing, replacing_many])
+@pytest.mark.parametrize("write", [atomic_file, atomic_files])
 def test_no_output_is_replaced_after_a_signal_was_swallowed(
     tmp_path: Path, write: Callable[..., Any]
 ) -> None:
@@ -152,7 +152,7 @@ def test_what_is_saved_in_answer_to_a_signal_is_saved(tmp_path: Path) -> None:
         with pytest.raises(KeyboardInterrupt):
             send()
         answered()
-        with replacing(tmp_path / "unsaved") as temporary:
+        with atomic_file(tmp_path / "unsaved") as temporary:
             temporary.write_text("new")
     assert (tmp_path / "unsaved").read_text() == "new"
 
@@ -172,7 +172,7 @@ def test_files_are_moved_before_a_signal_ends_the_work(
     with (
         pytest.raises((KeyboardInterrupt, SystemExit)),
         unwinding(),
-        replacing_many(tmp_path / "a_#") as folder,
+        atomic_files(tmp_path / "a_#") as folder,
     ):
         for name in ("a_1", "a_2"):
             (folder / name).write_text("new")
@@ -200,7 +200,7 @@ def test_what_fails_while_a_signal_cleans_up_does_not_take_its_place(
     (tmp_path / "a").write_text("old")
 
     def work() -> None:
-        with replacing(tmp_path / "a") as temporary, temporary.open("w") as file:
+        with atomic_file(tmp_path / "a") as temporary, temporary.open("w") as file:
             try:
                 file.write("new")
                 send(number)
@@ -222,7 +222,7 @@ def test_what_fails_after_the_answer_to_a_signal_is_told() -> None:
         raise ValueError("odd")
 
 
-@pytest.mark.parametrize("function", ["clear", "_claim", "_delete"])
+@pytest.mark.parametrize("function", ["delete_leftovers", "_claim_prefix", "_delete"])
 def test_temporary_names_have_an_end_whenever_a_signal_comes(
     tmp_path: Path, function: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -233,7 +233,7 @@ def test_temporary_names_have_an_end_whenever_a_signal_comes(
         return usual(*arguments)
 
     monkeypatch.setattr(temporary, function, interrupted)
-    with pytest.raises(KeyboardInterrupt), unwinding(), replacing(tmp_path / "a") as file:
+    with pytest.raises(KeyboardInterrupt), unwinding(), atomic_file(tmp_path / "a") as file:
         file.write_text("new")
     monkeypatch.undo()
     assert [path.name for path in tmp_path.iterdir()] == (["a"] if function == "_delete" else [])

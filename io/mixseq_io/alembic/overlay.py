@@ -50,7 +50,7 @@ from mixseq_io.alembic.samples import (
     unique_names,
 )
 from mixseq_io.originals import match_meshes, warn_of_unretimed_motion
-from mixseq_io.reader import naming, reading, warn
+from mixseq_io.reader import prefix_errors, translate_read_errors, warn
 from mixseq_io.scene_meshes import SceneMesh, format_names, split_meshes
 
 _SCHEMES = {"catmullClark": "catmull-clark", "loop": "loop", "bilinear": "bilinear"}
@@ -355,7 +355,7 @@ class Original:
 
 def open_original(path: Path, header: SequenceHeader) -> Original:
     """Open an archive whose meshes may get new points."""
-    with reading(path, "Alembic", *ERRORS), naming(path):
+    with translate_read_errors(path, "Alembic", *ERRORS), prefix_errors(path):
         archive = open_archive(path)
         meshes, _ = find_meshes(path, archive)
         fits = match_meshes(

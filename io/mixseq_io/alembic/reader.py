@@ -48,7 +48,7 @@ from mixseq_io.alembic.samples import (
     moved,
     sample_times,
 )
-from mixseq_io.reader import SequenceReader, naming, reading, warn
+from mixseq_io.reader import SequenceReader, prefix_errors, translate_read_errors, warn
 from mixseq_io.scene_meshes import (
     SceneMesh,
     SceneObject,
@@ -363,7 +363,7 @@ def _scheme(source: Source) -> str:
 
 def open_alembic(path: Path, prim: str | None = None) -> SequenceReader:
     """Open an Alembic file."""
-    with reading(path, "Alembic", *ERRORS), naming(path):
+    with translate_read_errors(path, "Alembic", *ERRORS), prefix_errors(path):
         archive = open_archive(path)
         meshes = choose_meshes(path, archive, prim)
         frames = _frames(meshes)
@@ -417,7 +417,7 @@ class _AlembicReader(SequenceReader):
         for start in range(0, self.header.frame_count, size):
             stop = min(start + size, self.header.frame_count)
             block = np.empty((stop - start, self.header.vertex_count, 3), np.float32)
-            with reading(self.path, "Alembic", *ERRORS), naming(self.path):
+            with translate_read_errors(self.path, "Alembic", *ERRORS), prefix_errors(self.path):
                 for frame in range(start, stop):
                     for animated in self._meshes:
                         block[frame - start, animated.source.vertices] = values_of(animated, frame)

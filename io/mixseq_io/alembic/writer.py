@@ -36,9 +36,9 @@ from mixseq_io.alembic.overlay import (
     open_original,
 )
 from mixseq_io.alembic.samples import time_sampling, valid_name
-from mixseq_io.files import replacing
+from mixseq_io.files import atomic_file
 from mixseq_io.originals import open_original_file
-from mixseq_io.reader import Numbered, as_float32, brief, checked
+from mixseq_io.reader import FrameBlock, as_float32, summarize_error, validate_blocks
 from mixseq_io.surfaces import lost_scale, warn_of_losses
 
 _ERRORS: tuple[type[Exception], ...] = (*ERRORS, FormatError)
@@ -63,8 +63,8 @@ def write_alembic(
     )
     targets = [] if original else make_targets(header)
     moving = velocities is not None
-    with replacing(path) as temporary:
-        _, numbered = checked(header, blocks, velocities)
+    with atomic_file(path) as temporary:
+        _, numbered = validate_blocks(header, blocks, velocities)
         warn_of_losses(path, "Alembic files", _losses(header, targets))
         if original:
             _check_room(temporary, largest_size(original, header, moving))
@@ -81,7 +81,9 @@ def _writing(path: Path) -> Iterator[None]:
     try:
         yield
     except _ERRORS as error:
-        raise OutputError(f"cannot write {path}: {brief(error)}; check the disk and the path") from error
+        raise OutputError(
+            f"cannot write {path}: {summarize_error(error)}; check the disk and the path"
+        ) from error
 
 
 def _write(
@@ -89,7 +91,7 @@ def _write(
     temporary: Path,
     header: SequenceHeader,
     source: Original | Sequence[Target],
-    numbered: Iterable[Numbered],
+    numbered: Iterable[FrameBlock],
     velocities: bool,
     sources: ArrayLike | None,
 ) -> None:
@@ -126,7 +128,7 @@ def _check_room(path: Path, size: int) -> None:
 
 def _losses(header: SequenceHeader, targets: Sequence[Target]) -> list[str]:
     """Return the contents that Alembic cannot hold."""
-    lost = lost_scale(header, moving=False)
+    lost = lost_scale(header, has_velocities=False)
     if any(each.subdivided and each.scene_mesh.hard_edges is not None for each in targets):
         lost.append("hard edges of subdivided meshes")
     names = (

@@ -52,7 +52,7 @@ from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import WHITE, CornerValues, Surface
 from mixseq.sequence.header import SequenceHeader
 from mixseq.signals.model import Model
-from mixseq_io.files import check_memory, gigabytes, max_memory
+from mixseq_io.files import check_memory, format_gigabytes, max_memory
 from mixseq_io.surfaces import surface_from_arrays, surface_to_arrays
 
 COMPRESSED_VERSION = 1
@@ -298,7 +298,7 @@ def unpack_surface(packed: bytes, folder: Path, mesh: Mesh) -> Surface:
         whole = _decompressed(packed, limit, "the surface is")
         if len(whole) == limit:  # it continues to an unknown length
             raise FormatError(
-                f"the surface takes more than {gigabytes(limit)} of memory, the limit (--max-memory)"
+                f"the surface takes more than {format_gigabytes(limit)} of memory, the limit (--max-memory)"
             )
         text, _, data = whole.partition(b"\0")
         arrays = _arrays(json.loads(text), data)

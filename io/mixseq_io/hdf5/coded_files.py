@@ -20,7 +20,7 @@ import numpy as np
 from mixseq.errors import FormatError
 from mixseq.version import __version__
 from mixseq_io.coded.streams import Container
-from mixseq_io.hdf5.contents import MODEL_FORMAT, Contents, reading_h5
+from mixseq_io.hdf5.contents import MODEL_FORMAT, Contents, translate_h5_errors
 
 if TYPE_CHECKING:
     import h5py
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 def container_of(path: Path, file: Contents) -> Container:
     """Return the container of a compressed model that has been read."""
-    with reading_h5(path):
+    with translate_h5_errors(path):
         if file.kind != MODEL_FORMAT or "coding" not in file.attrs:
             raise FormatError(f"{path} is no compressed model; make one with mixseq encode --max-error")
         return Container(

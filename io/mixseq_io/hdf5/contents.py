@@ -1,7 +1,7 @@
 """HDF5 files read in a process of their own; attributes and arrays arrive as plain values.
 
 A flipped bit can make HDF5 loop forever, and a crafted file can crash it, so the user's process does not import it: see
-`mixseq_io.isolation`, and `mixseq_io.hdf5.permitted` for the worker's side.
+`mixseq_io.isolation`, and `mixseq_io.hdf5.inspection` for the worker's side.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from mixseq.errors import FormatError
 from mixseq.mesh.polygons import Polygons
 from mixseq.sequence.header import SequenceHeader
 from mixseq_io.isolation import call_isolated
-from mixseq_io.reader import check_regular, reading
+from mixseq_io.reader import check_regular_file, translate_read_errors
 from mixseq_io.surfaces import SURFACE_ARRAY_NAMES, surface_from_arrays
 
-_OTHER_SIDE = "mixseq_io.hdf5.permitted"
+_OTHER_SIDE = "mixseq_io.hdf5.inspection"
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Contents:
 
 def read_attributes(path: Path) -> Contents:
     """Read a file's attributes without arrays."""
-    check_regular(path, "HDF5")
+    check_regular_file(path, "HDF5")
     found: Contents = call_isolated(f"{_OTHER_SIDE}:attributes", path)
     return found
 
@@ -59,14 +59,16 @@ def read_contents(
     path: Path, kind: str | None = None, meanwhile: Callable[[], object] | None = None
 ) -> Contents:
     """Read a file, or its attributes only if its `format` is not `kind`; call `meanwhile` while the worker reads."""
-    check_regular(path, "HDF5")
+    check_regular_file(path, "HDF5")
     found: Contents = call_isolated(f"{_OTHER_SIDE}:contents", path, kind, meanwhile=meanwhile)
     return found
 
 
-def reading_h5(path: Path) -> AbstractContextManager[None]:
+def translate_h5_errors(path: Path) -> AbstractContextManager[None]:
     """Translate h5py's errors on damaged files, and missing entries, into `FormatError`."""
-    return reading(path, "HDF5", KeyError, RuntimeError, ValueError, TypeError, AttributeError, OverflowError)
+    return translate_read_errors(
+        path, "HDF5", KeyError, RuntimeError, ValueError, TypeError, AttributeError, OverflowError
+    )
 
 
 MODEL_FORMAT = "mixseq-model"

@@ -23,7 +23,7 @@ from mixseq.runtime.interrupts import unbroken
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import LARGEST, SMALLEST
 from mixseq.types import Float, Index
-from mixseq_io.files import replacing
+from mixseq_io.files import atomic_file
 from mixseq_io.hdf5.contents import Contents
 from mixseq_io.surfaces import surface_to_arrays
 
@@ -77,7 +77,7 @@ def write_header(file: h5py.File, header: SequenceHeader) -> None:
 @contextmanager
 def creating_h5(path: Path) -> Iterator[tuple[h5py.File, Store]]:
     """Yield a new HDF5 file that replaces `path` when complete, and the store that reports failures."""
-    with replacing(path) as temporary, temporary.open("w+b", buffering=0) as raw:
+    with atomic_file(path) as temporary, temporary.open("w+b", buffering=0) as raw:
         store = Store(raw)
         with h5py.File(store, "w", libver=("v110", "v110")) as file:
             yield file, store

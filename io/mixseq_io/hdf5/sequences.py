@@ -26,11 +26,11 @@ import numpy as np
 from mixseq.errors import FormatError
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray
-from mixseq_io.hdf5.contents import check_version, read_attributes, read_header, reading_h5
+from mixseq_io.hdf5.contents import check_version, read_attributes, read_header, translate_h5_errors
 from mixseq_io.hdf5.datasets import CHECKED, creating_h5, put_array, put_text, write_header
-from mixseq_io.hdf5.permitted import contents_of, opened_h5
+from mixseq_io.hdf5.inspection import contents_of, opened_h5
 from mixseq_io.isolation import open_isolated
-from mixseq_io.reader import SequenceReader, brief, checked, naming
+from mixseq_io.reader import SequenceReader, prefix_errors, summarize_error, validate_blocks
 
 FORMAT = "mixseq-sequence"
 VERSION = 1
@@ -47,7 +47,7 @@ def open_h5(path: Path) -> SequenceReader:
     found = read_attributes(path)
     if found.kind != FORMAT:
         raise FormatError(f"{path} is an HDF5 file, but not one of mixseq's (format = {found.kind!r})")
-    with reading_h5(path):
+    with translate_h5_errors(path):
         check_version(path, found, VERSION)
     return open_isolated(f"{__name__}:_open", path, {})
 
@@ -55,7 +55,7 @@ def open_h5(path: Path) -> SequenceReader:
 def _open(path: Path) -> SequenceReader:
     with ExitStack() as resources:
         file = resources.enter_context(opened_h5(path))
-        with naming(path):
+        with prefix_errors(path):
             header = _header(path, file)
         return _H5Reader(path, header, file, resources.pop_all())
 
@@ -83,7 +83,7 @@ class _H5Reader(SequenceReader):
         self._file = file
 
     def _read(self, what: str, size: int) -> Iterator[FloatArray]:
-        with reading_h5(self.path):
+        with translate_h5_errors(self.path):
             dataset = self._file[what]
         for start in range(0, len(dataset), size):
             stop = min(start + size, len(dataset))
@@ -92,7 +92,8 @@ class _H5Reader(SequenceReader):
             except (OSError, RuntimeError, ValueError) as error:
                 first, last = (self.header.frame_number(index) for index in (start, stop - 1))
                 raise FormatError(
-                    f"{self.path}: {what} of frames {first} to {last} are damaged ({brief(error)}); restore the file"
+                    f"{self.path}: {what} of frames {first} to {last} are damaged ({summarize_error(error)}); "
+                    "restore the file"
                 ) from error
             yield block.astype(block.dtype.newbyteorder("="), copy=False)
 
@@ -105,7 +106,7 @@ def write_h5(
 ) -> None:
     """Write an HDF5 sequence, one block at a time; see `mixseq_io.write_blocks`."""
     with creating_h5(path) as (file, store):
-        dtype, numbered = checked(header, blocks, velocities)
+        dtype, numbered = validate_blocks(header, blocks, velocities)
         put_text(file, "format", FORMAT)
         file.attrs["version"] = VERSION
         write_header(file, header)

@@ -39,7 +39,7 @@ from mixseq.errors import FormatError, OutputError, SettingsError
 from mixseq.retargeting.markers import Correspondence
 from mixseq.retargeting.matching import RestMesh, from_barycentric, from_triangles, from_vertices
 from mixseq.types import Float, IntArray, PathLike
-from mixseq_io.files import replacing
+from mixseq_io.files import atomic_file
 from mixseq_io.npz import open_archive
 from mixseq_io.text.markers import parse_json, read_text
 
@@ -131,7 +131,7 @@ def write_map(
         "source": np.array(mesh_checksum(sizes[0][0], source_faces)),
         "target": np.array(mesh_checksum(sizes[1][0], target_faces)),
     }
-    with replacing(file) as temporary, temporary.open("wb") as stream:
+    with atomic_file(file) as temporary, temporary.open("wb") as stream:
         np.savez_compressed(stream, allow_pickle=False, **arrays)
 
 

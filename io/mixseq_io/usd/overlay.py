@@ -54,9 +54,9 @@ from mixseq_io.usd.stage import (
     operations_of,
     prims_of,
     product,
-    reading_usd,
     reference_to,
     shortened,
+    translate_usd_read_errors,
     varies,
 )
 
@@ -168,7 +168,7 @@ class Original:
 def open_original(path: Path, header: SequenceHeader) -> Original:
     """Open a file that a sequence may be laid over."""
     try:
-        with reading_usd(path):
+        with translate_usd_read_errors(path):
             stage = open_stage(path)
     except FormatError as error:
         raise OutputError(str(error)) from error

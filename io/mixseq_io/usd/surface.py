@@ -25,7 +25,7 @@ from mixseq.mesh.polygons import Polygons, reversed_corners
 from mixseq.mesh.surface import CornerValues, FaceSet, Origin
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import IntArray
-from mixseq_io.reader import naming, warn
+from mixseq_io.reader import prefix_errors, warn
 from mixseq_io.scene_meshes import SceneMesh, base_face_set
 from mixseq_io.surfaces import are_valid_indices, ensure_alpha
 from mixseq_io.text.labels import (
@@ -48,9 +48,9 @@ from mixseq_io.usd.stage import (
     is_prim_path,
     lineage,
     open_stage,
-    reading_usd,
     reference_to,
     shortened,
+    translate_usd_read_errors,
 )
 
 _UV_READERS = {
@@ -96,7 +96,7 @@ def is_gone(origin: Origin | None) -> bool:
 def _networks(origin: Path, materials: Iterable[str]) -> Sdf.Layer | None:
     """Return a layer with the materials only; None if the file is missing."""
     try:
-        with reading_usd(origin):
+        with translate_usd_read_errors(origin):
             whole = open_stage(origin)
     except FormatError:
         return None
@@ -256,7 +256,7 @@ class Parts:
     names: Sequence[str]
 
 
-def define_parts(layer: Sdf.Layer, meshes: Sequence[str], parts: Parts) -> None:
+def write_parts(layer: Sdf.Layer, meshes: Sequence[str], parts: Parts) -> None:
     """Author a subset for every part of every mesh, in place of earlier ones."""
     stage = Usd.Stage.Open(layer)
     for path, of_polygon in zip(meshes, parts.of_polygon, strict=True):
@@ -308,7 +308,7 @@ def scene_mesh_of(
     """Return a mesh as in the first frame, faces counter-clockwise from outside in world space: codes ``(T,)``."""
     mesh, code = animated.mesh, Usd.TimeCode(animated.start)
     path = str(mesh.GetPath())
-    with naming(path):
+    with prefix_errors(path):
         polygons = _polygons(animated, codes)
     scheme = str(mesh.GetSubdivisionSchemeAttr().Get())
     if mesh.GetHoleIndicesAttr().Get(code):

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from mixseq.errors import FormatError
 from mixseq_io.files import check_memory
-from mixseq_io.hdf5.contents import Contents, reading_h5
+from mixseq_io.hdf5.contents import Contents, translate_h5_errors
 from mixseq_io.isolation import limit_time
-from mixseq_io.reader import brief
+from mixseq_io.reader import summarize_error
 
-MOST_OBJECTS = 1000
+MAX_OBJECTS_PER_FILE = 1000
 """Largest number of groups and datasets of a file; mixseq's files have some 30."""
 
 _DEEPEST = 8
@@ -52,15 +52,15 @@ class _Inspection:
         if name.count("/") > _DEEPEST:
             raise self._refusal(name, "is nested too deeply")
         self._attributes(group, name)
-        if group.get_num_objs() > MOST_OBJECTS:
-            raise self._refusal(name, f"has more than {MOST_OBJECTS} objects")
+        if group.get_num_objs() > MAX_OBJECTS_PER_FILE:
+            raise self._refusal(name, f"has more than {MAX_OBJECTS_PER_FILE} objects")
         for key in group:
             self._object(group, key, f"{name}/{key.decode('utf-8', 'replace')}")
 
     def _object(self, group: h5g.GroupID, key: bytes, name: str) -> None:
         self._objects += 1
-        if self._objects > MOST_OBJECTS:
-            raise self._refusal(name, f"is one of more than {MOST_OBJECTS} objects")
+        if self._objects > MAX_OBJECTS_PER_FILE:
+            raise self._refusal(name, f"is one of more than {MAX_OBJECTS_PER_FILE} objects")
         kind = group.links.get_info(key).type
         if kind != h5l.TYPE_HARD:
             raise self._refusal(name, f"is {_LINKS.get(kind, 'a link of an unknown kind')}")
@@ -170,7 +170,9 @@ def contents_of(path: Path, file: h5py.File, but: Collection[str] = ()) -> Conte
         try:
             arrays[name] = datasets[name][...]
         except OSError as error:
-            raise FormatError(f"{path}: {name} is damaged ({brief(error)}); restore the file") from error
+            raise FormatError(
+                f"{path}: {name} is damaged ({summarize_error(error)}); restore the file"
+            ) from error
     return Contents(_attributes_of(file), arrays)
 
 
@@ -195,6 +197,6 @@ def _objects(file: h5py.File) -> tuple[dict[str, h5py.Group], dict[str, h5py.Dat
 @contextmanager
 def opened_h5(path: Path) -> Iterator[h5py.File]:
     """Open a file in this process after checking that it holds only permitted contents."""
-    with reading_h5(path), h5py.File(path, "r") as file:
+    with translate_h5_errors(path), h5py.File(path, "r") as file:
         _Inspection(path).group(file.id, "")
         yield file

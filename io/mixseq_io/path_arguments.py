@@ -9,7 +9,7 @@ from typing import Any
 
 from mixseq.errors import SettingsError
 from mixseq.sequence.frame_rates import exact_rate
-from mixseq_io.isolation import loaded
+from mixseq_io.isolation import import_function
 from mixseq_io.registry import read
 
 Given = Mapping[str, Any]
@@ -19,7 +19,7 @@ Read = Callable[[str, Given], Any]
 """Reader of a value, given the path and the other arguments."""
 
 
-def reader_of(name: str, types: Collection[str]) -> Read | None:
+def argument_reader(name: str, types: Collection[str]) -> Read | None:
     """Return the reader of an argument with this name and these type names; None if there is none."""
     if name in _BY_NAME and set(types) - {"int", "NoneType"}:  # a number of parts is in no file
         return _BY_NAME[name]
@@ -30,7 +30,7 @@ def reader_of(name: str, types: Collection[str]) -> Read | None:
 
 def _by_path(reference: str) -> Read:
     """Return a reader that needs the path only, "module:function", imported at first use."""
-    return lambda path, _: loaded(reference)(path)
+    return lambda path, _: import_function(reference)(path)
 
 
 _sequence, _model = _by_path("mixseq_io.registry:read"), _by_path("mixseq_io.loading:load")
