@@ -220,7 +220,10 @@ def test_what_means_no_numbers_has_no_scale() -> None:
 
 def test_colours_are_fixed_or_measured() -> None:
     constant_entries = np.zeros(3, dtype=np.uint8)
-    for given_ in ({}, {"fixed": constant_entries, "measure": lambda points, elapsed: constant_entries}):
+    for given_ in (
+        {},
+        {"constant_entries": constant_entries, "measure": lambda points, elapsed: constant_entries},
+    ):
         with pytest.raises(SettingsError, match="either constant entries or a measure"):
             Colouring("a", PALETTE, **given_)  # type: ignore[arg-type]
 
@@ -231,7 +234,7 @@ def test_other_meshes_are_refused() -> None:
     with pytest.raises(SettingsError, match=r"the original has the shape \(7, 3\)"):
         available_colourings(BAR.header, REST, original=lambda elapsed: REST[:7])
     decomposition = replace(halves(), part_of_face=np.zeros(7, dtype=np.int64))
-    with pytest.raises(SettingsError, match="the parts are of 7 triangles, the mesh has 400"):
+    with pytest.raises(SettingsError, match="the parts have 7 triangles, the mesh 400"):
         available_colourings(BAR.header, REST, decomposition)
 
 

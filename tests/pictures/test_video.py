@@ -360,7 +360,7 @@ def test_degenerate_meshes_are_survived(tmp_path: Path, colour: Any) -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"colour": "pink"}, "'pink'; one of clay, own, parts, error, strain, curvature"),
+        ({"colour": "pink"}, "'pink'; choose one of clay, own, parts, error, strain, curvature"),
         ({"fps": 0}, "fps is 0; a positive number"),
         ({"seconds": float("inf")}, "the duration is inf"),
         ({"turn": float("nan")}, "the turn is nan"),
@@ -378,7 +378,7 @@ def test_what_cannot_be_shown(gem: MeshSequence, tmp_path: Path) -> None:
     path = tmp_path / "a.gif"
     for shown, colour, against, message in (
         ([], "clay", None, "no mesh to show"),
-        ([SceneItem("", gem)], "error", None, "give the original"),
+        ([SceneItem("", gem)], "error", None, "needs the original"),
         ([SceneItem("", gem)], "clay", gem, "is for the colour error"),
         ([SceneItem("", gem)], "parts", None, "gem has no parts"),
         ([SceneItem("", fit(gem, space="vertex"))], "parts", None, "gem has no parts"),
