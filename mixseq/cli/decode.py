@@ -307,7 +307,7 @@ def _range(model: Model, fps: float | None, start: float | None, end: float | No
             model.header_at([time], fps)  # raises an error if frames cannot be counted
         rate = exact_rate(fps, model.header.fps)
         return model.header_at(frame_times(first, last, rate), rate)
-    model.inside([first, last])
+    model.clip_times([first, last])
     times = model.times[(model.times >= first - slack) & (model.times <= last + slack)]
     if not times.size:
         raise SettingsError(

@@ -137,16 +137,16 @@ class SteadyTurn:
     @classmethod
     def of(cls, space: ShapeSpace, placement: Curve) -> SteadyTurn:
         """Fit the mean angular velocity to a placement, from knot to knot."""
-        turns = normalised(space.poses(placement.values).rotations)
+        turns = normalised(space.unpack_placements(placement.values).rotations)
         steps = vectors(rotations_of(product(turns[1:], inverse(turns[:-1]))))
         lasting = placement.end - placement.start
         return cls(space, steps.sum(axis=0) / (lasting if lasting > 0 else 1.0))
 
     def turned(self, times: Float, placements: Float, sign: float) -> Float:
         """Add the steady turn to placements ``(N, P)`` at times ``(N,)``, or remove it with the sign -1."""
-        turns, centres = self.space.poses(placements)
+        turns, centres = self.space.unpack_placements(placements)
         steady = exponentials(sign * times[:, None, None] * self.rates)
-        return self.space.placements(Poses(product(steady, turns), centres))
+        return self.space.pack_placements(Poses(product(steady, turns), centres))
 
 
 def smoothed(curve: Curve, frames: Float, seconds: float, steady: SteadyTurn | None = None) -> Curve:

@@ -30,14 +30,14 @@ from mixseq.segmentation.methods import MethodSettings
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames, FrameStore, MeshSequence, check_frames, frame_store
 from mixseq.shells.gauss_newton import ShellReport
-from mixseq.signals.detail import encode
+from mixseq.signals.detail import encode_sequence
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.making import (
-    MAKING,
+    SPACE_STAGES,
     MixedSettings,
     SpaceOptions,
     make_space,
-    part_of_faces,
+    segment_faces,
     space_settings,
 )
 from mixseq.types import Float
@@ -118,16 +118,16 @@ class PoseInterpolator(PickledWithoutCaches):
         wrong = blended[(blended < 0) | (blended >= count)]
         if wrong.size:
             raise SettingsError(f"there is no pose {wrong[0]}; poses are 0 to {count - 1}")
-        stages = Stages(progress, 2 + MAKING, poses.header.frame_count)
+        stages = Stages(progress, 2 + SPACE_STAGES, poses.header.frame_count)
         work = workers or on_threads()
         with one_blas_thread():
             frames = frame_store(poses, stages.at(0))
             if isinstance(chosen, MixedSettings):
                 topology = Topology(frames.header.faces, frames.header.vertex_count)
-                chosen = replace(chosen, parts=part_of_faces(frames, chosen, topology), purpose="blends")
+                chosen = replace(chosen, parts=segment_faces(frames, chosen, topology), purpose="blends")
             some = FrameStore(frames.header.with_times(np.arange(len(blended))), frames.points[blended])
-            made = make_space(some, space, chosen, work, stages.at(1, MAKING))
-            encoded = encode(some, made, workers=work, progress=stages.at(1 + MAKING))
+            made = make_space(some, space, chosen, work, stages.at(1, SPACE_STAGES))
+            encoded = encode_sequence(some, made, workers=work, progress=stages.at(1 + SPACE_STAGES))
             vectors = np.concatenate([encoded.shapes[:], encoded.placement], axis=1)
             vectors = np.pad(vectors, ((0, 0), (0, made.correction_dim)))
         return cls(frames.header, made, vectors)

@@ -123,7 +123,7 @@ class Limb:
         away = centres[:, self.parts] - centres[:, [self.part]]
         centres[:, self.parts] = turned(rotations_of(turn)[:, None], away) + place[:, None]
         targets = np.concatenate([each.reshape(len(times), -1) for each in (rotations, centres)], axis=1)
-        corrections = self.space.corrections(blended_poses(model, times), targets)
+        corrections = self.space.pose_corrections(blended_poses(model, times), targets)
         spins, before = (
             each.reshape(len(each), 2, -1, 3)[:, 0] for each in (corrections, model.correction(times[:1]))
         )
@@ -145,7 +145,7 @@ class Limb:
         near = np.clip(0.5 + closer / STRIPS, 0.0, 1.0)
         along = near[topology.edges].mean(axis=1)
         follows = space.skinning_weights @ self.parts.astype(np.float64) > 0
-        vertices = np.where(follows & (space.only_part < 0), near, 0.0)
+        vertices = np.where(follows & (space.rigid_part_of_vertex < 0), near, 0.0)
         hinges = topology.hinge_edges[space.hinge_ids]
         return np.concatenate(
             [along[space.edge_ids], along[hinges], np.repeat(vertices, 3), np.zeros(space.pose_dim)]
@@ -153,8 +153,8 @@ class Limb:
 
     def own_shape(self) -> Float:
         """Return 1 for the coordinates ``(S,)`` of key shapes that follow the part alone, 0 elsewhere."""
-        own = np.repeat(self.space.only_part == self.part, 3).astype(np.float64)
-        return np.pad(own, (sum(self.space.sizes[:2]), self.space.pose_dim))
+        own = np.repeat(self.space.rigid_part_of_vertex == self.part, 3).astype(np.float64)
+        return np.pad(own, (sum(self.space.block_sizes[:2]), self.space.pose_dim))
 
     def _away(self, hinges: Mask) -> Float:
         """Return the distances ``(V,)`` of vertices from hinges, in edges."""
@@ -168,7 +168,7 @@ class Limb:
 
 def part_poses(model: Model, times: Float) -> Poses:
     """Return the poses ``(N, p)`` of all parts relative to their bodies, at times ``(N,)``."""
-    return as_mixed(model.space).corrected_poses(blended_poses(model, times), model.correction(times))
+    return as_mixed(model.space).correct_poses(blended_poses(model, times), model.correction(times))
 
 
 def limb_of(model: Model, part: int) -> Limb:

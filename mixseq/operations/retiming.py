@@ -30,9 +30,9 @@ from mixseq.operations.sections import SLACK, between, breakpoints, measures_of,
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.public import public
 from mixseq.sequence.header import frame_times
-from mixseq.signals.curve import CLOSEST, Curve
+from mixseq.signals.curve import MIN_KNOT_SPACING, Curve
 from mixseq.signals.decoding import ResidualLayer
-from mixseq.signals.detail import Measure
+from mixseq.signals.detail import DeviationNorm
 from mixseq.signals.model import Model
 from mixseq.types import Float
 
@@ -93,10 +93,13 @@ class Retiming:
             )
         if not (np.isfinite(x).all() and np.isfinite(y).all() and (np.diff(x) > 0).all()):
             raise SettingsError("the times of a retiming must be finite, and its output times increase")
-        if np.diff(x).min() < CLOSEST or max(np.abs(x).max(), np.abs(y).max()) > 1 / CLOSEST:
+        if (
+            np.diff(x).min() < MIN_KNOT_SPACING
+            or max(np.abs(x).max(), np.abs(y).max()) > 1 / MIN_KNOT_SPACING
+        ):
             raise SettingsError(
-                f"the output times of a retiming must be {CLOSEST:g} s apart or more, and no time beyond "
-                f"{1 / CLOSEST:g} s"
+                f"the output times of a retiming must be {MIN_KNOT_SPACING:g} s apart or more, and no time beyond "
+                f"{1 / MIN_KNOT_SPACING:g} s"
             )
         lines = np.stack([np.diff(y) / np.diff(x), y[:-1]])
         return cls(float(x[0]), float(x[-1]), PchipInterpolator(x, y) if smooth else PPoly(lines, x))
@@ -181,7 +184,7 @@ def retime(model: Model, keys: ArrayLike, smooth: bool = True) -> Model:
     outputs, sources = points.T
     retiming = Retiming.through(outputs, sources, smooth)
     try:
-        model.inside(sources)  # between the keys the map is between them, too
+        model.clip_times(sources)  # between the keys the map is between them, too
     except SettingsError as error:
         raise SettingsError(f"the retiming asks for more than there is: {error}") from None
     frames = frame_times(retiming.start, retiming.end, model.header.fps, SLACK)
@@ -196,13 +199,13 @@ def retime(model: Model, keys: ArrayLike, smooth: bool = True) -> Model:
     return model.with_motion(time, placement, correction, model.header.with_times(frames), retimed)
 
 
-def _composed(model: Model, curve: Curve, retiming: Retiming, dense: Float, measure: Measure) -> Curve:
+def _composed(model: Model, curve: Curve, retiming: Retiming, dense: Float, measure: DeviationNorm) -> Curve:
     """Return a signal of the model composed with the map; `dense` are additional sites ``(m,)``."""
     keys = retiming.curve.x
     passed = [retiming.curve.solve(knot, extrapolate=False) for knot in breakpoints(curve)]
     inner = np.concatenate([dense, *passed])  # with NaN where the source stands still
     sites = sites_of(keys, between(inner, retiming.start, retiming.end))
-    return sampled(lambda at: curve(model.inside(retiming(at))), sites, ACCURACY, measure)
+    return sampled(lambda at: curve(model.clip_times(retiming(at))), sites, ACCURACY, measure)
 
 
 def _near_kinks(outputs: Float, sources: Float) -> Float:

@@ -53,7 +53,7 @@ MOVED, MOST = 1e-3, 0.9
 def edited_difference(model: Model, time: float, points: ArrayLike | MeshSequence) -> tuple[Model, Float]:
     """Return the model in a space that can represent the edit ``(V, 3)``, and its key shape difference ``(S,)``."""
     edited, before = checked_points(points, model.header), model(time)
-    space, carry = model.space.with_shape(edited - before)
+    space, carry = model.space.extend(edited - before)
     model = replace(model, space=space, shapes=carry(model.shapes))
     _doubt(before, edited, time)
     return model, space.shape_difference(model.curve([time])[0], before, edited)

@@ -30,7 +30,7 @@ from mixseq.errors import SettingsError
 from mixseq.mesh.rotations import continuous_vectors, exponentials, inverse, normalised, product, rotations_of
 from mixseq.sequence.frame_rates import seconds_meant, span_text
 from mixseq.signals.curve import Curve
-from mixseq.signals.detail import Measure, largest
+from mixseq.signals.detail import DeviationNorm, max_norm
 from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
 from mixseq.spaces.base import ShapeSpace
@@ -45,12 +45,12 @@ def centre_columns(space: ShapeSpace) -> Index:
 
 def continued(space: ShapeSpace, curve: Curve, start: float, reference: Float) -> Curve:
     """Return the placement with quaternion signs that continue a reference ``(P,)`` at `start`: the same motion."""
-    here, before = (space.poses(each).rotations[0] for each in (curve([start]), reference[None]))
+    here, before = (space.unpack_placements(each).rotations[0] for each in (curve([start]), reference[None]))
     signs = np.where(np.einsum("gi,gi->g", here, before) < 0, -1.0, 1.0)
     if (signs > 0).all():
         return curve
-    turns, centres = space.poses(curve.values)
-    return Curve(curve.times, space.placements(Poses(turns * signs[:, None], centres)))
+    turns, centres = space.unpack_placements(curve.values)
+    return Curve(curve.times, space.pack_placements(Poses(turns * signs[:, None], centres)))
 
 
 def mean(one: Float, other: Float, share: Float) -> Float:
@@ -60,14 +60,14 @@ def mean(one: Float, other: Float, share: Float) -> Float:
 
 def mean_placements(space: ShapeSpace, one: Float, other: Float, share: Float) -> Float:
     """Return means ``(N, P)`` of placements with the weight `share` ``(N, 1)`` of `other`."""
-    first, second = space.poses(one), space.poses(other)
+    first, second = space.unpack_placements(one), space.unpack_placements(other)
     length, longer = (np.linalg.norm(poses.rotations, axis=2, keepdims=True) for poses in (first, second))
     a, b = (Poses(normalised(poses.rotations), poses.centres) for poses in (first, second))
     share = share[:, :, None]
     # the shorter way at first
     ways = continuous_vectors(rotations_of(product(inverse(a.rotations), b.rotations)))
     turns = product(a.rotations, exponentials(share * ways)) * mean(length, longer, share)
-    return space.placements(Poses(turns, mean(a.centres, b.centres, share)))
+    return space.pack_placements(Poses(turns, mean(a.centres, b.centres, share)))
 
 
 ACCURACY = 1e-5
@@ -130,7 +130,9 @@ def moved(curve: Curve, scale: float, offset: float) -> Curve:
     return Curve(times, values) if scale > 0 else Curve(times[::-1], values[::-1])
 
 
-def sampled(function: Callable[[Float], Float], sites: Float, tolerance: float, measure: Measure) -> Curve:
+def sampled(
+    function: Callable[[Float], Float], sites: Float, tolerance: float, measure: DeviationNorm
+) -> Curve:
     """Return the spline through a function of time, with sites ``(m,)`` refined until the tolerance holds."""
     for _ in range(ROUNDS):
         both = np.empty(2 * len(sites) - 1)
@@ -162,7 +164,7 @@ def smoothstep(times: Float, start: float, end: float) -> Float:
     )
 
 
-def shape_measure(model: Model, metric: Float | None = None) -> Measure:
+def shape_measure(model: Model, metric: Float | None = None) -> DeviationNorm:
     """Return a measure of steps ``(N, k)`` in pose space: RMS over vertices in diagonals, by weights ``(S,)``."""
     shapes = model.shapes
     metric = model.space.shape_weights if metric is None else metric
@@ -171,17 +173,17 @@ def shape_measure(model: Model, metric: Float | None = None) -> Measure:
     return lambda changes: np.sqrt(np.maximum(np.einsum("na,ab,nb->n", changes, gram, changes), 0.0))
 
 
-def placement_measure(model: Model) -> Measure:
+def placement_measure(model: Model) -> DeviationNorm:
     """Return the size ``(N,)`` of placement changes ``(N, P)``: the largest component, in diagonals."""
-    return largest(model.space.weights[model.space.shape_dim :][: model.space.placement_dim])
+    return max_norm(model.space.weights[model.space.shape_dim :][: model.space.placement_dim])
 
 
-def correction_measure(model: Model) -> Measure:
+def correction_measure(model: Model) -> DeviationNorm:
     """Return the size ``(N,)`` of correction changes ``(N, C)``: the largest component, in diagonals."""
-    return largest(model.space.weights[model.space.shape_dim + model.space.placement_dim :])
+    return max_norm(model.space.weights[model.space.shape_dim + model.space.placement_dim :])
 
 
-def measures_of(model: Model) -> tuple[Measure, Measure, Measure]:
+def measures_of(model: Model) -> tuple[DeviationNorm, DeviationNorm, DeviationNorm]:
     """Return the measures of changes of `Model.curves`: time signal, placement and correction."""
     return shape_measure(model), placement_measure(model), correction_measure(model)
 
@@ -333,7 +335,7 @@ def going_on(sections: Sequence[ModelSection]) -> Sequence[ModelSection]:
     signs = [np.ones(size)]
     for before, (model, start, _) in pairwise(sections):
         here, there = blended_poses(model, [start])[0], blended_poses(before.model, [before.end])[0]
-        signs.append(model.space.signs(here, signs[-1] * there))
+        signs.append(model.space.quaternion_signs(here, signs[-1] * there))
     numbers: dict[bytes, int] = {}
     kinds = [numbers.setdefault(each.tobytes(), len(numbers)) for each in signs]
     if len(numbers) == 1:

@@ -271,7 +271,7 @@ def drag(
     place = _place(to)
     time = snapped(model, time)
     reach = _reach(model, reach)
-    plane = model.plane if plane is None else model.known(plane)
+    plane = model.plane if plane is None else model.check_plane(plane)
     if not plane.directions.any():
         raise SettingsError(
             "the embedding of the model is one point, as its shape does not change; there is nothing to drag"

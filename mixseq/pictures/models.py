@@ -425,7 +425,7 @@ def _page_section(
     if kind is None:
         charts = [_signal_chart(draw, model, 2.7) for draw in (draw_coefficients, draw_singular_values)]
         rows.append(stack_sections(_embedding(model, frames), stack_sections(*charts), side_by_side=True))
-        if model.space.decomposed:
+        if model.space.segmentation:
             rows.append(_parts(model, view, 5.0))
     if against is not None:
         has_frames = kind == "error-vertices" and frames is not None

@@ -221,7 +221,7 @@ class SceneItem:
     @property
     def decomposition(self) -> Decomposition | None:
         """Parts and joints of a model that has them, else None."""
-        return self.model.space.decomposed if self.model is not None else None
+        return self.model.space.segmentation if self.model is not None else None
 
     def with_random_access(self, progress: Progress = silent) -> SceneItem:
         """Return the item, with a streamed sequence copied to a frame store."""

@@ -70,7 +70,7 @@ class GradientTransfer(PickledWithoutCaches):
 
         Vertices without corners take those of their leaders.
         """
-        faces, sides, given = self.source.topology.faces, self.source.triangles, self.correspondence
+        faces, sides, given = self.source.topology.faces, self.source.reference_triangles, self.correspondence
         areas = np.linalg.norm(np.cross(sides[:, :, 0], sides[:, :, 1]), axis=1)
         places = (faces.reshape(-1), np.repeat(np.arange(len(faces)), 3))
         shape = (self.source.topology.vertex_count, len(faces))
@@ -82,7 +82,10 @@ class GradientTransfer(PickledWithoutCaches):
 
     def gradients(self, x: FloatArray) -> Float:
         """Gradients ``(F, 3, 3)`` of the source's triangles in a frame ``(V, 3)``."""
-        return self.source.completed(x.astype(np.float64) / self.source.scale) @ self.source.inverses
+        return (
+            self.source.complete_triangles(x.astype(np.float64) / self.source.scale)
+            @ self.source.inverse_triangles
+        )
 
     def transfer_frame(self, x: FloatArray) -> Float:
         """Move the target ``(V', 3)`` as the source is moved in a frame ``(V, 3)``."""
@@ -93,7 +96,7 @@ class GradientTransfer(PickledWithoutCaches):
         moved = self.alignment.turned(gradients[np.maximum(faces, 0)])
         led, around = self._led
         moved[led] = self.alignment.turned(nearest_rotations(combined(around, gradients)))
-        rows = target.integration.vertices(np.swapaxes(moved @ target.sides, 1, 2).reshape(-1, 3))
+        rows = target.poisson_system.solve(np.swapaxes(moved @ target.reference_sides, 1, 2).reshape(-1, 3))
         return self._placed(rows, x, turns) * target.scale
 
     def _placed(self, rows: Float, x: FloatArray, turns: Float) -> Float:
@@ -104,10 +107,10 @@ class GradientTransfer(PickledWithoutCaches):
         own = pieces.vertices[held.root]
         away = correspondence.interpolate(x / self.source.scale - self.source.reference)[own].mean(axis=0)
         placed = rows.copy()
-        root = pieces.slices[held.root]
+        root = pieces.row_slices[held.root]
         placed[root] += rest[own].mean(axis=0) + shift @ away - rows[root].mean(axis=0)
 
-        ends = pieces.rows_of(held.pieces, held.own), pieces.rows_of(held.holders, held.other)
+        ends = pieces.find_rows(held.pieces, held.own), pieces.find_rows(held.holders, held.other)
         gaps = correspondence.interpolate(np.stack([self.source.reference, x / self.source.scale]))
         gaps = gaps[:, held.own] - gaps[:, held.other]
         gaps[:, ~correspondence.matched[held.own]] = 0.0
@@ -116,8 +119,8 @@ class GradientTransfer(PickledWithoutCaches):
             opened = shift @ (gaps[1, number] - turn @ gaps[0, number])
             span = self.alignment.turned(turn) @ (rest[held.own[number]] - rest[held.other[number]])
             place = placed[ends[1][number]] + span + opened
-            placed[pieces.slices[piece]] += place - placed[ends[0][number]]
-        return pieces.merged(placed)
+            placed[pieces.row_slices[piece]] += place - placed[ends[0][number]]
+        return pieces.merge_rows(placed)
 
 
 def gradient_transfer(

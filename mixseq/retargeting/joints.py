@@ -37,7 +37,7 @@ from mixseq.mesh.rotations import turned
 from mixseq.mesh.topology import Topology
 from mixseq.retargeting.gradient_transfer import GradientTransfer, combined, normalised
 from mixseq.segmentation.joints import Decomposition, Joint
-from mixseq.shells.fitting import Patch, SoftConstraint, rebuild
+from mixseq.shells.fitting import Patch, SoftConstraint, rebuild_patch
 from mixseq.shells.gauss_newton import ShellReport, ShellSettings
 from mixseq.types import Float, Index
 
@@ -53,43 +53,45 @@ class SolvedJoints:
     def of(cls, topology: Topology, decomposition: Decomposition) -> SolvedJoints:
         """Select the joints of a decomposition with free vertices."""
         joints = tuple(joint for joint in decomposition.joints if joint.free.any())
-        return cls(joints, tuple(Patch.of_joint(topology, joint, ~joint.free) for joint in joints))
+        return cls(joints, tuple(Patch.from_joint(topology, joint, ~joint.free) for joint in joints))
 
     @cached_property
     def edge_ids(self) -> Index:
         """Global numbers ``(E',)`` of the edges at free vertices."""
-        return _joined([j.edge_ids[p.free_edges] for j, p in zip(self.joints, self.patches, strict=True)])
+        return _joined([j.edge_ids[p.free_edge_mask] for j, p in zip(self.joints, self.patches, strict=True)])
 
     @cached_property
     def hinge_ids(self) -> Index:
         """Global numbers ``(H',)`` of the hinges with a free vertex."""
-        return _joined([j.hinge_ids[p.free_hinges] for j, p in zip(self.joints, self.patches, strict=True)])
+        return _joined(
+            [j.hinge_ids[p.free_hinge_mask] for j, p in zip(self.joints, self.patches, strict=True)]
+        )
 
     @cached_property
     def vertices(self) -> Index:
         """Global numbers ``(F,)`` of the free vertices."""
-        return _joined([j.vertices[p.free] for j, p in zip(self.joints, self.patches, strict=True)])
+        return _joined([j.vertices[p.free_ids] for j, p in zip(self.joints, self.patches, strict=True)])
 
     @cached_property
     def edge_slices(self) -> list[slice]:
         """Slices of the edges of every joint."""
-        return _slices([int(np.count_nonzero(patch.free_edges)) for patch in self.patches])
+        return _slices([int(np.count_nonzero(patch.free_edge_mask)) for patch in self.patches])
 
     @cached_property
     def hinge_slices(self) -> list[slice]:
         """Slices of the hinges of every joint."""
-        return _slices([int(np.count_nonzero(patch.free_hinges)) for patch in self.patches])
+        return _slices([int(np.count_nonzero(patch.free_hinge_mask)) for patch in self.patches])
 
     @cached_property
     def vertex_slices(self) -> list[slice]:
         """Slices of the free vertices of every joint."""
-        return _slices([len(patch.free) for patch in self.patches])
+        return _slices([len(patch.free_ids) for patch in self.patches])
 
     def spacing(self, lengths: Float) -> Float:
         """Return the mean length ``(F,)`` of the edges at every free vertex, from lengths ``(E',)``."""
         sums, counts = np.zeros((2, len(self.vertices)))
         for patch, edges, free in zip(self.patches, self.edge_slices, self.vertex_slices, strict=True):
-            ends = patch.free_number[patch.edges[patch.free_edges]]
+            ends = patch.free_index[patch.edges[patch.free_edge_mask]]
             for end in ends.T:
                 inside = end >= 0
                 np.add.at(sums[free], end[inside], lengths[edges][inside])
@@ -108,10 +110,10 @@ class HarmonicSkin:
     @classmethod
     def of(cls, patch: Patch, owner: Index, rest: Float) -> HarmonicSkin:
         """Find the weights of a patch: owner ``(n,)``; rest ``(n, 3)``."""
-        parts, number = np.unique(owner[patch.fixed], return_inverse=True)
+        parts, number = np.unique(owner[patch.fixed_mask], return_inverse=True)
         boundary = np.eye(len(parts))[number.reshape(-1)]
-        coupling = patch.laplacian[patch.free][:, patch.fixed]
-        return cls(parts, -patch.laplacian_factor.solve(coupling @ boundary), rest[patch.free])
+        coupling = patch.laplacian[patch.free_ids][:, patch.fixed_mask]
+        return cls(parts, -patch.laplacian_factor.solve(coupling @ boundary), rest[patch.free_ids])
 
     def place(self, rotations: Float, translations: Float) -> Float:
         """Move the free vertices ``(f, 3)`` with motions ``x -> R x + t`` of all parts from the reference frame."""
@@ -198,7 +200,7 @@ class JointSolver:
         systems = zip(solved.joints, solved.patches, slices, self._skins, strict=True)
         for joint, patch, (edges, hinges, free), skin in systems:
             guess = skin.place(moves, shifts) + turned(frame.rotations[skin.nearest], frame.offsets[free])
-            rebuilt, report = rebuild(
+            rebuilt, report = rebuild_patch(
                 patch,
                 frame.lengths[edges],
                 frame.angles[hinges],
@@ -208,7 +210,7 @@ class JointSolver:
                 guess,
                 SoftConstraint(guess, frame.offset_weights[free]),
             )
-            points[joint.vertices[patch.free]] = rebuilt[patch.free]
+            points[joint.vertices[patch.free_ids]] = rebuilt[patch.free_ids]
             reports.append(report)
         return points, reports
 
@@ -338,7 +340,7 @@ class OtherEdges:
 
     def _gradients(self, x: Float) -> Float:
         source = self.gradients.source
-        gradients = source.completed(x) @ source.inverses
+        gradients = source.complete_triangles(x) @ source.inverse_triangles
         rotations = nearest_rotations(gradients)
         stretches = np.swapaxes(rotations, 1, 2) @ gradients
         turns = nearest_rotations(combined(self._weights, rotations))

@@ -40,7 +40,7 @@ from mixseq.retargeting.markers import Correspondence
 from mixseq.segmentation.elements import Boundaries
 from mixseq.segmentation.joints import FLAT, Decomposition, Observed, decompose
 from mixseq.shells.solvers import Factor, factorise
-from mixseq.spaces.pieces import registered
+from mixseq.spaces.pieces import register_parts
 from mixseq.types import Float, Index, IntArray
 
 SMALL = 0.1
@@ -75,7 +75,7 @@ class RestShapes:
 
     def register(self, x: Float) -> tuple[Float, PartPoses]:
         """Return a frame's parts aligned to their shapes ``(N, 3)``, and their poses."""
-        aligned, rotations, centres = registered(self.shapes, self.vertices, x)
+        aligned, rotations, centres = register_parts(self.shapes, self.vertices, x)
         return aligned, PartPoses(rotations, centres)
 
 

@@ -61,8 +61,8 @@ def prepare_source(
 ) -> SourceMotion:
     """Prepare a motion as the source of transfers."""
     if isinstance(source, Model):
-        if parts is None and source.space.decomposed:
-            parts = source.space.decomposed.part_of_face
+        if parts is None and source.space.segmentation:
+            parts = source.space.segmentation.part_of_face
         model = source
         source = LazyFrames(model.header_at(), lambda size: model.blocks(model.times, size))
     else:

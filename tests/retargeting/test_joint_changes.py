@@ -13,7 +13,7 @@ from mixseq.retargeting.joints import HarmonicSkin, OtherEdges, SameEdges
 from mixseq.retargeting.markers import Correspondence
 from mixseq.retargeting.mixed_transfer import MixedTransfer, mixed_transfer
 from mixseq.segmentation.joints import make_joint
-from mixseq.shells.fitting import Patch, rebuild
+from mixseq.shells.fitting import Patch, rebuild_patch
 from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.types import Float
 from tests.meshes import Mesh, bent, grid, rotation, topology_of, tube
@@ -263,7 +263,7 @@ OWNER = np.where(RING < 2, 0, np.where(RING >= RINGS - 2, 4, -1))
 def patch() -> Patch:
     topology = topology_of((BAR, FACES))
     whole = make_joint(topology, np.ones(len(FACES), dtype=bool), np.zeros(len(BAR), dtype=bool))
-    return Patch.of_joint(topology, whole, OWNER >= 0)
+    return Patch.from_joint(topology, whole, OWNER >= 0)
 
 
 def motions(first: Float, last: Float, shift: Float) -> tuple[Float, Float]:
@@ -277,7 +277,7 @@ def test_weights_are_harmonic(patch: Patch) -> None:
     """Along a tube they fall evenly from one end to the other."""
     skin = HarmonicSkin.of(patch, OWNER, BAR)
     assert skin.parts.tolist() == [0, 4]
-    expected = (RING[patch.free] - 1) / (RINGS - 3)
+    expected = (RING[patch.free_ids] - 1) / (RINGS - 3)
     np.testing.assert_allclose(skin.weights[:, 1], expected, atol=1e-12)
     np.testing.assert_allclose(skin.weights.sum(axis=1), 1.0, atol=1e-12)
 
@@ -285,7 +285,7 @@ def test_weights_are_harmonic(patch: Patch) -> None:
 def test_a_common_motion_moves_the_joint_rigidly(patch: Patch) -> None:
     turn, shift = np.array([0.3, -1.0, 0.5]), np.zeros(3)
     placed = HarmonicSkin.of(patch, OWNER, BAR).place(*motions(turn, turn, shift))
-    np.testing.assert_allclose(placed, BAR[patch.free] @ matrices(turn).T, atol=1e-12)
+    np.testing.assert_allclose(placed, BAR[patch.free_ids] @ matrices(turn).T, atol=1e-12)
 
 
 def test_vertices_follow_in_proportion(patch: Patch) -> None:
@@ -297,18 +297,20 @@ def test_vertices_follow_in_proportion(patch: Patch) -> None:
 
 def test_the_start_of_lower_energy_is_taken(patch: Patch) -> None:
     """With a bar that is too short for its lengths, a good guess is kept and a bad one is not."""
-    lengths = edge_lengths(BAR, patch.edges)[patch.free_edges]
-    angles = dihedral_angles(BAR, patch.hinges)[patch.free_hinges]
+    lengths = edge_lengths(BAR, patch.edges)[patch.free_edge_mask]
+    angles = dihedral_angles(BAR, patch.hinges)[patch.free_hinge_mask]
     squeezed = BAR.copy()
     squeezed[RING >= RINGS - 2, 2] -= 1.0
     no_steps = ShellSettings(iterations=0)
-    unguided, report = rebuild(patch, lengths, angles, 1 / lengths, squeezed, no_steps)
-    bad = unguided[patch.free] + np.linspace(0.0, 1.0, len(patch.free))[:, None]
-    kept, same = rebuild(patch, lengths, angles, 1 / lengths, squeezed, no_steps, guess=bad)
+    unguided, report = rebuild_patch(patch, lengths, angles, 1 / lengths, squeezed, no_steps)
+    bad = unguided[patch.free_ids] + np.linspace(0.0, 1.0, len(patch.free_ids))[:, None]
+    kept, same = rebuild_patch(patch, lengths, angles, 1 / lengths, squeezed, no_steps, guess=bad)
     np.testing.assert_array_equal(kept, unguided)
     assert same.energy == report.energy
-    best, settled = rebuild(patch, lengths, angles, 1 / lengths, squeezed, ShellSettings())
+    best, settled = rebuild_patch(patch, lengths, angles, 1 / lengths, squeezed, ShellSettings())
     assert settled.converged
     assert settled.energy < report.energy
-    taken, _ = rebuild(patch, lengths, angles, 1 / lengths, squeezed, no_steps, guess=best[patch.free])
+    taken, _ = rebuild_patch(
+        patch, lengths, angles, 1 / lengths, squeezed, no_steps, guess=best[patch.free_ids]
+    )
     np.testing.assert_array_equal(taken, best)
