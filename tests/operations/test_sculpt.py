@@ -239,7 +239,7 @@ def test_angles_take_the_short_way() -> None:
         ({"where": "here"}, "where is 'here'; 'everywhere', 'window', 'similar' is expected"),
         ({"where": "window"}, "a window needs a start or an end"),
         ({"end": 0.5}, "start and end are of a window"),
-        ({"radius": 0.5}, "radius tells what is similar"),
+        ({"radius": 0.5}, "radius is of where='similar'"),
         ({"where": "similar", "radius": 0.0}, "radius is 0.0; a positive fraction"),
         ({"where": "similar", "radius": np.nan}, "radius is nan"),
         (
@@ -315,7 +315,7 @@ def test_meshes_with_other_edges_are_refused() -> None:
     renumbered = MeshSequence.from_arrays(sequence.points[:1, order], place[sequence.faces])
     with pytest.raises(
         InvalidSequenceError,
-        match=r"other edges than the model, polygon \d+ of the edited mesh \(.*\) is .* the model: vertices must keep",
+        match=r"other edges than the model, polygon \d+ of the edited mesh \(.*\) is .* the model; export it again",
     ):
         sculpt(model, 0.0, renumbered)
     with pytest.raises(SettingsError, match="has 4 frames; one is expected"):
