@@ -126,7 +126,7 @@ def _dimensions(model: Model) -> dict[str, Any]:
         "time_knots": len(model.time.times),
         "placement_knots": len(model.placement.times),
     }
-    if model.space.decomposed is None:
+    if model.space.segmentation is None:
         return signals
     space = model.mixed
     edges = 2 * len(space.topology.edges) + 6
