@@ -138,7 +138,7 @@ def snap_to_frames(times: Float, fps: float) -> Float:
     Examples
     --------
     >>> rounded = np.array([0, 1 / 24, 49 / 48, 1.05], np.float32).astype(np.float64)
-    >>> on_grid(rounded, 48).tolist() == [0, 1 / 24, 49 / 48, rounded[3]]
+    >>> snap_to_frames(rounded, 48).tolist() == [0, 1 / 24, 49 / 48, rounded[3]]
     True
     """
     with np.errstate(all="ignore"):  # non-finite times are reported where they are used

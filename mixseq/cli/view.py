@@ -298,7 +298,7 @@ def _set_markers(
             _wait(running.address, browser)
         finally:
             answered()  # later saves are intentional
-            if running.session.unsaved:
+            if running.session.has_changes:
                 kept = _free_name(path.with_stem(f"{path.stem}-unsaved"))
                 write_markers(kept, running.session.marking.markers)
                 warnings.warn(f"the markers were not saved; they are in {kept}", MixseqWarning, stacklevel=2)

@@ -192,6 +192,6 @@ def test_velocities_under_a_moving_transform(path: Path) -> None:
     add_mesh(mover, "square", rising(2), dress=lambda sample, _: sample.setVelocities(positions(SQUARE)))
     del archive, mover
     with pytest.warns(
-        MixseqWarning, match="velocities of /mover/square are those under a transform that moves"
+        MixseqWarning, match="velocities of /mover/square do not contain the motion of its transforms"
     ):
         assert load(path).velocities is None

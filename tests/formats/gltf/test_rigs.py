@@ -290,7 +290,7 @@ def test_what_is_no_rig_is_refused(tmp_path: Path) -> None:
 
 
 def test_too_many_bones_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match=r"65536 bones, glTF has numbers for 65535; fit it with fewer"):
+    with pytest.raises(OutputError, match=r"65536 bones, glTF allows 65535; fit it with fewer"):
         mixseq.write_rig(tmp_path / "a.glb", random_skin(bar(frames=1), bones=65536, targets=0))
     assert list(tmp_path.iterdir()) == []
 
