@@ -77,7 +77,7 @@ class RoundingMonitor:
         if bound < VISIBLE_ERROR_DIAGONALS * diagonal.length:
             return
         with np.errstate(over="ignore", under="ignore"):
-            errors: Float = diagonal.shifted(points - points.astype(np.float32))
+            errors: Float = diagonal.rescale(points - points.astype(np.float32))
             errors = np.sqrt(np.square(errors).sum(axis=2).max(axis=1)) / (diagonal.fraction or 1.0)
         if errors.max() > self.error:
             self.error, self.frame = float(errors.max()), first + int(errors.argmax())
