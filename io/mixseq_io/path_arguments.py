@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mixseq.errors import SettingsError
-from mixseq.sequence.frame_rates import exact_rate
+from mixseq.sequence.frame_rates import snap_to_ntsc
 from mixseq_io.isolation import import_function
 from mixseq_io.registry import read
 
@@ -76,7 +76,7 @@ def _retiming(path: str, given: Given) -> Any:
     from mixseq.operations.retiming import read_retiming
 
     source = next(iter(given.values())).header.fps
-    output = source if given.get("fps") is None else exact_rate(float(given["fps"]), source)
+    output = source if given.get("fps") is None else snap_to_ntsc(float(given["fps"]), source)
     return read_retiming(path, output_fps=output, source_fps=source)
 
 

@@ -17,7 +17,7 @@ from mixseq.choices import TRANSFERS
 from mixseq.cli import files, options
 from mixseq.cli.group import announce, print_json, print_table, progress_bar
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
-from mixseq.runtime.progress import warnings_heard
+from mixseq.runtime.progress import forward_warnings
 
 if TYPE_CHECKING:
     from mixseq.choices import TransferName
@@ -325,7 +325,7 @@ def command(
     with (
         workers as work,
         progress_bar(quiet) as progress,
-        warnings_heard(notes.append),
+        forward_warnings(notes.append),
         _opened_source(source, reading) as opened,
     ):
         import numpy as np
@@ -334,7 +334,7 @@ def command(
         from mixseq.retargeting.report import TransferMeter
         from mixseq.retargeting.sources import prepare_source
         from mixseq.retargeting.transfer import TransferSettings, plan_transfer
-        from mixseq.sequence.sequence import collect
+        from mixseq.sequence.sequence import join_blocks
         from mixseq_io.files import atomic_file
         from mixseq_io.text.maps import read_map, to_correspondence, write_map
         from mixseq_io.text.markers import read_contacts, read_markers
@@ -365,7 +365,7 @@ def command(
         points: list[FloatArray] = []
         blocks = _recorded(meter.measure_blocks(made.blocks(progress, work)), shown, points)
         if as_model:
-            mixseq.save(out, with_shapes(model, collect(made.header, blocks)))
+            mixseq.save(out, with_shapes(model, join_blocks(made.header, blocks)))
         else:
             files.write_sequence(out, made.header, blocks, None, writing)
         report = meter.report()

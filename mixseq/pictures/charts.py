@@ -21,7 +21,7 @@ from mixseq.errors import OutputError, SettingsError
 from mixseq.pictures.colours import INK_COLOUR
 from mixseq.pictures.page import DPI, Target, import_matplotlib
 from mixseq.pictures.scene import Limits
-from mixseq.sequence.frame_rates import frames_between, number_at
+from mixseq.sequence.frame_rates import format_frame_range, time_to_number
 from mixseq.signals.model import Model
 from mixseq.types import Float, IntArray
 
@@ -151,7 +151,7 @@ def log_axis(ax: Axes, values: Float, least_decades: int = 2) -> None:
 
 def time_axis(ax: Axes, start: float, end: float, fps: float | None = None) -> None:
     """Set the x axis to the time from start to end, with a margin for dots; with frame numbers if a rate is given."""
-    ax.set_xlabel("time (s)" if fps is None else f"time (s), {frames_between(start, end, fps)}")
+    ax.set_xlabel("time (s)" if fps is None else f"time (s), {format_frame_range(start, end, fps)}")
     if end > start:
         ax.set_xlim(start - 0.01 * (end - start), end + 0.01 * (end - start))
 
@@ -183,7 +183,7 @@ NEGLIGIBLE = 1e-13
 def draw_embedding(ax: Axes, model: Model, frames: Sequence[int] | None = None) -> None:
     """Draw the time signal in the plane that shows most of it (paper, Figure 18)."""
     count = len(model.times)
-    first = round(number_at(model.times[0], model.header.fps))
+    first = round(time_to_number(model.times[0], model.header.fps))
     marked = round_frames(count, MARKED, first) if frames is None else existing_frames(frames, count)
     curve, dots = model.embedding(dense_times(model)), model.embedding(model.times)
     x, y = dots.T

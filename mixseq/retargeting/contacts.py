@@ -49,9 +49,9 @@ from mixseq.retargeting.mixed_transfer import MixedTransfer
 from mixseq.retargeting.parts import PartPoses, vertex_parts
 from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.parallel import Executor
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import blocks_of
+from mixseq.sequence.sequence import iterate_blocks
 from mixseq.types import Float, FloatArray, Index, Mask
 
 FASTEST = 95.0
@@ -380,7 +380,7 @@ def plant_contacts(
     header: SequenceHeader,
     contacts: Mapping[str, ArrayLike],
     workers: Executor,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> PlantedTransfer:
     """Find poses in which contacts ``(k,)`` rest as those of the source ``(T, V, 3)``; travel scales with the legs."""
     target, source, correspondence = (
@@ -398,7 +398,7 @@ def plant_contacts(
 
     chosen = np.concatenate(list(vertices.values()))
     rotations, centres, paths, soles, done = [], [], [], [], 0
-    for poses, path, sole in workers(_measure, (striding, chosen, part[chosen]), blocks_of(points)):
+    for poses, path, sole in workers(_measure, (striding, chosen, part[chosen]), iterate_blocks(points)):
         rotations.append(poses.rotations)
         centres.append(poses.centres)
         paths.append(path)

@@ -84,8 +84,8 @@ class LRISpace(PosedSpace):
         """Block pattern of frames coupled by edges."""
         return BlockSparsePattern.of(len(self.integration.solved), self.number[self.edges])
 
-    def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         return self.integration, self.pattern
 
     @property

@@ -25,8 +25,8 @@ import numpy as np
 
 from mixseq.errors import SettingsError
 from mixseq.runtime.parallel import Executor
-from mixseq.runtime.progress import Progress, Stages, silent
-from mixseq.sequence.frame_rates import exact_rate
+from mixseq.runtime.progress import Progress, StagedProgress, no_progress
+from mixseq.sequence.frame_rates import snap_to_ntsc
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float
 from mixseq.version import __version__
@@ -174,7 +174,7 @@ def export_page(
     target: Path,
     items: Sequence[PageItem],
     settings: ExportSettings | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     workers: Executor | None = None,
 ) -> ExportReport:
     """Write a page that plays meshes; equal input gives equal bytes, and poses are read once into a temporary array."""
@@ -183,7 +183,7 @@ def export_page(
         raise SettingsError("there is nothing to show; give a sequence or a model")
     times = [_times(item, chosen) for item in items]
     tops = _tops(items)
-    stages = Stages(progress, 2 * len(items), 100)
+    stages = StagedProgress(progress, 2 * len(items), 100)
     first: tuple[SequenceHeader, Gathered] | None = None
     meshes = []
     for number, (each, elapsed) in enumerate(zip(items, times, strict=True)):
@@ -214,7 +214,7 @@ def _times(item: PageItem, settings: ExportSettings) -> Float:
     if not item.colourings:
         raise SettingsError(f"{item.mesh.name} has no colours; clay at least is needed")
     if settings.fps is not None:
-        rate = exact_rate(settings.fps)
+        rate = snap_to_ntsc(settings.fps)
         # the last one may be missed by what rounding does to times
         count = np.floor(elapsed[-1] * rate + 1e-6) + 1
         _check_count(item, count)

@@ -31,9 +31,9 @@ from mixseq.pictures.colours import MEASURES, Colouring, SceneColours
 from mixseq.pictures.scene import SceneItem, View, resolve_view, to_y_up
 from mixseq.runtime.low_memory import LargeArray, new_large_array
 from mixseq.runtime.parallel import Executor
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import LazyFrames, blocks_of, check_block
+from mixseq.sequence.sequence import LazyFrames, check_block, iterate_blocks
 from mixseq.types import Float, FloatArray, Index
 from mixseq.viewer.session import signals_of
 from mixseq_io.coded.packing import pack
@@ -154,7 +154,7 @@ def gather(
     item: SceneItem,
     elapsed: Float,
     first: tuple[SequenceHeader, Gathered] | None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     workers: Executor | None = None,
     camera: tuple[float, float] | None = None,
 ) -> Gathered:
@@ -235,7 +235,7 @@ def page_mesh(
     gathered: Gathered,
     tops: Mapping[str, float],
     max_error: float,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> tuple[dict[str, Any], list[bytes], PageItemReport]:
     """Compress poses at `elapsed` ``(n,)`` within `max_error` diagonals; `tops` are ends of colour scales.
 
@@ -342,7 +342,7 @@ def _colours(
         if colouring.name in MEASURES:
             return scaled, None
         ending = colouring.scaled(top)
-        poses = (pose for block in blocks_of(gathered.poses) for pose in block)
+        poses = (pose for block in iterate_blocks(gathered.poses) for pose in block)
         times = elapsed.tolist()
         entries = (ending.indices(pose, time) for pose, time in zip(poses, times, strict=True))
         return scaled, deflated_rows(each[vertices] for each in entries)

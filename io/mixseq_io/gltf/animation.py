@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from mixseq.errors import FormatError, SettingsError
-from mixseq.sequence.frame_rates import NTSC_RATES, exact_rate
+from mixseq.sequence.frame_rates import NTSC_RATES, snap_to_ntsc
 from mixseq.sequence.header import DEFAULT_FPS
 from mixseq.types import Float, FloatArray
 from mixseq_io.gltf.document import Document, Fields
@@ -148,7 +148,7 @@ def _even_rate(times: NDArray[np.float64]) -> float | None:
     error = rate * rounding / span
     usual = min((*USUAL_RATES, round(rate * 1.001) / 1.001), key=lambda usual: abs(usual - rate))
     # also what was rounded when somebody typed it, 29.97, as long as that makes no difference
-    if abs(usual - rate) <= max(error, _GRID * rate / count if exact_rate(rate) == usual else 0.0):
+    if abs(usual - rate) <= max(error, _GRID * rate / count if snap_to_ntsc(rate) == usual else 0.0):
         return usual
     rounded = (round(rate, digits) for digits in range(6))
     return next((simple for simple in rounded if abs(simple - rate) <= error), rate)

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import FormatError
-from mixseq.runtime.interrupts import unbroken
+from mixseq.runtime.interrupts import uninterrupted
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import LARGEST, SMALLEST
+from mixseq.sequence.sequence import MAX_LENGTH, MIN_LENGTH
 from mixseq.types import Float, Index
 from mixseq_io.files import atomic_file
 from mixseq_io.hdf5.contents import Contents
@@ -100,7 +100,7 @@ class Store:
         if self._failure is not None:
             raise self._failure
 
-    @unbroken
+    @uninterrupted
     def write(self, data: memoryview) -> int:
         """Write all of the data."""
         try:
@@ -111,7 +111,7 @@ class Store:
             self._failure = error
         return len(data)
 
-    @unbroken
+    @uninterrupted
     def truncate(self, size: int) -> int:
         """Set the file's size."""
         try:
@@ -121,22 +121,22 @@ class Store:
             self._failure = error
         return size
 
-    @unbroken
+    @uninterrupted
     def seek(self, offset: int, whence: int = 0) -> int:
         """Go to a byte."""
         return self._file.seek(offset, whence)
 
-    @unbroken
+    @uninterrupted
     def tell(self) -> int:
         """Return the current byte."""
         return self._file.tell()
 
-    @unbroken
+    @uninterrupted
     def read(self, size: int = -1) -> bytes:
         """Read bytes."""
         return self._file.read(size)
 
-    @unbroken
+    @uninterrupted
     def flush(self) -> None:
         """Do nothing: the file is unbuffered, and flushed to disk before it gets its name."""
 
@@ -195,10 +195,10 @@ def integers(
 def floats(path: Path, file: Contents, name: str, shape: tuple[int | None, ...]) -> Float:
     """Read finite numbers of valid magnitude; None in the shape allows any length."""
     array = _finite(path, file, name, shape)
-    if array.size and (large := np.abs(array)).max() > LARGEST:
-        row = np.argwhere(large > LARGEST)[0, 0]
+    if array.size and (large := np.abs(array)).max() > MAX_LENGTH:
+        row = np.argwhere(large > MAX_LENGTH)[0, 0]
         raise FormatError(
-            f"{path}: {name} has {large.max():g} in row {row}, beyond {LARGEST:g}; it is damaged"
+            f"{path}: {name} has {large.max():g} in row {row}, beyond {MAX_LENGTH:g}; it is damaged"
         )
     return array
 
@@ -251,9 +251,9 @@ def _of_kind(
 def read_scale(path: Path, file: Contents) -> float:
     """Read the length of the space's unit."""
     scale = float(file.attributes["space"]["scale"])
-    if not SMALLEST <= scale <= LARGEST:
+    if not MIN_LENGTH <= scale <= MAX_LENGTH:
         raise FormatError(
-            f"{path}: the scale of the space is {scale:g}; a number from {SMALLEST:g} to {LARGEST:g} is expected"
+            f"{path}: the scale of the space is {scale:g}; a number from {MIN_LENGTH:g} to {MAX_LENGTH:g} is expected"
         )
     return scale
 
