@@ -37,7 +37,7 @@ def test_other_rates_stay(rate: float) -> None:
 
 @pytest.mark.parametrize(("typed", "own"), [(23.976, 23.976), (47.952, 23.976), (29.97, 59.94)])
 def test_rates_that_fall_on_the_frames_of_a_motion_stay(typed: float, own: float) -> None:
-    assert snap_to_ntsc(typed, own=own) == typed
+    assert snap_to_ntsc(typed, base=own) == typed
 
 
 def test_words() -> None:
