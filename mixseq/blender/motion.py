@@ -133,7 +133,7 @@ class Motion:
 
     def points(self, time: float) -> Single:
         """Return the vertices ``(V, 3)``, in Blender's axes and units, at a time in seconds."""
-        points = self._conversion.values(self.model(self.clamp_time(time)))
+        points = self._conversion.convert(self.model(self.clamp_time(time)))
         return np.ascontiguousarray(points, np.float32)
 
 
