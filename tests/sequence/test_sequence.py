@@ -70,7 +70,7 @@ BAD: dict[str, tuple[Callable[[], object], str]] = {
     ),
     "no faces": (
         lambda: MeshSequence.from_arrays(points(), np.zeros((0, 3), dtype=int)),
-        "the mesh has no faces; a triangle mesh is needed",
+        "the mesh has no faces; give a mesh with faces",
     ),
     "quads as faces": (
         lambda: MeshSequence.from_arrays(points(), [[0, 1, 2, 3]]),
