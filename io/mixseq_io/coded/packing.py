@@ -12,7 +12,7 @@ import numpy as np
 from mixseq.choices import OrderName
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
 from mixseq.compression.bitstream.connectivity import encode_polygons
-from mixseq.compression.bitstream.corner_values import grid_numbers
+from mixseq.compression.bitstream.corner_values import to_grid
 from mixseq.compression.encoder.uvs import UV_ERROR, encode_uvs, with_quantised_uvs
 from mixseq.compression.numbering import cheapest_numbering
 from mixseq.errors import InvalidSequenceError, SettingsError
@@ -71,7 +71,7 @@ def _ground(header: SequenceHeader, uv_steps: int | None) -> list[bytes]:
     polygons, uvs, surface = header.polygons, header.surface.uvs, header.surface
     textures = []
     if uv_steps is not None:
-        numbers = None if uvs is None else grid_numbers(uvs.at_corners, uv_steps)
+        numbers = None if uvs is None else to_grid(uvs.at_corners, uv_steps)
         if numbers is None:
             raise InvalidSequenceError(
                 f"texture coordinates are no multiples of 1 / {uv_steps}; compress the sequence again"

@@ -16,15 +16,15 @@ from mixseq.choices import OrderName
 from mixseq.compression.bitstream.residual_layer import CodedResidualLayer
 from mixseq.compression.bitstream.signal_graph import SignalGraph, mesh_graph
 from mixseq.compression.bitstream.spatial_basis import (
-    MOST_PARTS,
+    MAX_PARTS,
     BasisKind,
     SpatialBasis,
     assemble_basis,
-    groups_of_parts,
+    part_groups,
     read_basis,
     read_coefficients,
 )
-from mixseq.compression.bitstream.uv_values import LARGEST
+from mixseq.compression.bitstream.uv_values import MAX_COORDINATE
 from mixseq.errors import FormatError, SettingsError
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.sequence.header import SequenceHeader
@@ -37,7 +37,7 @@ from mixseq.spaces.temporal import Operator, chosen, with_middles
 from mixseq.spaces.vertex import BasisSpace, VertexSpace
 from mixseq.types import Float
 
-SHORTEST, LONGEST = 0.5, 64.0
+MIN_LENGTH, MAX_LENGTH = 0.5, 64.0
 """Range of lengths in files. Frozen: part of the format."""
 
 
@@ -89,7 +89,7 @@ class CodingParameters:
                     f"{name} is {value!r}; a {'positive' if positive else 'non-negative'} number is expected"
                 )
         object.__setattr__(self, "ranks", tuple(self.ranks))
-        if self.ranks and not (len(self.ranks) <= MOST_PARTS and sum(self.ranks) == self.rank):
+        if self.ranks and not (len(self.ranks) <= MAX_PARTS and sum(self.ranks) == self.rank):
             raise SettingsError(
                 f"the parts have {self.ranks} basis vectors, which are not {self.rank} in all"
             )
@@ -101,9 +101,11 @@ class CodingParameters:
         if (steps is None) != (error is None):
             raise SettingsError("uv_steps and uv_error come together")
         if steps is not None and not (
-            isinstance(steps, int) and not isinstance(steps, bool) and 0 < steps <= LARGEST
+            isinstance(steps, int) and not isinstance(steps, bool) and 0 < steps <= MAX_COORDINATE
         ):
-            raise SettingsError(f"uv_steps is {steps!r}; a whole number from 1 to {LARGEST} is expected")
+            raise SettingsError(
+                f"uv_steps is {steps!r}; a whole number from 1 to {MAX_COORDINATE} is expected"
+            )
         if error is not None and not (isinstance(error, int | float) and 0 <= error < inf):
             raise SettingsError(f"uv_error is {error!r}; a non-negative number is expected")
         if not isinstance(self.promised, bool):
@@ -119,9 +121,9 @@ class TemporalInterpolation:
     cubic: tuple[float, float]
 
     def __post_init__(self) -> None:
-        if not (_is_number(self.length) and (SHORTEST <= self.length <= LONGEST or self.length == inf)):
+        if not (_is_number(self.length) and (MIN_LENGTH <= self.length <= MAX_LENGTH or self.length == inf)):
             raise SettingsError(
-                f"length is {self.length!r}; a number from {SHORTEST:g} to {LONGEST:g} is expected, or infinity"
+                f"length is {self.length!r}; a number from {MIN_LENGTH:g} to {MAX_LENGTH:g} is expected, or infinity"
             )
         shares = self.cubic
         if not (
@@ -166,7 +168,7 @@ def decode(coded: CompressedSequence) -> tuple[Model, TemporalInterpolation]:
         coefficients = np.concatenate([decode_coefficients(coded, chunk, basis) for chunk in coded.chunks])
         if not (np.isfinite(basis.norms).all() and np.isfinite(coefficients).all()):
             raise FormatError("coded signals are not finite; the file is damaged")
-        space, scores, mean, directions = _affine(basis, coefficients, parameters.diagonal)
+        space, scores, mean, directions = _affine_frames(basis, coefficients, parameters.diagonal)
         pose, shapes = straight_modes(scores, mean, directions)
     residual_layer = None
     if any(chunk.residuals for chunk in coded.chunks):
@@ -192,16 +194,16 @@ def decode_basis(coded: CompressedSequence, graph: SignalGraph) -> SpatialBasis:
     """Return the spatial basis of a compressed sequence."""
     parameters = coded.parameters
     ranks = parameters.ranks or (parameters.rank,)
-    most = 3 * min(len(ranks) * parameters.frame_count, graph.size) + len(ranks)
-    if parameters.rank > most:
+    max_rank = 3 * min(len(ranks) * parameters.frame_count, graph.size) + len(ranks)
+    if parameters.rank > max_rank:
         raise FormatError(
-            f"{parameters.rank} basis vectors are more than the {most} that such a sequence can have; "
+            f"{parameters.rank} basis vectors are more than the {max_rank} that such a sequence can have; "
             "the file is damaged"
         )
-    groups = len(groups_of_parts(ranks))
-    if len(coded.basis) != groups:
+    group_count = len(part_groups(ranks))
+    if len(coded.basis) != group_count:
         raise FormatError(
-            f"the spatial basis has {len(coded.basis)} groups, {groups} are expected; the file is damaged"
+            f"the spatial basis has {len(coded.basis)} groups, {group_count} are expected; the file is damaged"
         )
     coordinates = 1 if parameters.factors == "trajectories" else 3
     vectors, parts = read_basis(coded.basis, ranks, coordinates, parameters.step, coded.header.faces, graph)
@@ -214,16 +216,20 @@ def decode_coefficients(coded: CompressedSequence, chunk: Chunk, basis: SpatialB
     return read_coefficients(basis, chunk.coefficients, chunk.count, parameters.step)
 
 
-def _affine(basis: SpatialBasis, coefficients: Float, unit: float) -> tuple[ShapeSpace, Float, Float, Float]:
+def _affine_frames(
+    basis: SpatialBasis, coefficients: Float, unit: float
+) -> tuple[ShapeSpace, Float, Float, Float]:
     """Return a shape space, and its frames as mean plus scores ``(T, r)`` times directions ``(r, D)``."""
     if basis.kind == "shapes":
         vectors = basis.vectors.transpose(0, 2, 1).reshape(len(basis.vectors), -1) / unit
         mean = vectors[0] / np.sqrt(basis.frame_count)
         return VertexSpace(basis.vertex_count, unit), coefficients[..., 0], mean, vectors[1:]
     space = BasisSpace(basis.vectors[:, 0], unit)
-    rows = coefficients.reshape(len(coefficients), -1) / unit
-    mean = rows.mean(axis=0)
+    vectors_of_frames = coefficients.reshape(len(coefficients), -1) / unit
+    mean = vectors_of_frames.mean(axis=0)
     # PCA: coordinates of the pose space are those of most motion.
-    left, sizes, right = np.linalg.svd((rows - mean) * space.weights, full_matrices=False)
-    kept = sizes > NEGLIGIBLE_MODE * sizes.max(initial=0.0)
-    return space, left[:, kept] * sizes[kept], mean, right[kept] / space.weights
+    left, singular_values, right = np.linalg.svd(
+        (vectors_of_frames - mean) * space.weights, full_matrices=False
+    )
+    kept_mask = singular_values > NEGLIGIBLE_MODE * singular_values.max(initial=0.0)
+    return space, left[:, kept_mask] * singular_values[kept_mask], mean, right[kept_mask] / space.weights

@@ -49,16 +49,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.compression.bitstream import predictor_kernels as kernels
-from mixseq.compression.bitstream.predictor_kernels import UNIT
-from mixseq.compression.bitstream.signal_graph import MOST, SignalGraph, coarser_levels, renumbered
+from mixseq.compression.bitstream.predictor_kernels import UNITS_PER_STEP
+from mixseq.compression.bitstream.signal_graph import (
+    MAX_NEIGHBOURS,
+    SignalGraph,
+    coarser_levels,
+    renumber_adjacency,
+)
 from mixseq.mesh.polygons import frozen
 from mixseq.runtime.jit import compiled
 from mixseq.types import Float, Index
 
-WIDEST = 16
+MAX_STENCIL_NODES = 16
 """Largest number of nodes in a stencil: the neighbours, and those of largest weight. Frozen: breaks files."""
 
-HUB = 32
+MAX_SLOPE_NEIGHBOURS = 32
 """Number of neighbours above which slopes at a node are ignored, to save time. Frozen: breaks files."""
 
 
@@ -70,41 +75,43 @@ class Stencils(NamedTuple):
     weights: Float  # (N, WIDEST) rows add up to one
 
 
-_known: WeakKeyDictionary[SignalGraph, Stencils] = WeakKeyDictionary()
+_stencil_cache: WeakKeyDictionary[SignalGraph, Stencils] = WeakKeyDictionary()
 
 
-def stencils(graph: SignalGraph) -> Stencils:
+def graph_stencils(graph: SignalGraph) -> Stencils:
     """Return the stencils of a mesh's graph; for a graph over time, or nodes without edges, its own weights."""
-    if graph not in _known:
-        _known[graph] = _stencils(graph)
-    return _known[graph]
+    if graph not in _stencil_cache:
+        _stencil_cache[graph] = _compute_stencils(graph)
+    return _stencil_cache[graph]
 
 
-def _stencils(graph: SignalGraph) -> Stencils:
+def _compute_stencils(graph: SignalGraph) -> Stencils:
     own = graph.neighbours.shape[1]
     found = Stencils(
-        np.zeros((graph.size, WIDEST), dtype=np.int64), graph.counts.copy(), np.zeros((graph.size, WIDEST))
+        np.zeros((graph.size, MAX_STENCIL_NODES), dtype=np.int64),
+        graph.counts.copy(),
+        np.zeros((graph.size, MAX_STENCIL_NODES)),
     )
     found.neighbours[:, :own] = graph.neighbours
     found.weights[:, :own] = graph.weights
-    if graph.over_time:
+    if graph.is_over_time:
         return found
     # Levels are those of vertices' numbers.
     place = np.empty(graph.size, dtype=np.int64)
     place[graph.order] = np.arange(graph.size)
-    starts, beside = renumbered(graph.ring_starts, graph.ring, place, graph.order)
+    starts, beside = renumber_adjacency(graph.ring_starts, graph.ring, place, graph.order)
     lengths = np.ones(len(beside))
-    nodes = np.zeros((graph.size, MOST), dtype=np.int64), np.zeros(graph.size, dtype=np.int64)
+    nodes = np.zeros((graph.size, MAX_NEIGHBOURS), dtype=np.int64), np.zeros(graph.size, dtype=np.int64)
     for level in coarser_levels(starts, beside, *nodes):
-        left = _lengths(*level, lengths)
-        before = level.starts, level.beside, lengths
-        _bend(level.gone, *before, level.new_starts, level.new_beside, left, place, *found)
+        left = _update_lengths(*level, lengths)
+        before = level.starts, level.adjacent, lengths
+        _fit_stencils(level.removed, *before, level.new_starts, level.new_adjacent, left, place, *found)
         lengths = left
     return found
 
 
 @compiled
-def _bend(
+def _fit_stencils(
     gone: Index,
     starts: Index,
     beside: Index,
@@ -122,11 +129,11 @@ def _bend(
     Stencils have nodes' numbers: ``place`` (N,) of vertices.
     """
     slot = np.full(len(place), -1, dtype=np.int64)  # where a vertex is in the two lists
-    listed = np.empty(MOST * (HUB + 1), dtype=np.int64)
-    shares = np.empty(MOST * (HUB + 1))
+    listed = np.empty(MAX_NEIGHBOURS * (MAX_SLOPE_NEIGHBOURS + 1), dtype=np.int64)
+    shares = np.empty(MAX_NEIGHBOURS * (MAX_SLOPE_NEIGHBOURS + 1))
     for vertex in gone:
         first = starts[vertex]
-        degree = min(starts[vertex + 1] - first, MOST)
+        degree = min(starts[vertex + 1] - first, MAX_NEIGHBOURS)
         slope = 0.0  # of the vertex, by its own value
         for at in range(first, first + degree):
             slope += 1.0 / lengths[at]
@@ -137,7 +144,7 @@ def _bend(
         size, total = degree, slope * slope
         for i in range(degree):
             around, side = beside[first + i], lengths[first + i]
-            if new_starts[around + 1] - new_starts[around] > HUB:
+            if new_starts[around + 1] - new_starts[around] > MAX_SLOPE_NEIGHBOURS:
                 continue
             number = 1
             # Number of remaining neighbours, without those across the vertex; then their shares.
@@ -180,7 +187,7 @@ def _bend(
 
 
 @compiled
-def _lengths(
+def _update_lengths(
     gone: Index,
     starts: Index,
     beside: Index,
@@ -216,39 +223,39 @@ def _lengths(
     return found
 
 
-SIMILAR, SIMILAR_FRAMES = 8, 16
+SIMILAR_VERTICES, SIMILAR_FRAMES = 8, 16
 """Number of most similar nodes joined to a node: vertices, or frames. Frozen: breaks files."""
 
-SEARCHED = 5
+SIMILARITY_SEARCH_SIGNALS = 5
 """Number of known signals, times their coordinates, at which similar nodes are searched for. Frozen: breaks files."""
 
-EXHAUSTIVE = 2048
+EXHAUSTIVE_SEARCH_NODES = 2048
 """Number of first nodes that search all nodes before them; later ones search near neighbours. Frozen: breaks files."""
 
-RIDGE = 0.5
+RIDGE_PER_SIGNAL = 0.5
 """Squared rounding error of a known signal, in steps: rho, the ridge of the weights. Frozen: breaks files."""
 
-ROUGH = 10.0
+ROUGHNESS_SCALE = 10.0
 """Mean squared difference of neighbours, in squared steps, above which trust falls. Frozen: breaks files."""
 
-DOUBLED = 16
+TRUST_DOUBLING_SIGNALS = 16
 """Signals after which trust is doubled, as newer signals resemble the next one most. Frozen: breaks files."""
 
-_AGES = 512
+_MAX_TRUST_DOUBLINGS = 512
 """Largest number of doublings of trust; reached by damaged files only. Frozen: breaks files."""
 
-SELDOM = 2
+RENEWAL_SHIFT = 2
 """Weights are renewed after every signal, after 8 signals after every other, after 12 after every third, and so on.
 Frozen: breaks files.
 """
 
-FINER, FINEST = 9, 38
+STEP_RATIO_TENTHS, MIN_STEP_UNITS = 9, 38
 """Ratio of the steps of successive coarser levels, in tenths, and smallest step in units. Frozen: breaks files."""
 
-EQUAL = 3
+UNIFORM_STEP_SIGNALS = 3
 """Number of signals, times their coordinates, with the same step at all nodes. Frozen: breaks files."""
 
-_MANY = 1024
+_LARGE_GRAPH_NODES = 1024
 """Number of nodes above which graphs are processed in larger blocks. Free: affects time only."""
 
 
@@ -260,21 +267,21 @@ class Predictor:
 
     def __init__(self, graph: SignalGraph, coordinates: int = 1) -> None:
         self._plain = graph
-        self._coordinates, self.searched = coordinates, SEARCHED * coordinates
+        self._coordinates, self.similarity_search_at = coordinates, SIMILARITY_SEARCH_SIGNALS * coordinates
         self._known, self._due = 0, 1
         self._signals: list[Float] = []  # all, until similar nodes are searched for
         self._pending: list[Float] = []  # those not learned yet
         self.values = np.zeros(graph.size, dtype=np.int64)
-        self.steps = np.full(graph.size, UNIT)
-        self._join(*stencils(graph))
+        self.steps = np.full(graph.size, UNITS_PER_STEP)
+        self._set_neighbours(*graph_stencils(graph))
 
-    def _join(self, neighbours: Index, counts: Index, weights: Float) -> None:
+    def _set_neighbours(self, neighbours: Index, counts: Index, weights: Float) -> None:
         """Set the neighbours of nodes, and their initial weights."""
         self.neighbours = neighbours.astype(np.int32)
         self.counts = counts.astype(np.int32)
-        self._start = kernels.rounded(frozen(weights))  # as those of stencils are: one type to numba
+        self._start = kernels.round_weights(frozen(weights))  # as those of stencils are: one type to numba
         self.weights = self._start.copy()
-        self._blocks, self._sizes = blocks(self.counts)
+        self._blocks, self._sizes = group_nodes(self.counts)
         entries = self._sizes.astype(np.int64) * (self._sizes + 1) // 2 - 1
         self._places = np.cumsum(entries) - entries
         self._gram = np.zeros((int(entries.sum()), self._blocks.shape[1]))
@@ -286,58 +293,63 @@ class Predictor:
         self._known += 1
         known = self._known
         self._pending.append(signal)
-        if known == EQUAL * self._coordinates and not self._plain.over_time:
-            self.steps = finer_steps(len(self.steps))
-        if known <= self.searched:
+        if known == UNIFORM_STEP_SIGNALS * self._coordinates and not self._plain.is_over_time:
+            self.steps = level_steps(len(self.steps))
+        if known <= self.similarity_search_at:
             self._signals.append(signal)
-        if known == self.searched:
-            self._join_similar()
+        if known == self.similarity_search_at:
+            self._add_similar_nodes()
         # Weights are renewed ever more rarely, as they change less.
-        if known == self.searched or known >= self._due:
-            self._renew()
-            self._due = known + max(1, known >> SELDOM)
+        if known == self.similarity_search_at or known >= self._due:
+            self._update_weights()
+            self._due = known + max(1, known >> RENEWAL_SHIFT)
 
-    def _renew(self) -> None:
+    def _update_weights(self) -> None:
         """Learn from the pending signals, and solve for weights."""
         signals = np.array(self._pending)
-        ages = np.arange(self._known - len(signals), self._known) // DOUBLED
-        trusts = np.ldexp(1.0, np.minimum(ages, _AGES))
-        trusts *= [kernels.trust(one, ROUGH * UNIT**2, self.neighbours, self.counts) for one in signals]
-        self._ridge += RIDGE * UNIT**2 * float(trusts.sum())
+        ages = np.arange(self._known - len(signals), self._known) // TRUST_DOUBLING_SIGNALS
+        trusts = np.ldexp(1.0, np.minimum(ages, _MAX_TRUST_DOUBLINGS))
+        trusts *= [
+            kernels.compute_trust(one, ROUGHNESS_SCALE * UNITS_PER_STEP**2, self.neighbours, self.counts)
+            for one in signals
+        ]
+        self._ridge += RIDGE_PER_SIGNAL * UNITS_PER_STEP**2 * float(trusts.sum())
         of_blocks = self._blocks, self._sizes, self._places
-        kernels.learn(signals, trusts, *of_blocks, self.neighbours, self._gram)
-        kernels.solve(self._ridge, *of_blocks, self._gram, self._start, self.weights)
+        kernels.accumulate_gram(signals, trusts, *of_blocks, self.neighbours, self._gram)
+        kernels.solve_weights(self._ridge, *of_blocks, self._gram, self._start, self.weights)
         self._pending = []
 
-    def _join_similar(self) -> None:
+    def _add_similar_nodes(self) -> None:
         """Join every node to the most similar nodes before it in all known signals."""
         plain = self._plain
-        similar = np.zeros((plain.size, SIMILAR_FRAMES if plain.over_time else SIMILAR), dtype=np.int32)
+        similar = np.zeros(
+            (plain.size, SIMILAR_FRAMES if plain.is_over_time else SIMILAR_VERTICES), dtype=np.int32
+        )
         found = np.zeros(plain.size, dtype=np.int32)
         beside = plain.neighbours.astype(np.int32), plain.counts.astype(np.int32)
-        kernels.nearest(np.array(self._signals), *beside, EXHAUSTIVE, similar, found)
-        joined = plain.with_more(similar, found)
-        self._join(joined.neighbours, joined.counts, joined.weights)
+        kernels.find_similar_nodes(np.array(self._signals), *beside, EXHAUSTIVE_SEARCH_NODES, similar, found)
+        joined = plain.with_extra_neighbours(similar, found)
+        self._set_neighbours(joined.neighbours, joined.counts, joined.weights)
         self._pending, self._signals = self._signals, []
 
 
-def finer_steps(size: int) -> Index:
+def level_steps(size: int) -> Index:
     """Return the steps ``(N,)`` of `size` nodes in units, smaller on coarse levels; each level doubles the nodes."""
-    steps = np.full(size, UNIT)
-    first, step = size // 2, UNIT
+    steps = np.full(size, UNITS_PER_STEP)
+    first, step = size // 2, UNITS_PER_STEP
     while first:
-        step = max(step * FINER // 10, FINEST)
+        step = max(step * STEP_RATIO_TENTHS // 10, MIN_STEP_UNITS)
         steps[:first] = step
         first //= 2
     return steps
 
 
-def blocks(counts: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def group_nodes(counts: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Return blocks ``(B, lanes)`` of nodes with equal numbers of neighbours, and the number of nodes ``(B,)`` in each.
 
     Nodes with fewer than two neighbours are left out, having fixed weights. Partial blocks repeat their last node.
     """
-    lanes = kernels.LANES if len(counts) > _MANY else kernels.FEW_LANES
+    lanes = kernels.LANES_PER_BLOCK if len(counts) > _LARGE_GRAPH_NODES else kernels.LANES_PER_SMALL_BLOCK
     found, sizes = [np.zeros((0, lanes), dtype=np.int32)], []
     for count in np.unique(counts[counts > 1]):
         nodes: Index = np.flatnonzero(counts == count)

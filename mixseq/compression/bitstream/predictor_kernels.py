@@ -18,7 +18,7 @@ gram          (entries, lanes) float64, in squared units: of every block's matri
 The weight of a node's first neighbour is one minus the others, so matrices are those of differences to it.
 
 Sums of values, trust and weights are exact up to values of 2^29; larger values, of damaged files, give arbitrary
-results without an error. Only `solve` rounds: it needs + - * / and roots of float64 in the order written here, without
+results without an error. Only `solve_weights` rounds: it needs + - * / and roots of float64 in the order written here, without
 contraction to fused operations, and then rounds its results.
 
 Frozen: changing results breaks files.
@@ -29,50 +29,47 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mixseq.runtime.jit import compiled, joined
-from mixseq.types import Float, Index
+from mixseq.types import Float, Index, Int32
 
-UNIT = 64
+UNITS_PER_STEP = 64
 """Values are whole numbers of steps / UNIT. Frozen: breaks files."""
 
-LANES, FEW_LANES = 64, 8
+LANES_PER_BLOCK, LANES_PER_SMALL_BLOCK = 64, 8
 """Nodes in a block, for graphs with many, or few nodes. Free: affects time only."""
 
-_FARTHEST = 2.0**50
+_MAX_PREDICTION = 2.0**50
 """Largest magnitude of predictions; bounds those of damaged files. Frozen: breaks files."""
 
-_ROUNDING = 1.5 * 2.0**28
+_ROUNDING_OFFSET = 1.5 * 2.0**28
 """Number whose addition and subtraction rounds to a multiple of 2^-24. Frozen: breaks files."""
 
-_LEAST = 1e-12
+_RELATIVE_RIDGE = 1e-12
 """Share of a matrix's trace added to the ridge, for nearly singular ones of large signals. Frozen: breaks files."""
-
-Small = NDArray[np.int32]
 
 
 @joined
-def predict(node: int, neighbours: Small, counts: Small, weights: Float, values: Index) -> int:
+def predict(node: int, neighbours: Int32, counts: Int32, weights: Float, values: Index) -> int:
     """Return the value of a node predicted from the values ``(N,)`` before it, in units."""
     total = 0.5
     for i in range(counts[node]):
         total += weights[node, i] * values[neighbours[node, i]]
-    if total > _FARTHEST:
-        total = _FARTHEST
-    elif not total > -_FARTHEST:
-        total = -_FARTHEST
+    if total > _MAX_PREDICTION:
+        total = _MAX_PREDICTION
+    elif not total > -_MAX_PREDICTION:
+        total = -_MAX_PREDICTION
     return math.floor(total)
 
 
 @compiled
-def rounded(weights: Float) -> Float:
+def round_weights(weights: Float) -> Float:
     """Return weights ``(N, n)``, rounded to multiples of 2^-24."""
-    return (weights + _ROUNDING) - _ROUNDING
+    return (weights + _ROUNDING_OFFSET) - _ROUNDING_OFFSET
 
 
 @compiled
-def trust(values: Float, rough: float, neighbours: Small, counts: Small) -> float:
+def compute_trust(values: Float, rough: float, neighbours: Int32, counts: Int32) -> float:
     """Return the power of two from 2/3 to 4/3 of ``1 / (1 + m / rough)``, m the mean square of first differences."""
     total, pairs = 0.0, 0
     for node in range(len(values)):
@@ -88,13 +85,13 @@ def trust(values: Float, rough: float, neighbours: Small, counts: Small) -> floa
 
 
 @compiled
-def learn(
+def accumulate_gram(
     signals: Float,
     trusts: Float,
-    blocks: Small,
-    sizes: Small,
+    blocks: Int32,
+    sizes: Int32,
     places: Index,
-    neighbours: Small,
+    neighbours: Int32,
     gram: Float,
 ) -> None:
     """Add the products of the differences of signals ``(m, N)``, times trusts ``(m,)``, to the Gram matrices."""
@@ -119,8 +116,8 @@ def learn(
 
 
 @compiled
-def solve(
-    ridge: float, blocks: Small, sizes: Small, places: Index, gram: Float, start: Float, weights: Float
+def solve_weights(
+    ridge: float, blocks: Int32, sizes: Int32, places: Index, gram: Float, start: Float, weights: Float
 ) -> None:
     """Write the weights of sum one that minimise w G w + ridge |w - start|^2, by Cholesky: start ``(N, n)``."""
     most, lanes = start.shape[1], blocks.shape[1]
@@ -133,7 +130,7 @@ def solve(
         pull[:] = ridge
         for i in range(last):
             for lane in range(lanes):
-                pull[lane] += _LEAST * gram[place + i * (i + 3) // 2, lane]
+                pull[lane] += _RELATIVE_RIDGE * gram[place + i * (i + 3) // 2, lane]
         for i in range(last + 1):
             row = i * (i + 1) // 2
             for j in range(min(i + 1, last)):
@@ -166,7 +163,7 @@ def solve(
                 for lane in range(lanes):
                     entry[lane] -= lower[k * (k + 1) // 2 + i, lane] * found[k, lane]
             for lane in range(lanes):
-                found[i, lane] = (entry[lane] * inverse[i, lane] + _ROUNDING) - _ROUNDING
+                found[i, lane] = (entry[lane] * inverse[i, lane] + _ROUNDING_OFFSET) - _ROUNDING_OFFSET
                 pull[lane] -= found[i, lane]
         for lane in range(lanes):
             weights[nodes[lane], 0] = pull[lane]
@@ -175,8 +172,8 @@ def solve(
 
 
 @compiled
-def nearest(
-    signals: Float, neighbours: Small, counts: Small, exhaustive: int, similar: Small, found: Small
+def find_similar_nodes(
+    signals: Float, neighbours: Int32, counts: Int32, exhaustive: int, similar: Int32, found: Int32
 ) -> None:
     """Write the nodes before every node that are nearest to it in signals ``(D, N)``, without its neighbours.
 
@@ -229,7 +226,7 @@ def nearest(
 
 @joined
 def _insert(
-    node: int, other: int | np.int64, distance: float, similar: Small, found: Small, apart: Float
+    node: int, other: int | np.int64, distance: float, similar: Int32, found: Int32, apart: Float
 ) -> None:
     """Insert a node into the nearest ones at squared distances `apart` (most,), replacing the farthest."""
     place = len(apart) - 1

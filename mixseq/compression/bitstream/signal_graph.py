@@ -23,27 +23,27 @@ from mixseq.mesh.polygons import frozen
 from mixseq.runtime.jit import compiled
 from mixseq.types import Float, Index, Mask
 
-MOST = 12
+MAX_NEIGHBOURS = 12
 """Largest number of neighbours that predict a node. Frozen: breaks old files."""
 
-NEIGHBOUR_COUNTS = MOST + 1
+NEIGHBOUR_COUNTS = MAX_NEIGHBOURS + 1
 """Number of possible counts of these neighbours, from none on. Frozen: breaks old files."""
 
-WIDEST = 6
+MAX_REMOVED_DEGREE = 6
 """Largest number of neighbours of a removed node, if there are any such nodes. Frozen: breaks old files."""
 
-ROOTS = 6
+MAX_ROOT_NEIGHBOURS = 6
 """Number of earlier roots that predict a node without neighbours. Frozen: breaks old files."""
 
-_HUB = 32
+_HUB_DEGREE_RATIO = 32
 """Ratio of neighbour counts above which shared ones are found by binary search. Free: affects time only."""
 
 
 @compiled
-def adjacency(starts: Index, beside: Index, left: Mask, edges: Index) -> tuple[Index, Index]:
+def update_adjacency(starts: Index, beside: Index, left: Mask, edges: Index) -> tuple[Index, Index]:
     """Return the neighbours of all nodes of a graph with further edges ``(E, 2)``, of nodes that are `left` ``(N,)``.
 
-    Neighbours are starts ``(N + 1,)`` and ``beside[starts[node] : starts[node + 1]]``, ascending and unique. Edges may
+    Neighbours are starts ``(N + 1,)`` and ``adjacent[starts[node] : starts[node + 1]]``, ascending and unique. Edges may
     repeat, exist already, or join a node to itself; both of their ends are left.
     """
     count = len(left)
@@ -92,7 +92,7 @@ def adjacency(starts: Index, beside: Index, left: Mask, edges: Index) -> tuple[I
 
 
 @compiled
-def renumbered(starts: Index, beside: Index, order: Index, place: Index) -> tuple[Index, Index]:
+def renumber_adjacency(starts: Index, beside: Index, order: Index, place: Index) -> tuple[Index, Index]:
     """Return the neighbours of nodes in the order ``(N,)``: node i becomes ``place[i]``, the inverse of it."""
     new_starts = np.empty(len(order) + 1, dtype=np.int64)
     new_beside = np.empty(len(beside), dtype=np.int64)
@@ -107,11 +107,11 @@ def renumbered(starts: Index, beside: Index, order: Index, place: Index) -> tupl
 
 
 @compiled
-def independent(nodes: Index, starts: Index, beside: Index, fewest: int, most: int) -> Index:
+def find_independent_nodes(nodes: Index, starts: Index, beside: Index, fewest: int, most: int) -> Index:
     """Return nodes of which no two are neighbours, with at most `most` neighbours, by increasing number of neighbours.
 
     Ties among nodes ``(n,)`` int64, with `fewest` or more neighbours, keep their order; the neighbours of a node are
-    ``beside[starts[node] : starts[node + 1]]``, with starts ``(N + 1,)``.
+    ``adjacent[starts[node] : starts[node + 1]]``, with starts ``(N + 1,)``.
     """
     blocked = np.zeros(len(starts) - 1, dtype=np.bool_)
     chosen = np.empty(len(nodes), dtype=np.int64)
@@ -128,7 +128,7 @@ def independent(nodes: Index, starts: Index, beside: Index, fewest: int, most: i
 
 
 @compiled
-def collapse(gone: Index, starts: Index, beside: Index, neighbours: Index, counts: Index) -> Index:
+def collapse_nodes(gone: Index, starts: Index, beside: Index, neighbours: Index, counts: Index) -> Index:
     """Write neighbours ``(N, n)`` and counts ``(N,)`` of removed nodes; return edges ``(E, 2)`` that close the holes.
 
     All neighbours of a node are joined to the one adjacent to most of the others, ties to the one of fewest neighbours.
@@ -152,7 +152,7 @@ def collapse(gone: Index, starts: Index, beside: Index, neighbours: Index, count
             other = beside[place]
             shared = 0
             degree = starts[other + 1] - starts[other]
-            if degree > _HUB * (last - first):
+            if degree > _HUB_DEGREE_RATIO * (last - first):
                 for at in range(first, last):
                     low, high = starts[other], starts[other + 1]
                     # The first that is not less; NumPy's search would import SciPy when it is loaded.
@@ -188,7 +188,7 @@ class SignalGraph:
     weights: Float  # (N, n) their initial weights; rows add up to one
     ring: Index  # (R,) all nodes beside every node, before or after it, node by node
     ring_starts: Index  # (N + 1,) row offsets of ring: ring[ring_starts[i] : ring_starts[i + 1]] of node i
-    over_time: bool = False  # whether nodes are frames, not vertices
+    is_over_time: bool = False  # whether nodes are frames, not vertices
 
     def __post_init__(self) -> None:
         for name in ("order", "neighbours", "counts", "weights", "ring", "ring_starts"):
@@ -200,7 +200,7 @@ class SignalGraph:
         """Number N of nodes."""
         return len(self.order)
 
-    def with_more(self, nodes: NDArray[np.integer], sizes: NDArray[np.integer]) -> SignalGraph:
+    def with_extra_neighbours(self, nodes: NDArray[np.integer], sizes: NDArray[np.integer]) -> SignalGraph:
         """Return the graph with further neighbours ``(N, k)``: node i has ``sizes[i]``, with initial weight zero."""
         neighbours = np.concatenate([self.neighbours, np.zeros_like(nodes)], axis=1)
         rows = np.arange(self.size)
@@ -214,65 +214,65 @@ class SignalGraph:
 def mesh_graph(faces: NDArray[np.integer], vertex_count: int) -> SignalGraph:
     """Return the graph of a mesh: vertices and edges; faces ``(F, 3)``."""
     ring_starts, ring = mesh_neighbours(faces, vertex_count)
-    neighbours = np.zeros((vertex_count, MOST), dtype=np.int64)
+    neighbours = np.zeros((vertex_count, MAX_NEIGHBOURS), dtype=np.int64)
     counts = np.zeros(vertex_count, dtype=np.int64)
     left = np.ones(vertex_count, dtype=bool)
     levels: list[Index] = []
     for level in coarser_levels(ring_starts, ring, neighbours, counts):
-        left[level.gone] = False
-        levels.append(level.gone)
+        left[level.removed] = False
+        levels.append(level.removed)
     roots = np.flatnonzero(left)
     for place in range(1, len(roots)):
-        before = roots[max(0, place - ROOTS) : place]
+        before = roots[max(0, place - MAX_ROOT_NEIGHBOURS) : place]
         neighbours[roots[place], : len(before)] = before
         counts[roots[place]] = len(before)
-    known = np.arange(MOST) < counts[:, None]
+    known = np.arange(MAX_NEIGHBOURS) < counts[:, None]
     weights = known / np.maximum(counts, 1)[:, None]
     # Every root needs those before it, and is a level of its own.
-    return _graph([roots, *levels[::-1]], neighbours, counts, weights, ring, ring_starts)
+    return _order_graph([roots, *levels[::-1]], neighbours, counts, weights, ring, ring_starts)
 
 
 class Level(NamedTuple):
     """Nodes removed together, and the graphs before and after, both of N nodes; removed nodes have no edges."""
 
-    gone: Index  # (n,) removed nodes
+    removed: Index  # (n,) removed nodes
     starts: Index  # (N + 1,) row offsets of the graph before, see adjacency
-    beside: Index  # (2 E,) neighbours in the graph before, row by row
-    new: Index  # (n', 2) edges that close the holes; some twice, or there already
+    adjacent: Index  # (2 E,) neighbours in the graph before, row by row
+    new_edges: Index  # (n', 2) edges that close the holes; some twice, or there already
     new_starts: Index  # (N + 1,) row offsets of the graph after
-    new_beside: Index  # (2 E',) neighbours in the graph after, row by row
+    new_adjacent: Index  # (2 E',) neighbours in the graph after, row by row
 
 
 def mesh_neighbours(faces: NDArray[np.integer], vertex_count: int) -> tuple[Index, Index]:
-    """Return the neighbours of all vertices of triangles ``(F, 3)``, as `adjacency` lists them."""
+    """Return the neighbours of all vertices of triangles ``(F, 3)``, as `update_adjacency` lists them."""
     sides = np.empty((3, len(faces), 2), dtype=np.int64)
     for corner, side in enumerate(sides):
         side[:, 0], side[:, 1] = faces[:, corner], faces[:, (corner + 1) % 3]
-    return neighbours_of(sides.reshape(-1, 2), vertex_count)
+    return edge_neighbours(sides.reshape(-1, 2), vertex_count)
 
 
-def neighbours_of(edges: Index, count: int) -> tuple[Index, Index]:
-    """Return the neighbours of `count` nodes, as `adjacency` lists them, of edges ``(E, 2)``."""
+def edge_neighbours(edges: Index, count: int) -> tuple[Index, Index]:
+    """Return the neighbours of `count` nodes, as `update_adjacency` lists them, of edges ``(E, 2)``."""
     none = np.zeros(count + 1, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    return adjacency(*none, np.ones(count, dtype=bool), edges)
+    return update_adjacency(*none, np.ones(count, dtype=bool), edges)
 
 
 def coarser_levels(starts: Index, beside: Index, neighbours: Index, counts: Index) -> Iterator[Level]:
     """Remove nodes until no edge is left, and yield the levels, fine to coarse.
 
-    Starts ``(N + 1,)`` and beside ``(2 E,)`` are the neighbours of all nodes, as `adjacency` lists
-    them. Neighbours ``(N, MOST)`` and counts ``(N,)`` of removed nodes are written.
+    Starts ``(N + 1,)`` and beside ``(2 E,)`` are the neighbours of all nodes, as `update_adjacency` lists
+    them. Neighbours ``(N, MAX_NEIGHBOURS)`` and counts ``(N,)`` of removed nodes are written.
     """
     left = np.ones(len(counts), dtype=bool)
     while len(beside):
         degrees = np.diff(starts)
         nodes = np.flatnonzero(degrees)
         fewest = int(degrees[nodes].min())
-        gone = independent(nodes, starts, beside, fewest, max(WIDEST, fewest))
-        new = collapse(gone, starts, beside, neighbours, counts)
+        gone = find_independent_nodes(nodes, starts, beside, fewest, max(MAX_REMOVED_DEGREE, fewest))
+        new = collapse_nodes(gone, starts, beside, neighbours, counts)
         left[gone] = False
         before = starts, beside
-        starts, beside = adjacency(*before, left, new)
+        starts, beside = update_adjacency(*before, left, new)
         yield Level(gone, *before, new, starts, beside)
 
 
@@ -306,8 +306,8 @@ def path_graph(count: int) -> SignalGraph:
         levels.append(new)
     frames = np.arange(count)
     pairs = np.stack([frames[:-1], frames[1:]], axis=1)
-    ring_starts, ring = neighbours_of(pairs, count)
-    return replace(_graph(levels, neighbours, counts, weights, ring, ring_starts), over_time=True)
+    ring_starts, ring = edge_neighbours(pairs, count)
+    return replace(_order_graph(levels, neighbours, counts, weights, ring, ring_starts), is_over_time=True)
 
 
 def _lagrange(nodes: Index, at: int) -> Float:
@@ -322,7 +322,7 @@ def _lagrange(nodes: Index, at: int) -> Float:
     return weights
 
 
-def _graph(
+def _order_graph(
     levels: list[Index],
     neighbours: Index,
     counts: Index,
@@ -334,7 +334,7 @@ def _graph(
     place = np.empty(len(order), dtype=np.int64)
     place[order] = np.arange(len(order))
     # Frozen as those of stencils are: one type to numba.
-    starts, ring = renumbered(frozen(ring_starts), frozen(ring), order, frozen(place))
+    starts, ring = renumber_adjacency(frozen(ring_starts), frozen(ring), order, frozen(place))
     counts = counts[order]
     known = np.arange(neighbours.shape[1]) < counts[:, None]
     neighbours = np.where(known, place[neighbours[order]], 0)

@@ -12,8 +12,8 @@ import numpy as np
 from mixseq.choices import OrderName
 from mixseq.compression.bitstream.compressed_sequence import CodingParameters, CompressedSequence, decode
 from mixseq.compression.bitstream.signal_graph import mesh_graph
-from mixseq.compression.encoder.search import ROUNDS, Search
-from mixseq.compression.encoder.trial import CHUNK, FEWEST, width
+from mixseq.compression.encoder.search import MAX_ROUNDS, Search
+from mixseq.compression.encoder.trial import DEFAULT_CHUNK_FRAMES, MIN_CHUNK_FRAMES, residual_unit
 from mixseq.compression.encoder.uvs import UV_ERROR, with_quantised_uvs
 from mixseq.compression.numbering import cheapest_numbering
 from mixseq.errors import ReconstructionError, SettingsError
@@ -44,7 +44,7 @@ def compress(
     uv_error: float = UV_ERROR,
     uvs: bool = True,
     order: OrderName = "keep",
-    chunk: int = CHUNK,
+    chunk: int = DEFAULT_CHUNK_FRAMES,
 ) -> CompressedSequence:
     """Compress a sequence.
 
@@ -89,26 +89,26 @@ def compress(
         If a sequence that is read turns out to be damaged or unsound, or too small or too large for doubles.
     """
     check_frames(sequence)
-    _check(max_error, kg, size)
-    if not chunk >= FEWEST:
-        raise SettingsError(f"chunk is {chunk}; {FEWEST} frames or more are expected")
+    _check_target(max_error, kg, size)
+    if not chunk >= MIN_CHUNK_FRAMES:
+        raise SettingsError(f"chunk is {chunk}; {MIN_CHUNK_FRAMES} frames or more are expected")
     numbering = cheapest_numbering(sequence.header, order)
     sequence = numbering.renumber_frames(sequence)
     header, uv_steps = with_quantised_uvs(sequence.header, uv_error, uvs)
-    stages = Stages(progress, 2 + ROUNDS, sequence.header.frame_count)
+    stages = Stages(progress, 2 + MAX_ROUNDS, sequence.header.frame_count)
     with one_blas_thread():
         frames = frame_store(sequence, stages.at(0))
         unit = bounding_diagonal(frames.points[:1][0]) or 1.0
-        coded = _found(frames, stages, chunk, unit, max_error, kg, size)
-        stages.at(1 + ROUNDS)(0, 1, "checking")
-        coded = replace(_checked(frames, coded, max_error, kg), order=numbering.order)
+        coded = _search_streams(frames, stages, chunk, unit, max_error, kg, size)
+        stages.at(1 + MAX_ROUNDS)(0, 1, "checking")
+        coded = replace(_measure_errors(frames, coded, max_error, kg), order=numbering.order)
     parameters = coded.parameters
     if uv_steps is not None:
         parameters = replace(parameters, uv_steps=uv_steps, uv_error=float(uv_error))
     return replace(coded, header=replace(coded.header, surface=header.surface), parameters=parameters)
 
 
-def _check(max_error: float | None, kg: float | None, size: int | None) -> None:
+def _check_target(max_error: float | None, kg: float | None, size: int | None) -> None:
     given = {"max_error": max_error, "kg": kg, "size": size}
     values = {name: value for name, value in given.items() if value is not None}
     if len(values) != 1:
@@ -136,7 +136,7 @@ def _with_margin(bound: float, sequence: FrameStore) -> float:
     return bound - min(1e-9 * bound + rounding, bound / 2)
 
 
-def _deviation(sequence: FrameStore) -> float:
+def _total_deviation(sequence: FrameStore) -> float:
     """Return the root of the sum of all squared distances from the centroids of the frames."""
     squares = largest = 0.0
     for block in blocks_of(sequence.points):
@@ -148,7 +148,7 @@ def _deviation(sequence: FrameStore) -> float:
     return float(np.sqrt(squares))
 
 
-def _found(
+def _search_streams(
     frames: FrameStore,
     stages: Stages,
     chunk: int,
@@ -160,11 +160,11 @@ def _found(
     """Return the streams found by a search. Its other results, some kB a vertex, are freed."""
     search = Search(frames, mesh_graph(frames.header.faces, frames.header.vertex_count), stages, chunk)
     if max_error is not None:
-        best = search.within(_with_margin(max_error * unit, frames))
+        best = search.find_for_bound(_with_margin(max_error * unit, frames))
     elif kg is not None:
-        best = search.with_error(kg / 100 * _deviation(frames))
+        best = search.find_for_error(kg / 100 * _total_deviation(frames))
     else:
-        best = search.with_size(int(size or 0), _deviation(frames))
+        best = search.find_for_size(int(size or 0), _total_deviation(frames))
     parameters = CodingParameters(
         factors=best.basis.kind,
         rank=sum(best.ranks),
@@ -174,13 +174,13 @@ def _found(
         max_error=0.0,
         kg_percent=0.0,
         promised=max_error is not None,
-        correction=0.0 if best.bound is None else width(best.bound),
+        correction=0.0 if best.bound is None else residual_unit(best.bound),
         ranks=best.ranks if len(best.ranks) > 1 else (),
     )
     return CompressedSequence(frames.header, parameters, best.coding.streams.basis, best.chunks)
 
 
-def _checked(
+def _measure_errors(
     sequence: FrameStore, coded: CompressedSequence, bound: float | None, kg: float | None
 ) -> CompressedSequence:
     """Decode the compressed sequence, and measure its errors."""
