@@ -5,8 +5,8 @@ proportion, and the bit's half is kept; bytes on which both ends agree are outpu
 thousandth. The probability of a bit depends on the bits before it, so the split is made inside compiled loops.
 
 *Models.* The probability is mixed from several contexts. A bit has a *position* (first question about a number, second,
-...) and a *context* in every input, a small integer. In context :math:`c` of input :math:`i` bits at that position were
-1 with the relative frequency :math:`p_{ic}`, counted :math:`n_{ic}` times. Inputs are mixed in the logistic domain
+...) and a *context* in every input, a small integer. In context :math:`c` of input :math:`i`, bits at that position
+were 1 with the relative frequency :math:`p_{ic}`, counted :math:`n_{ic}` times. Inputs are mixed in the logistic domain
 (Mahoney 2005, *Adaptive weighing of context models for lossless data compression*),
 
 .. math:: x_i = \frac{n_{ic}}{n_{ic} + 1} \ln \frac{p_{ic}}{1 - p_{ic}}, \qquad x = \sum_i w_i x_i,
@@ -41,17 +41,17 @@ from mixseq.runtime.jit import joined
 from mixseq.types import Index, IntArray
 
 CHECKSUM_SIZE = 4
-"""Bytes of the CRC-32 at the end of a stream, lowest first. Frozen: breaks old files."""
+"""Bytes of the CRC-32 at the end of a stream, lowest byte first. Frozen: breaks old files."""
 
 
 def checksum_of(numbers: IntArray, initial: int = 0) -> int:
-    """Return the CRC-32 of integers of any shape, 8 bytes each, continuing from the CRC-32 `initial`."""
+    """Return the CRC-32 of integers of any shape, 8 bytes each, continued from the CRC-32 `initial`."""
     return crc32(numbers.astype("<i8").tobytes(), initial)
 
 
-def append_checksum(data: bytes, check: int) -> bytes:
+def append_checksum(data: bytes, checksum: int) -> bytes:
     """Append the CRC-32 of the decoded numbers to a stream."""
-    return data + check.to_bytes(CHECKSUM_SIZE, "little")
+    return data + checksum.to_bytes(CHECKSUM_SIZE, "little")
 
 
 def split_checksum(data: bytes) -> tuple[bytes, int]:
@@ -60,7 +60,7 @@ def split_checksum(data: bytes) -> tuple[bytes, int]:
 
 
 PROBABILITY_SCALE = 1 << 16
-"""Unit of probabilities, which are integers from 1 to 65535 times 2^-16. Frozen: breaks old files."""
+"""Integer for the probability 1. Frozen: breaks old files."""
 
 _MAX_INTERVAL_END = (1 << 32) - 1
 """Largest end of an interval. Frozen: breaks old files."""
@@ -72,43 +72,38 @@ PADDING_BYTES = 4
 class BitStream(NamedTuple):
     """A byte buffer with the state of writing or reading."""
 
-    decoding: bool  # whether bits are read
+    is_input: bool  # whether bits are read
     data: NDArray[np.uint8]  # (n,) the bytes, or room for them
-    position: Index  # (1,) position of the next byte
+    place: Index  # (1,) index of the next byte
     interval: Index  # (3,) both ends of the interval, and if decoding the number in it
 
 
 def new_output_stream(capacity: int) -> BitStream:
-    """Return an empty buffer for writing `capacity` bytes."""
-    return BitStream(
-        False,
-        np.zeros(capacity, dtype=np.uint8),
-        np.zeros(1, dtype=np.int64),
-        np.array([0, _MAX_INTERVAL_END, 0], dtype=np.int64),
-    )
+    """Return an empty stream with room for `capacity` bytes."""
+    place, interval = np.zeros(1, dtype=np.int64), np.array([0, _MAX_INTERVAL_END, 0], dtype=np.int64)
+    return BitStream(False, np.zeros(capacity, dtype=np.uint8), place, interval)
 
 
 def reserve(stream: BitStream, capacity: int) -> BitStream:
-    """Return the buffer with room for at least `capacity` more bytes."""
-    done = int(stream.position[0])
-    if len(stream.data) - done >= capacity:
+    """Return the stream with room for at least `capacity` more bytes."""
+    written = int(stream.place[0])
+    if len(stream.data) - written >= capacity:
         return stream
-    data = np.zeros(2 * done + capacity, dtype=np.uint8)
-    data[:done] = stream.data[:done]
+    data = np.zeros(2 * written + capacity, dtype=np.uint8)
+    data[:written] = stream.data[:written]
     return stream._replace(data=data)
 
 
 def new_input_stream(data: bytes) -> BitStream:
-    """Return the state for reading the first bit of the output of `finish_stream`."""
+    """Return a stream for reading the output of `finish_stream`."""
     padded = np.frombuffer(data + bytes(PADDING_BYTES), dtype=np.uint8).copy()
     first = int.from_bytes(padded[:4].tobytes(), "big")
-    return BitStream(
-        True, padded, np.array([4], dtype=np.int64), np.array([0, _MAX_INTERVAL_END, first], dtype=np.int64)
-    )
+    interval = np.array([0, _MAX_INTERVAL_END, first], dtype=np.int64)
+    return BitStream(True, padded, np.array([4], dtype=np.int64), interval)
 
 
 def finish_stream(stream: BitStream) -> bytes:
-    """Return the bytes of all bits, ended by the number of the interval that takes the fewest bytes."""
+    """Return the bytes of all bits; the last ones are the shortest number in the interval."""
     low, high = int(stream.interval[0]), int(stream.interval[1])
     tail = b""
     for size in range(5):
@@ -117,12 +112,12 @@ def finish_stream(stream: BitStream) -> bytes:
         if number <= high:
             tail = number.to_bytes(4, "big")[:size]
             break
-    return stream.data[: stream.position[0]].tobytes() + tail
+    return stream.data[: stream.place[0]].tobytes() + tail
 
 
 def is_past_end(stream: BitStream) -> bool:
     """Return whether more bits were read than there are; not compiled, as `has_failed` is."""
-    return int(stream.position[0]) > len(stream.data) + PADDING_BYTES
+    return int(stream.place[0]) > len(stream.data) + PADDING_BYTES
 
 
 @joined
@@ -130,20 +125,20 @@ def code_bit(stream: BitStream, probability: int, bit: int) -> int:
     """Write or read a bit whose probability of being 1 is `probability` / 65536; return it."""
     low, high = stream.interval[0], stream.interval[1]
     middle = low + (((high - low) * probability) >> 16)
-    if stream.decoding:
+    if stream.is_input:
         bit = 1 if stream.interval[2] <= middle else 0
     if bit:
         high = middle
     else:
         low = middle + 1
     while (low ^ high) >> 24 == 0:
-        if stream.decoding:
-            position = stream.position[0]
-            byte = stream.data[position] if position < len(stream.data) else 0
+        place = stream.place[0]
+        if stream.is_input:
+            byte = stream.data[place] if place < len(stream.data) else 0
             stream.interval[2] = ((stream.interval[2] & 0xFFFFFF) << 8) | byte
         else:
-            stream.data[stream.position[0]] = high >> 24
-        stream.position[0] += 1
+            stream.data[place] = high >> 24
+        stream.place[0] += 1
         low, high = (low & 0xFFFFFF) << 8, ((high & 0xFFFFFF) << 8) | 0xFF
     stream.interval[0], stream.interval[1] = low, high
     return bit
@@ -197,9 +192,9 @@ class BitModels(NamedTuple):
     contexts: Index  # (inputs,) current contexts, set before every bit
     inputs: Index  # (inputs,) the inputs x of the current bit
     stretch: Index  # (4096,) table of x by p, with p in units of 2^-12
-    squash: Index  # (2 _FAR + 1,) table of p by x, from x = -_FAR on
-    rates: Index  # (_PATIENCE + 1,) table of the rates of frequencies by n, in units of 2^-16
-    confidences: Index  # (_PATIENCE + 1,) table of n / (n + 1) by n, in units of 2^-8
+    squash: Index  # (2 _MAX_LOGIT + 1,) table of p by x, from x = -_MAX_LOGIT on
+    rates: Index  # (_MAX_FREQUENCY_COUNT + 1,) table of the rates of frequencies by n, in units of 2^-16
+    confidences: Index  # (_MAX_FREQUENCY_COUNT + 1,) table of n / (n + 1) by n, in units of 2^-8
 
 
 def new_bit_models(inputs: int, contexts: int, positions: int, kinds: int | None = None) -> BitModels:
@@ -241,12 +236,8 @@ def code_modelled_bit(stream: BitStream, models: BitModels, position: int, bit: 
 @joined
 def code_bit_of_kind(stream: BitStream, models: BitModels, position: int, kind: int, bit: int) -> int:
     """Write or read a bit as `code_modelled_bit` does, with the mixing weights of a kind."""
-    frequencies, weights, inputs, contexts = (
-        models.frequencies,
-        models.weights,
-        models.inputs,
-        models.contexts,
-    )
+    frequencies, weights = models.frequencies, models.weights
+    inputs, contexts = models.inputs, models.contexts
     x = 0
     for i in range(len(inputs)):
         frequency = frequencies[i, contexts[i], position]
@@ -285,28 +276,24 @@ class HashedBits(NamedTuple):
 
     stream: BitStream  # bytes that are written or read
     models: BitModels  # models of slots and kinds
-    contexts: Index  # (INPUTS,) current contexts, any numbers, set before every bit
-    failed: Index  # (1,) whether what is read is damaged
+    contexts: Index  # (CONTEXTS_PER_BIT,) current contexts, any numbers, set before every bit
+    failed: Index  # (1,) whether the input is damaged
+
+
+def new_hashed_bits(stream: BitStream, kinds: int) -> HashedBits:
+    """Return untrained models for the bits of a stream."""
+    models = new_bit_models(CONTEXTS_PER_BIT, CONTEXT_SLOTS, 1, kinds)
+    return HashedBits(stream, models, np.zeros(CONTEXTS_PER_BIT, dtype=np.int64), np.zeros(1, dtype=np.int64))
 
 
 def new_hashed_output(count: int, kinds: int) -> HashedBits:
-    """Return untrained models, and room for `count` bits."""
-    return _new_hashed_bits(new_output_stream(_MAX_BYTES_PER_BIT * count), kinds)
-
-
-def new_hashed_input(data: bytes, kinds: int) -> HashedBits:
-    """Return untrained models for reading the output of `arithmetic.finish_stream`."""
-    return _new_hashed_bits(new_input_stream(data), kinds)
+    """Return untrained models, and an empty stream with room for `count` bits."""
+    return new_hashed_bits(new_output_stream(_MAX_BYTES_PER_BIT * count), kinds)
 
 
 def reserve_bits(bits: HashedBits, count: int) -> HashedBits:
-    """Return the same with room for `count` further bits."""
+    """Return the same with room for `count` more bits."""
     return bits._replace(stream=reserve(bits.stream, _MAX_BYTES_PER_BIT * count))
-
-
-def _new_hashed_bits(stream: BitStream, kinds: int) -> HashedBits:
-    models = new_bit_models(CONTEXTS_PER_BIT, CONTEXT_SLOTS, 1, kinds)
-    return HashedBits(stream, models, np.zeros(CONTEXTS_PER_BIT, dtype=np.int64), np.zeros(1, dtype=np.int64))
 
 
 @joined
@@ -321,6 +308,6 @@ def code_hashed_bit(bits: HashedBits, kind: int, bit: int) -> int:
 @joined
 def has_failed(bits: HashedBits) -> bool:
     """Return whether the stream is damaged or ends early; loops check once a corner, to save time."""
-    if bits.stream.position[0] > len(bits.stream.data) + PADDING_BYTES:
+    if bits.stream.place[0] > len(bits.stream.data) + PADDING_BYTES:
         bits.failed[0] = 1
     return bool(bits.failed[0])

@@ -34,8 +34,9 @@ from mixseq.compression.bitstream.arithmetic import (
     append_checksum,
     checksum_of,
     finish_stream,
-    new_hashed_input,
+    new_hashed_bits,
     new_hashed_output,
+    new_input_stream,
     split_checksum,
 )
 from mixseq.compression.bitstream.connectivity_kernels import (
@@ -240,7 +241,7 @@ def decode_polygons(data: bytes, polygon_count: int, corner_count: int, vertex_c
             raise FormatError(f"a mesh with {described} has no coded corners; the file is damaged")
         return Polygons(np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.int32))
     stream, expected = split_checksum(data)
-    bits = new_hashed_input(stream, BIT_KINDS)
+    bits = new_hashed_bits(new_input_stream(stream), BIT_KINDS)
     counts, indices = np.zeros(polygon_count, dtype=np.int64), np.zeros(corner_count, dtype=np.int64)
     code_polygons(
         bits, new_half_edges(corner_count, vertex_count), new_history(vertex_count), counts, indices

@@ -451,7 +451,7 @@ def _code_unguessed(
     facts[1] = facts[5] = (recent[0] << 5 | recent[1]) << 2 | place
     facts[2] = facts[6] = history.winners[place, 0] << 2 | place
     facts[3] = facts[7] = facts[1] << 5 | history.winners[place, 0]
-    state = 0 if bits.stream.decoding else mesh.states[vertex] - OPEN
+    state = 0 if bits.stream.is_input else mesh.states[vertex] - OPEN
     state = _code_number(bits, history, _STATE_TOPIC, state) + OPEN
     if state < UNUSED or state > CLOSED:
         bits.failed[0] = 1
@@ -481,7 +481,7 @@ def _code_unguessed(
     facts[5] = last_distance << 8 | small_offset
     facts[6] = (origin * 16 // (count + 1)) << 6 | bit_length(count)
     facts[7] = (distances[best] >> 6) << 2 | place
-    distance = 0 if bits.stream.decoding else vertex_rank(mesh, state, vertex) - origin
+    distance = 0 if bits.stream.is_input else vertex_rank(mesh, state, vertex) - origin
     distance = _code_number(bits, history, state, distance)
     history.last_distances[state] = distance
     rank = origin + distance

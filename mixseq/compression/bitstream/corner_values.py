@@ -22,8 +22,9 @@ from mixseq.compression.bitstream.arithmetic import (
     append_checksum,
     checksum_of,
     finish_stream,
-    new_hashed_input,
+    new_hashed_bits,
     new_hashed_output,
+    new_input_stream,
     reserve_bits,
     split_checksum,
 )
@@ -88,7 +89,7 @@ def code_uvs(polygons: Polygons, vertex_count: int, numbers: Index, regions: Ind
 def decode_uvs(data: bytes, polygons: Polygons, vertex_count: int, steps: int) -> CornerValues:
     """Decode the texture coordinates written by `code_uvs`, multiples of ``1 / steps``."""
     stream, expected = split_checksum(data)
-    bits = new_hashed_input(stream, SEAM_KINDS + VALUE_KINDS)
+    bits = new_hashed_bits(new_input_stream(stream), SEAM_KINDS + VALUE_KINDS)
     nodes = _code_seams(bits, polygons, vertex_count, np.zeros(polygons.indices.size, np.int64))
     corners = _corners_of_nodes(polygons, nodes)
     values = np.zeros((len(corners.around_starts) - 1, 2), dtype=np.int64)
@@ -139,7 +140,7 @@ def encode_hard_edges(polygons: Polygons, vertex_count: int, numbers: IntArray) 
 def decode_hard_edges(data: bytes, polygons: Polygons, vertex_count: int) -> Index:
     """Decode the numbers ``(sum of counts,)`` of normals at the corners: 0, 1, 2, ... in order of first use."""
     stream, expected = split_checksum(data)
-    bits = new_hashed_input(stream, SEAM_KINDS)
+    bits = new_hashed_bits(new_input_stream(stream), SEAM_KINDS)
     nodes = _code_seams(bits, polygons, vertex_count, np.zeros(polygons.indices.size, dtype=np.int64))
     numbers = by_first_use(nodes)
     if bits.failed[0] or checksum_of(numbers) != expected:

@@ -46,19 +46,19 @@ from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mixseq.compression.bitstream import predictor_kernels as kernels
 from mixseq.compression.bitstream.predictor_kernels import UNITS_PER_STEP
 from mixseq.compression.bitstream.signal_graph import (
     MAX_NEIGHBOURS,
+    Level,
     SignalGraph,
     coarser_levels,
     renumber_adjacency,
 )
 from mixseq.mesh.polygons import frozen
 from mixseq.runtime.jit import compiled
-from mixseq.types import Float, Index
+from mixseq.types import Float, Index, Int32
 
 MAX_STENCIL_NODES = 16
 """Largest number of nodes in a stencil: the neighbours, and those of largest weight. Frozen: breaks files."""
@@ -70,9 +70,9 @@ MAX_SLOPE_NEIGHBOURS = 32
 class Stencils(NamedTuple):
     """Neighbours and weights of every node, before any signal is known."""
 
-    neighbours: Index  # (N, WIDEST) nodes before every node; the first counts[node] of a row count
+    neighbours: Index  # (N, MAX_STENCIL_NODES) nodes before every node; the first counts[node] of a row count
     counts: Index  # (N,) number of neighbours of every node
-    weights: Float  # (N, WIDEST) rows add up to one
+    weights: Float  # (N, MAX_STENCIL_NODES) rows add up to one
 
 
 _stencil_cache: WeakKeyDictionary[SignalGraph, Stencils] = WeakKeyDictionary()
@@ -86,141 +86,118 @@ def graph_stencils(graph: SignalGraph) -> Stencils:
 
 
 def _compute_stencils(graph: SignalGraph) -> Stencils:
-    own = graph.neighbours.shape[1]
-    found = Stencils(
-        np.zeros((graph.size, MAX_STENCIL_NODES), dtype=np.int64),
-        graph.counts.copy(),
-        np.zeros((graph.size, MAX_STENCIL_NODES)),
-    )
-    found.neighbours[:, :own] = graph.neighbours
-    found.weights[:, :own] = graph.weights
+    width, shape = graph.neighbours.shape[1], (graph.size, MAX_STENCIL_NODES)
+    stencils = Stencils(np.zeros(shape, dtype=np.int64), graph.counts.copy(), np.zeros(shape))
+    stencils.neighbours[:, :width] = graph.neighbours
+    stencils.weights[:, :width] = graph.weights
     if graph.is_over_time:
-        return found
-    # Levels are those of vertices' numbers.
-    place = np.empty(graph.size, dtype=np.int64)
-    place[graph.order] = np.arange(graph.size)
-    starts, beside = renumber_adjacency(graph.ring_starts, graph.ring, place, graph.order)
-    lengths = np.ones(len(beside))
-    nodes = np.zeros((graph.size, MAX_NEIGHBOURS), dtype=np.int64), np.zeros(graph.size, dtype=np.int64)
-    for level in coarser_levels(starts, beside, *nodes):
-        left = _update_lengths(*level, lengths)
-        before = level.starts, level.adjacent, lengths
-        _fit_stencils(level.removed, *before, level.new_starts, level.new_adjacent, left, place, *found)
-        lengths = left
-    return found
+        return stencils
+    # Levels have the numbers of vertices.
+    node_of_vertex = np.empty(graph.size, dtype=np.int64)
+    node_of_vertex[graph.order] = np.arange(graph.size)
+    starts, adjacent = renumber_adjacency(graph.ring_starts, graph.ring, node_of_vertex, graph.order)
+    lengths = np.ones(len(adjacent))
+    scratch = np.zeros((graph.size, MAX_NEIGHBOURS), dtype=np.int64), np.zeros(graph.size, dtype=np.int64)
+    for level in coarser_levels(starts, adjacent, *scratch):
+        new_lengths = _update_lengths(level, lengths)
+        _fit_stencils(level, lengths, new_lengths, node_of_vertex, stencils)
+        lengths = new_lengths
+    return stencils
 
 
 @compiled
 def _fit_stencils(
-    gone: Index,
-    starts: Index,
-    beside: Index,
-    lengths: Float,
-    new_starts: Index,
-    new_beside: Index,
-    new_lengths: Float,
-    place: Index,
-    neighbours: Index,
-    counts: Index,
-    weights: Float,
+    level: Level, lengths: Float, new_lengths: Float, node_of_vertex: Index, stencils: Stencils
 ) -> None:
-    """Write the stencils of removed vertices ``(n,)``, from edge lengths ``(2 E,)`` before and ``(2 E',)`` after.
-
-    Stencils have nodes' numbers: ``place`` (N,) of vertices.
-    """
-    slot = np.full(len(place), -1, dtype=np.int64)  # where a vertex is in the two lists
+    """Write the stencils of removed vertices, from edge lengths ``(2 E,)`` before and ``(2 E',)`` after."""
+    starts, adjacent, new_starts = level.starts, level.adjacent, level.new_starts
+    slot = np.full(len(node_of_vertex), -1, dtype=np.int64)  # where a vertex is in the two lists
     listed = np.empty(MAX_NEIGHBOURS * (MAX_SLOPE_NEIGHBOURS + 1), dtype=np.int64)
-    shares = np.empty(MAX_NEIGHBOURS * (MAX_SLOPE_NEIGHBOURS + 1))
-    for vertex in gone:
+    weights = np.empty(MAX_NEIGHBOURS * (MAX_SLOPE_NEIGHBOURS + 1))  # not yet divided by their sum
+    for vertex in level.removed:
         first = starts[vertex]
         degree = min(starts[vertex + 1] - first, MAX_NEIGHBOURS)
         slope = 0.0  # of the vertex, by its own value
-        for at in range(first, first + degree):
-            slope += 1.0 / lengths[at]
+        for place in range(first, first + degree):
+            slope += 1.0 / lengths[place]
         slope /= degree
         for i in range(degree):
-            listed[i], shares[i] = beside[first + i], slope / (degree * lengths[first + i])
+            listed[i], weights[i] = adjacent[first + i], slope / (degree * lengths[first + i])
             slot[listed[i]] = i
         size, total = degree, slope * slope
         for i in range(degree):
-            around, side = beside[first + i], lengths[first + i]
-            if new_starts[around + 1] - new_starts[around] > MAX_SLOPE_NEIGHBOURS:
+            neighbour, length = adjacent[first + i], lengths[first + i]
+            if new_starts[neighbour + 1] - new_starts[neighbour] > MAX_SLOPE_NEIGHBOURS:
                 continue
-            number = 1
-            # Number of remaining neighbours, without those across the vertex; then their shares.
+            count = 1
+            # First the number of remaining neighbours, without those across the vertex; then their weights.
             for turn in range(2):
-                own = 1.0 / (number * side)
-                for at in range(new_starts[around], new_starts[around + 1]):
-                    other = new_beside[at]
-                    if 0 <= slot[other] < degree and new_lengths[at] >= side + lengths[first + slot[other]]:
+                slope = 1.0 / (count * length)
+                for place in range(new_starts[neighbour], new_starts[neighbour + 1]):
+                    other = level.new_adjacent[place]
+                    known = slot[other]
+                    if 0 <= known < degree and new_lengths[place] >= length + lengths[first + known]:
                         continue
                     if turn == 0:
-                        number += 1
+                        count += 1
                         continue
-                    if slot[other] < 0:
-                        slot[other], listed[size], shares[size] = size, other, 0.0
+                    if known < 0:
+                        slot[other], listed[size], weights[size] = size, other, 0.0
                         size += 1
-                    one = own / (number * new_lengths[at])
-                    shares[i] += one
-                    shares[slot[other]] -= one
-            total += own * own
-            shares[i] += own * own
+                    weight = slope / (count * new_lengths[place])
+                    weights[i] += weight
+                    weights[slot[other]] -= weight
+            total += slope * slope
+            weights[i] += slope * slope
         for i in range(size):
             slot[listed[i]] = -1
-        # Neighbours first, then those with the largest shares.
-        kept = min(size, weights.shape[1])
-        left = 1.0
+        # Neighbours first, then those with the largest weights.
+        kept = min(size, stencils.weights.shape[1])
+        remainder = 1.0
         for i in range(kept):
             best = i
             if i >= degree:
                 for j in range(i + 1, size):
-                    if abs(shares[j]) > abs(shares[best]):
+                    if abs(weights[j]) > abs(weights[best]):
                         best = j
             listed[i], listed[best] = listed[best], listed[i]
-            shares[i], shares[best] = shares[best], shares[i]
-            left -= shares[i] / total
-        node = place[vertex]
-        counts[node] = kept
+            weights[i], weights[best] = weights[best], weights[i]
+            remainder -= weights[i] / total
+        node = node_of_vertex[vertex]
+        stencils.counts[node] = kept
         for i in range(kept):
-            neighbours[node, i] = place[listed[i]]
-            weights[node, i] = shares[i] / total + left / kept
+            stencils.neighbours[node, i] = node_of_vertex[listed[i]]
+            stencils.weights[node, i] = weights[i] / total + remainder / kept
 
 
 @compiled
-def _update_lengths(
-    gone: Index,
-    starts: Index,
-    beside: Index,
-    new: Index,
-    new_starts: Index,
-    new_beside: Index,
-    lengths: Float,
-) -> Float:
-    """Return the lengths ``(2 E',)`` of edges after vertices were removed, always the shortest, from those before."""
-    found = np.full(len(new_beside), np.inf)
+def _update_lengths(level: Level, lengths: Float) -> Float:
+    """Return the lengths ``(2 E',)`` of edges after vertices were removed, the shortest each, from those before."""
+    starts, adjacent, new_starts = level.starts, level.adjacent, level.new_starts
+    new_lengths = np.full(len(level.new_adjacent), np.inf)
     for vertex in range(len(starts) - 1):
         if new_starts[vertex] == new_starts[vertex + 1]:
             continue
-        row = new_beside[new_starts[vertex] : new_starts[vertex + 1]]
-        for at in range(starts[vertex], starts[vertex + 1]):
-            where = np.searchsorted(row, beside[at])
-            if where < len(row) and row[where] == beside[at]:
-                found[new_starts[vertex] + where] = lengths[at]
+        row = level.new_adjacent[new_starts[vertex] : new_starts[vertex + 1]]
+        for place in range(starts[vertex], starts[vertex + 1]):
+            column = np.searchsorted(row, adjacent[place])
+            if column < len(row) and row[column] == adjacent[place]:
+                new_lengths[new_starts[vertex] + column] = lengths[place]
     count = 0
-    for vertex in gone:
+    for vertex in level.removed:
         first, last = starts[vertex], starts[vertex + 1]
         if last - first < 2:
             continue
-        best = new[count, 0]
-        side = lengths[first + np.searchsorted(beside[first:last], best)]
-        for at in range(first, last):
-            if beside[at] != best:
-                for one, other in ((best, beside[at]), (beside[at], best)):
-                    row = new_beside[new_starts[one] : new_starts[one + 1]]
-                    where = new_starts[one] + np.searchsorted(row, other)
-                    found[where] = min(found[where], side + lengths[at])
+        hub = level.new_edges[count, 0]
+        hub_length = lengths[first + np.searchsorted(adjacent[first:last], hub)]
+        for place in range(first, last):
+            if adjacent[place] != hub:
+                for tail, head in ((hub, adjacent[place]), (adjacent[place], hub)):
+                    row = level.new_adjacent[new_starts[tail] : new_starts[tail + 1]]
+                    edge = new_starts[tail] + np.searchsorted(row, head)
+                    new_lengths[edge] = min(new_lengths[edge], hub_length + lengths[place])
                 count += 1
-    return found
+    return new_lengths
 
 
 SIMILAR_VERTICES, SIMILAR_FRAMES = 8, 16
@@ -245,7 +222,7 @@ _MAX_TRUST_DOUBLINGS = 512
 """Largest number of doublings of trust; reached by damaged files only. Frozen: breaks files."""
 
 RENEWAL_SHIFT = 2
-"""Weights are renewed after every signal, after 8 signals after every other, after 12 after every third, and so on.
+"""Weights are updated after every signal, after 8 signals after every other, after 12 after every third, and so on.
 Frozen: breaks files.
 """
 
@@ -260,17 +237,17 @@ _LARGE_GRAPH_NODES = 1024
 
 
 class Predictor:
-    """Weights learned from signals over a graph, coded or decoded one after another.
+    """Weights fitted to signals over a graph, coded or decoded one after another.
 
     Fill `values` node by node, each after `predictor_kernels.predict`; call `finish` after the last node.
     """
 
     def __init__(self, graph: SignalGraph, coordinates: int = 1) -> None:
-        self._plain = graph
+        self._graph = graph
         self._coordinates, self.similarity_search_at = coordinates, SIMILARITY_SEARCH_SIGNALS * coordinates
-        self._known, self._due = 0, 1
+        self._signal_count, self._next_update = 0, 1
         self._signals: list[Float] = []  # all, until similar nodes are searched for
-        self._pending: list[Float] = []  # those not learned yet
+        self._pending: list[Float] = []  # those that are not in the Gram matrices
         self.values = np.zeros(graph.size, dtype=np.int64)
         self.steps = np.full(graph.size, UNITS_PER_STEP)
         self._set_neighbours(*graph_stencils(graph))
@@ -279,56 +256,48 @@ class Predictor:
         """Set the neighbours of nodes, and their initial weights."""
         self.neighbours = neighbours.astype(np.int32)
         self.counts = counts.astype(np.int32)
-        self._start = kernels.round_weights(frozen(weights))  # as those of stencils are: one type to numba
-        self.weights = self._start.copy()
-        self._blocks, self._sizes = group_nodes(self.counts)
-        entries = self._sizes.astype(np.int64) * (self._sizes + 1) // 2 - 1
-        self._places = np.cumsum(entries) - entries
-        self._gram = np.zeros((int(entries.sum()), self._blocks.shape[1]))
+        self._initial_weights = kernels.round_weights(frozen(weights))  # as stencils': one type to numba
+        self.weights = self._initial_weights.copy()
+        self._blocks, self._gram = group_nodes(self.counts)
         self._ridge = 0.0
 
     def finish(self) -> None:
         """Learn from the finished signal, and prepare for the next one."""
         signal = self.values.astype(np.float64)
-        self._known += 1
-        known = self._known
+        self._signal_count += 1
+        count = self._signal_count
         self._pending.append(signal)
-        if known == UNIFORM_STEP_SIGNALS * self._coordinates and not self._plain.is_over_time:
+        if count == UNIFORM_STEP_SIGNALS * self._coordinates and not self._graph.is_over_time:
             self.steps = level_steps(len(self.steps))
-        if known <= self.similarity_search_at:
+        if count <= self.similarity_search_at:
             self._signals.append(signal)
-        if known == self.similarity_search_at:
+        if count == self.similarity_search_at:
             self._add_similar_nodes()
-        # Weights are renewed ever more rarely, as they change less.
-        if known == self.similarity_search_at or known >= self._due:
+        # Weights are updated ever more rarely, as they change less.
+        if count == self.similarity_search_at or count >= self._next_update:
             self._update_weights()
-            self._due = known + max(1, known >> RENEWAL_SHIFT)
+            self._next_update = count + max(1, count >> RENEWAL_SHIFT)
 
     def _update_weights(self) -> None:
-        """Learn from the pending signals, and solve for weights."""
-        signals = np.array(self._pending)
-        ages = np.arange(self._known - len(signals), self._known) // TRUST_DOUBLING_SIGNALS
+        """Add the pending signals to the Gram matrices, and solve for weights."""
+        signals, graph = np.array(self._pending), (self.neighbours, self.counts)
+        ages = np.arange(self._signal_count - len(signals), self._signal_count) // TRUST_DOUBLING_SIGNALS
         trusts = np.ldexp(1.0, np.minimum(ages, _MAX_TRUST_DOUBLINGS))
-        trusts *= [
-            kernels.compute_trust(one, ROUGHNESS_SCALE * UNITS_PER_STEP**2, self.neighbours, self.counts)
-            for one in signals
-        ]
+        roughness = ROUGHNESS_SCALE * UNITS_PER_STEP**2
+        trusts *= [kernels.compute_trust(signal, roughness, *graph) for signal in signals]
         self._ridge += RIDGE_PER_SIGNAL * UNITS_PER_STEP**2 * float(trusts.sum())
-        of_blocks = self._blocks, self._sizes, self._places
-        kernels.accumulate_gram(signals, trusts, *of_blocks, self.neighbours, self._gram)
-        kernels.solve_weights(self._ridge, *of_blocks, self._gram, self._start, self.weights)
+        kernels.accumulate_gram(signals, trusts, self._blocks, self.neighbours, self._gram)
+        kernels.solve_weights(self._ridge, self._blocks, self._gram, self._initial_weights, self.weights)
         self._pending = []
 
     def _add_similar_nodes(self) -> None:
         """Join every node to the most similar nodes before it in all known signals."""
-        plain = self._plain
-        similar = np.zeros(
-            (plain.size, SIMILAR_FRAMES if plain.is_over_time else SIMILAR_VERTICES), dtype=np.int32
-        )
-        found = np.zeros(plain.size, dtype=np.int32)
-        beside = plain.neighbours.astype(np.int32), plain.counts.astype(np.int32)
-        kernels.find_similar_nodes(np.array(self._signals), *beside, EXHAUSTIVE_SEARCH_NODES, similar, found)
-        joined = plain.with_extra_neighbours(similar, found)
+        graph = self._graph
+        most = SIMILAR_FRAMES if graph.is_over_time else SIMILAR_VERTICES
+        similar, counts = np.zeros((graph.size, most), dtype=np.int32), np.zeros(graph.size, dtype=np.int32)
+        known = graph.neighbours.astype(np.int32), graph.counts.astype(np.int32)
+        kernels.find_similar_nodes(np.array(self._signals), *known, EXHAUSTIVE_SEARCH_NODES, similar, counts)
+        joined = graph.with_extra_neighbours(similar, counts)
         self._set_neighbours(joined.neighbours, joined.counts, joined.weights)
         self._pending, self._signals = self._signals, []
 
@@ -344,17 +313,21 @@ def level_steps(size: int) -> Index:
     return steps
 
 
-def group_nodes(counts: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Return blocks ``(B, lanes)`` of nodes with equal numbers of neighbours, and the number of nodes ``(B,)`` in each.
+def group_nodes(counts: Int32) -> tuple[kernels.Blocks, Float]:
+    """Return blocks of nodes with equal numbers of neighbours ``(N,)``, and their Gram matrices, zero.
 
     Nodes with fewer than two neighbours are left out, having fixed weights. Partial blocks repeat their last node.
     """
     lanes = kernels.LANES_PER_BLOCK if len(counts) > _LARGE_GRAPH_NODES else kernels.LANES_PER_SMALL_BLOCK
-    found, sizes = [np.zeros((0, lanes), dtype=np.int32)], []
+    blocks, block_counts = [np.zeros((0, lanes), dtype=np.int32)], []
     for count in np.unique(counts[counts > 1]):
         nodes: Index = np.flatnonzero(counts == count)
         rows = -(-len(nodes) // lanes)
         filled = np.minimum(np.arange(rows * lanes), len(nodes) - 1)
-        found.append(nodes[filled].reshape(rows, lanes).astype(np.int32))
-        sizes += rows * [count]
-    return np.concatenate(found), np.array(sizes, dtype=np.int32)
+        blocks.append(nodes[filled].reshape(rows, lanes).astype(np.int32))
+        block_counts += rows * [count]
+    sizes = np.array(block_counts, dtype=np.int64)
+    entries = sizes * (sizes + 1) // 2 - 1
+    places = np.cumsum(entries) - entries
+    gram = np.zeros((int(entries.sum()), lanes))
+    return kernels.Blocks(np.concatenate(blocks), sizes.astype(np.int32), places), gram

@@ -12,8 +12,9 @@ from mixseq.compression.bitstream.arithmetic import (
     code_hashed_bit,
     finish_stream,
     has_failed,
-    new_hashed_input,
+    new_hashed_bits,
     new_hashed_output,
+    new_input_stream,
 )
 from mixseq.runtime.jit import compiled
 from mixseq.types import Index
@@ -58,7 +59,7 @@ def test_bits_come_back(pairs: list[tuple[int, int]]) -> None:
     for context, bit in pairs:
         writer.contexts[:2] = context, 1
         assert code_hashed_bit(writer, 0, bit) == bit
-    reader = new_hashed_input(finish_stream(writer.stream), 1)
+    reader = new_hashed_bits(new_input_stream(finish_stream(writer.stream)), 1)
     for context, bit in pairs:
         reader.contexts[:2] = context, 1
         assert code_hashed_bit(reader, 0, 0) == bit

@@ -213,16 +213,13 @@ def test_gram_matrices_are_exact() -> None:
     graph, rng = GRAPHS["torus"], np.random.default_rng(3)
     neighbours, counts = graph.neighbours.astype(np.int32), graph.counts.astype(np.int32)
     signals = [np.rint(UNITS_PER_STEP * scale * rng.normal(size=54)) for scale in 1e5 * 0.5 ** np.arange(24)]
-    nodes, sizes = group_nodes(counts)
-    entries = sizes.astype(np.int64) * (sizes + 1) // 2 - 1
-    places = np.cumsum(entries) - entries
     grams = []
     for order in (signals, signals[::-1]):
-        gram = np.zeros((int(entries.sum()), kernels.LANES_PER_SMALL_BLOCK))
+        blocks, gram = group_nodes(counts)
         for signal in order:
             trust = kernels.compute_trust(signal, ROUGHNESS_SCALE * UNITS_PER_STEP**2, neighbours, counts)
             some = signal[None], np.array([trust])
-            kernels.accumulate_gram(*some, nodes, sizes, places, neighbours, gram)
+            kernels.accumulate_gram(*some, blocks, neighbours, gram)
         grams.append(gram)
     np.testing.assert_array_equal(grams[0], grams[1])
     assert grams[0].any()
@@ -265,19 +262,16 @@ def test_weights_are_those_of_numpy(seed: int, nodes: int) -> None:
     neighbours = rng.integers(0, nodes, (nodes, most)).astype(np.int32)
     start = rng.dirichlet(np.ones(most), nodes) * (np.arange(most) < counts[:, None])
     start /= np.maximum(start.sum(axis=1), 1e-9)[:, None]
-    members, sizes = group_nodes(counts)
-    entries = sizes.astype(np.int64) * (sizes + 1) // 2 - 1
-    places = np.cumsum(entries) - entries
-    gram = np.zeros((int(entries.sum()), kernels.LANES_PER_SMALL_BLOCK))
+    blocks, gram = group_nodes(counts)
     products = np.zeros((nodes, most, most))
     signals = rng.normal(size=(int(rng.integers(1, 9)), nodes))
     trusts = rng.uniform(0.1, 1, len(signals))
-    kernels.accumulate_gram(signals, trusts, members, sizes, places, neighbours, gram)
+    kernels.accumulate_gram(signals, trusts, blocks, neighbours, gram)
     for values, trust in zip(signals, trusts, strict=True):
         apart = values[neighbours] - values[:, None]
         products += trust * apart[:, :, None] * apart[:, None, :]
     weights = np.full((nodes, most), 9.0)
-    kernels.solve_weights(ridge, members, sizes, places, gram, start, weights)
+    kernels.solve_weights(ridge, blocks, gram, start, weights)
     for node, count in enumerate(counts):
         if count > 1:
             wanted = constrained(products[node, :count, :count], ridge, start[node, :count])
@@ -291,14 +285,10 @@ def test_the_parallelogram_rule_is_a_case_of_it() -> None:
     """A vertex with three neighbours in a plane: the weights of the parallelogram are the only ones."""
     corner = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
     neighbours = np.array([[0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 1, 2]], dtype=np.int32)
-    members, sizes = group_nodes(np.array([0, 0, 0, 3], dtype=np.int32))
-    places, gram, weights = (
-        np.zeros(1, dtype=np.int64),
-        np.zeros((5, kernels.LANES_PER_SMALL_BLOCK)),
-        np.zeros((4, 3)),
-    )
-    kernels.accumulate_gram(corner.T.copy(), np.ones(3), members, sizes, places, neighbours, gram)
-    kernels.solve_weights(1e-9, members, sizes, places, gram, np.full((4, 3), 1 / 3), weights)
+    blocks, gram = group_nodes(np.array([0, 0, 0, 3], dtype=np.int32))
+    weights = np.zeros((4, 3))
+    kernels.accumulate_gram(corner.T.copy(), np.ones(3), blocks, neighbours, gram)
+    kernels.solve_weights(1e-9, blocks, gram, np.full((4, 3), 1 / 3), weights)
     np.testing.assert_allclose(weights[3], [-1, 1, 1], atol=1e-7)
 
 
@@ -307,7 +297,7 @@ def test_the_parallelogram_rule_is_a_case_of_it() -> None:
 )
 def test_blocks_are_of_nodes_with_equally_many_neighbours(many: int, lanes: int) -> None:
     counts = np.array([0, 1, *[3] * many, 2], dtype=np.int32)
-    members, sizes = group_nodes(counts)
+    (members, sizes, _), _ = group_nodes(counts)
     assert members.shape[1] == lanes
     assert sizes.tolist() == [2] + [3] * -(-many // lanes)
     assert set(members[0].tolist()) == {many + 2}
