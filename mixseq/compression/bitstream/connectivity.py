@@ -7,7 +7,7 @@ index codec of *meshoptimizer*). Probabilities of the predictions are learned bi
 about half a logarithm of V! F!.
 
 *The bits.* For every polygon, its number of corners minus that of the polygon before (3 for the first), then its
-corners, as specified in `mixseq.compression.bitstream.connectivity_kernels`. Then the check of both.
+corners, as specified in `mixseq.compression.bitstream.connectivity_kernels`. Then the checksum of both.
 
 *The growing order* of polygons, in which texture coordinates are coded, is breadth first, those with the fewest unknown
 nodes first, so that values at a node are predicted from complete polygons around it.
@@ -31,6 +31,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mixseq.compression.bitstream.arithmetic import (
+    HashedBits,
     append_checksum,
     checksum_of,
     finish_stream,
@@ -61,8 +62,8 @@ class Corners(NamedTuple):
     starts: Index  # (P + 1,) the first corner of every polygon, and the number C of corners
     polygon: Index  # (C,) the polygon of every corner
     node: Index  # (C,) the node of every corner
-    # (C,) a half-edge runs from a corner to the next one of its polygon. The corner from which one runs the other way,
-    # -1 if there is none. Of several between the same nodes, the first is the twin of the first, and so on.
+    # (C,) a half-edge runs from a corner to the next one of its polygon. The corner of the opposite half-edge, -1 if
+    # there is none. Of several between the same nodes, the first is the twin of the first, and so on.
     twin: Index
     around_starts: Index  # (N + 1,) row offsets of around
     around: Index  # (C,) the corners at node n, ascending: around[around_starts[n] : around_starts[n + 1]]
@@ -85,17 +86,15 @@ def corners_on_nodes(polygons: Polygons, node_count: int) -> Corners:
 
 
 def _find_twins(tails: Index, heads: Index, node_count: int) -> Index:
-    """Return the twins of half-edges from `tails` to `heads`."""
-    keys, opposite_keys = tails * node_count + heads, heads * node_count + tails
-    order, opposite_order = np.argsort(keys, kind="stable"), np.argsort(opposite_keys, kind="stable")
-    sorted_keys, wanted_keys = keys[order], opposite_keys[opposite_order]
-    first = np.searchsorted(sorted_keys, wanted_keys)
-    places = first + np.arange(len(wanted_keys)) - np.searchsorted(wanted_keys, wanted_keys)
-    is_found = (places < np.searchsorted(sorted_keys, wanted_keys, side="right")) & (tails != heads)[
-        opposite_order
-    ]
+    """Return the twins ``(C,)`` of half-edges from `tails` to `heads` ``(C,)``."""
+    keys, twin_keys = tails * node_count + heads, heads * node_count + tails
+    order, edges = np.argsort(keys, kind="stable"), np.argsort(twin_keys, kind="stable")
+    keys, twin_keys = keys[order], twin_keys[edges]
+    first, end = np.searchsorted(keys, twin_keys), np.searchsorted(keys, twin_keys, side="right")
+    places = first + np.arange(len(twin_keys)) - np.searchsorted(twin_keys, twin_keys)
+    found_mask = (places < end) & (tails != heads)[edges]
     twins = np.full(len(tails), -1, dtype=np.int64)
-    twins[opposite_order[is_found]] = order[places[is_found]]
+    twins[edges[found_mask]] = order[places[found_mask]]
     return twins
 
 
@@ -128,6 +127,7 @@ def growing_order(corners: Corners) -> Index:
     known_mask = np.zeros(len(corners.around_starts) - 1, dtype=np.bool_)
     visited_mask = np.zeros(polygon_count, dtype=np.bool_)
     heads, tails = np.full(_QUEUE_COUNT, -1, dtype=np.int64), np.full(_QUEUE_COUNT, -1, dtype=np.int64)
+    # Queues are linked lists of entries: their polygons, and the entries that follow.
     queued, following = np.empty(len(node), dtype=np.int64), np.full(len(node), -1, dtype=np.int64)
     order = np.empty(polygon_count, dtype=np.int64)
     lowest = entries = 0
@@ -146,11 +146,11 @@ def growing_order(corners: Corners) -> Index:
         visited_mask[chosen] = True
         order[place] = chosen
         for corner in range(starts[chosen], starts[chosen + 1]):
-            known_node = node[corner]
-            if known_mask[known_node]:
+            new = node[corner]
+            if known_mask[new]:
                 continue
-            known_mask[known_node] = True
-            for around in range(corners.around_starts[known_node], corners.around_starts[known_node + 1]):
+            known_mask[new] = True
+            for around in range(corners.around_starts[new], corners.around_starts[new + 1]):
                 polygon = corners.polygon[corners.around[around]]
                 if visited_mask[polygon]:
                     continue
@@ -216,25 +216,25 @@ def encode_polygons(polygons: Polygons, vertex_count: int) -> bytes:
         )
     counts, indices = polygons.counts.astype(np.int64), polygons.indices.astype(np.int64)
     # Bits at most: guesses, and numbers for counts, states (up to 1) and distances.
-    count_bits, state_bits, distance_bits = (
-        2 + 2 * largest.bit_length() for largest in (len(indices), 1, vertex_count)
-    )
-    bit_capacity = len(counts) * count_bits + len(indices) * (GUESS_COUNT + state_bits + distance_bits)
-    bits = new_hashed_output(bit_capacity, BIT_KINDS)
-    code_polygons(
-        bits, new_half_edges(len(indices), vertex_count), new_history(vertex_count), counts, indices
-    )
-    return append_checksum(finish_stream(bits.stream), checksum_of(indices, checksum_of(counts)))
+    count, state, distance = (2 + 2 * largest.bit_length() for largest in (len(indices), 1, vertex_count))
+    capacity = len(counts) * count + len(indices) * (GUESS_COUNT + state + distance)
+    bits = new_hashed_output(capacity, BIT_KINDS)
+    checksum = _code_polygons(bits, vertex_count, counts, indices)
+    return append_checksum(finish_stream(bits.stream), checksum)
+
+
+def _code_polygons(bits: HashedBits, vertex_count: int, counts: Index, indices: Index) -> int:
+    """Code polygons, or decode them in place; return their checksum."""
+    mesh, history = new_half_edges(len(indices), vertex_count), new_history(vertex_count)
+    code_polygons(bits, mesh, history, counts, indices)
+    return checksum_of(indices, checksum_of(counts))
 
 
 def decode_polygons(data: bytes, polygon_count: int, corner_count: int, vertex_count: int) -> Polygons:
     """Decode the polygons written by `encode_polygons`."""
     described = f"{polygon_count} polygons with {corner_count} corners and {vertex_count} vertices"
-    if (
-        polygon_count < 0
-        or not 0 <= vertex_count < 1 << 31
-        or not 3 * polygon_count <= corner_count < 1 << 31
-    ):
+    in_range = polygon_count >= 0 and corner_count < 1 << 31 and 0 <= vertex_count < 1 << 31
+    if not in_range or corner_count < 3 * polygon_count:
         raise FormatError(f"a mesh cannot have {described}; the file is damaged")
     if not polygon_count or not vertex_count:
         if data or corner_count:
@@ -243,9 +243,7 @@ def decode_polygons(data: bytes, polygon_count: int, corner_count: int, vertex_c
     stream, expected = split_checksum(data)
     bits = new_hashed_bits(new_input_stream(stream), BIT_KINDS)
     counts, indices = np.zeros(polygon_count, dtype=np.int64), np.zeros(corner_count, dtype=np.int64)
-    code_polygons(
-        bits, new_half_edges(corner_count, vertex_count), new_history(vertex_count), counts, indices
-    )
-    if bits.failed[0] or checksum_of(indices, checksum_of(counts)) != expected:
+    checksum = _code_polygons(bits, vertex_count, counts, indices)
+    if bits.failed[0] or checksum != expected:
         raise FormatError(f"coded polygons are damaged, or those of another mesh than one of {described}")
     return Polygons(counts, indices)

@@ -1,9 +1,9 @@
 """Code texture coordinates (multiples of 1 / n) and hard edges on the polygons of a mesh, without loss.
 
-First the seams (`mixseq.compression.bitstream.uv_seams`): corners at a vertex that have the same coordinates, or share a
-normal, are one *node*. Then the coordinates of nodes (`mixseq.compression.bitstream.uv_values`), predicted
-from the polygons on nodes. Both are bits in contexts of `mixseq.compression.bitstream.arithmetic`, followed by the
-check of the coordinates at all corners, or of the numbers of normals.
+First the seams (`mixseq.compression.bitstream.uv_seams`): corners at a vertex with the same coordinates, or the same
+normal, are one *node*. Then the coordinates of nodes (`mixseq.compression.bitstream.uv_values`), predicted from the
+polygons on nodes. Both are bits in contexts of `mixseq.compression.bitstream.arithmetic`, followed by the checksum of
+the coordinates at all corners, or of the numbers of normals.
 
 The coordinate k is the float32 next to the float64 k / n. All decisions use integers.
 

@@ -92,9 +92,7 @@ def _compute_stencils(graph: SignalGraph) -> Stencils:
     stencils.weights[:, :width] = graph.weights
     if graph.is_over_time:
         return stencils
-    # Levels have the numbers of vertices.
-    node_of_vertex = np.empty(graph.size, dtype=np.int64)
-    node_of_vertex[graph.order] = np.arange(graph.size)
+    node_of_vertex = np.argsort(graph.order)  # levels have the numbers of vertices
     starts, adjacent = renumber_adjacency(graph.ring_starts, graph.ring, node_of_vertex, graph.order)
     lengths = np.ones(len(adjacent))
     scratch = np.zeros((graph.size, MAX_NEIGHBOURS), dtype=np.int64), np.zeros(graph.size, dtype=np.int64)

@@ -35,18 +35,18 @@ from mixseq.runtime.parallel import on_two_threads
 from mixseq.types import Float, Index
 
 CONTEXTS_PER_BIT = 3
-"""Contexts of a bit. Frozen: breaks old files."""
+"""Number of contexts of a bit. Frozen: breaks old files."""
 
-CONTEXTS_PER_INPUT = 3 * NEIGHBOUR_COUNTS * NEIGHBOUR_COUNTS
-"""Number of contexts per input. Frozen: breaks old files."""
+CONTEXT_VALUES = 3 * NEIGHBOUR_COUNTS * NEIGHBOUR_COUNTS
+"""Number of values of a context. Frozen: breaks old files."""
 
-_MAX_MODELLED_EXCESS = 8
+_MAX_MODELLED_NUMBER = 8
 """Largest number with models for all of its questions. Frozen: breaks old files."""
 
 _MAX_EXCESS_BITS = 62
 """Largest bit length of the excess over that. Frozen: breaks old files."""
 
-POSITION_COUNT = 4 + _MAX_MODELLED_EXCESS
+POSITION_COUNT = 4 + _MAX_MODELLED_NUMBER
 """Modelled questions: any vertex displaced, this one, zero coordinate, sign, above 1, 2, ... Frozen: breaks files."""
 
 
@@ -61,10 +61,9 @@ def code_residuals(
     last: Index,
     numbers: Index,
 ) -> None:
-    """Write or read the numbers ``(N, 3)`` of a frame, in contexts of those of the frame before, `last`.
+    """Write or read the `numbers` ``(N, 3)`` of a frame, in contexts of those of the last frame.
 
-    A graph of N nodes has `neighbours` (N, n) before every node, ``counts`` (N,) of them, and all nodes adjacent to
-    node i in ``ring[starts[i] : starts[i + 1]]``.
+    `neighbours`, `counts`, `ring` and `starts` are those of a `SignalGraph`.
     """
     contexts = models.contexts
     any_displaced = 0
@@ -75,36 +74,32 @@ def code_residuals(
         return
     sums = np.zeros(3, dtype=np.int64)
     for node in range(len(numbers)):
-        displaced_count, count = 0, counts[node]
+        displaced, count = 0, counts[node]  # displaced neighbours
         sums[:] = 0
         for i in range(count):
             neighbour = neighbours[node, i]
-            displaced_count += _is_displaced(numbers, neighbour)
+            displaced += _is_displaced(numbers, neighbour)
             for k in range(3):
                 sums[k] += min(max(numbers[neighbour, k], -1), 1)
-        previous_count = 0
+        last_displaced = 0  # adjacent nodes that were displaced in the last frame
         for place in range(starts[node], starts[node + 1]):
-            previous_count += _is_displaced(last, ring[place])
-        was_displaced = _is_displaced(last, node)
-        contexts[0] = (displaced_count * NEIGHBOUR_COUNTS + count) * 3 + (
-            2 * was_displaced if was_displaced else min(previous_count, 1)
-        )
-        contexts[1] = (
-            min(previous_count, NEIGHBOUR_COUNTS - 1) * NEIGHBOUR_COUNTS + min(displaced_count, 3)
-        ) * 2 + was_displaced
-        contexts[2] = min(displaced_count, 3) * 3 + (
-            2 * was_displaced if was_displaced else min(previous_count, 1)
-        )
+            last_displaced += _is_displaced(last, ring[place])
+        own = _is_displaced(last, node)
+        around = 2 if own else min(last_displaced, 1)
+        contexts[0] = (displaced * NEIGHBOUR_COUNTS + count) * 3 + around
+        last_displaced = min(last_displaced, NEIGHBOUR_COUNTS - 1)
+        contexts[1] = (last_displaced * NEIGHBOUR_COUNTS + min(displaced, 3)) * 2 + own
+        contexts[2] = min(displaced, 3) * 3 + around
         if not code_modelled_bit(stream, models, 1, _is_displaced(numbers, node)):
             for k in range(3):
                 numbers[node, k] = 0
             continue
         nonzero_axes = 0
         for k in range(3):
-            previous, neighbour_sum = min(max(last[node, k], -3), 3) + 3, min(max(sums[k], -3), 3) + 3
-            contexts[0] = previous * 7 + neighbour_sum
-            contexts[1] = (nonzero_axes * 7 + neighbour_sum) * 3 + k
-            contexts[2] = (nonzero_axes * 7 + previous) * 3 + k
+            here, around = min(max(last[node, k], -3), 3) + 3, min(max(sums[k], -3), 3) + 3
+            contexts[0] = here * 7 + around
+            contexts[1] = (nonzero_axes * 7 + around) * 3 + k
+            contexts[2] = (nonzero_axes * 7 + here) * 3 + k
             numbers[node, k] = _code_coordinate(stream, models, numbers[node, k])
             nonzero_axes |= (1 if numbers[node, k] else 0) << k
 
@@ -119,18 +114,18 @@ def _code_coordinate(stream: BitStream, models: BitModels, number: int) -> int:
     if not code_modelled_bit(stream, models, 2, 1 if number else 0):
         return 0
     sign = code_modelled_bit(stream, models, 3, 1 if number < 0 else 0)
-    excess, modelled = abs(number) - 1, 0
-    while modelled < _MAX_MODELLED_EXCESS and code_modelled_bit(
-        stream, models, 4 + modelled, 1 if excess > modelled else 0
-    ):
-        modelled += 1
-    if modelled == _MAX_MODELLED_EXCESS:
-        remainder, length = max(excess - _MAX_MODELLED_EXCESS, 0), 0
-        remainder_bits = bit_length(remainder)
-        while length < _MAX_EXCESS_BITS and code_raw_bits(stream, 1, 1 if remainder_bits > length else 0):
+    rest, value = abs(number) - 1, 0
+    while value < _MAX_MODELLED_NUMBER:
+        if not code_modelled_bit(stream, models, 4 + value, 1 if rest > value else 0):
+            break
+        value += 1
+    if value == _MAX_MODELLED_NUMBER:
+        excess, length = max(rest - _MAX_MODELLED_NUMBER, 0), 0
+        bits = bit_length(excess)
+        while length < _MAX_EXCESS_BITS and code_raw_bits(stream, 1, 1 if bits > length else 0):
             length += 1
-        modelled += code_raw_bits(stream, length, remainder)
-    return -(modelled + 1) if sign else modelled + 1
+        value += code_raw_bits(stream, length, excess)
+    return -(value + 1) if sign else value + 1
 
 
 Residuals = tuple[Index, Index]
@@ -188,27 +183,22 @@ class CodedResidualLayer(PickledWithoutCaches):
         """Return the frames before or at times, and the fractions of the way to the next."""
         positions = np.interp(times, self.times, np.arange(len(self.times)))
         nearest = np.rint(positions)
-        is_near_frame = np.abs(positions - nearest) < 1e-9  # a frame is a frame, after rounding
-        positions = np.where(is_near_frame, nearest, positions)
+        at_frame_mask = np.abs(positions - nearest) < 1e-9  # but for rounding
+        positions = np.where(at_frame_mask, nearest, positions)
         frames = np.floor(positions).astype(np.int64)
         return frames, positions - frames
 
     def _frame_residuals(self, frame: int) -> Residuals:
         chunk = int(np.searchsorted(self._chunk_starts, frame, side="right")) - 1
-        run, frame_in_run = divmod(frame - int(self._chunk_starts[chunk]), FRAMES_PER_RUN)
-        return self._decode_run(chunk, run)[frame_in_run]
-
-    def _decode_run(self, chunk: int, run: int) -> list[Residuals]:
-        # Threads read frames in order, so a cache of the last few runs suffices.
+        run, place = divmod(frame - int(self._chunk_starts[chunk]), FRAMES_PER_RUN)
         with self._lock:
-            decoded = self._cache.get((chunk, run))
-            if decoded is None:
+            if (chunk, run) not in self._cache:
                 count, stream = self.chunks[chunk]
-                decoded = read_residuals(stream, count, run, self._graph)
-                self._cache[chunk, run] = decoded
-                while len(self._cache) > _MAX_CACHED_RUNS:
+                self._cache[chunk, run] = read_residuals(stream, count, run, self._graph)
+                # Threads read frames in order, so a cache of the last few runs suffices.
+                if len(self._cache) > _MAX_CACHED_RUNS:
                     self._cache.pop(next(iter(self._cache)))
-            return decoded
+            return self._cache[chunk, run][place]
 
     @cached_property
     def _chunk_starts(self) -> Index:
@@ -230,31 +220,30 @@ class CodedResidualLayer(PickledWithoutCaches):
 def write_residuals(residuals: Callable[[int], Index], frames: range, graph: SignalGraph) -> bytes:
     """Code the residuals of consecutive frames, ``(V, 3)`` each; empty if there are none.
 
-    Runs of `FRAMES_PER_RUN` frames are coded independently, two at a time, so that single frames decode quickly: first the lengths
-    of all runs in bytes, four bytes each, then the runs.
+    Runs of `FRAMES_PER_RUN` frames are coded independently, two at a time, so that single frames decode quickly. The
+    stream has the lengths of all runs in bytes, four bytes each, then the runs.
     """
-    parts = (frames[start : start + FRAMES_PER_RUN] for start in range(0, len(frames), FRAMES_PER_RUN))
-    runs = list(on_two_threads()(_write_run, (residuals, graph), parts))
+    spans = (frames[start : start + FRAMES_PER_RUN] for start in range(0, len(frames), FRAMES_PER_RUN))
+    runs = list(on_two_threads()(_write_run, (residuals, graph), spans))
     if not any(runs):
         return b""
     return np.array([len(run) for run in runs], dtype="<u4").tobytes() + b"".join(runs)
 
 
 def read_residuals(stream: bytes, frame_count: int, run: int, graph: SignalGraph) -> list[Residuals]:
-    """Return the residuals of one run of frames."""
-    frames = min(FRAMES_PER_RUN, frame_count - run * FRAMES_PER_RUN)
-    if not stream:
-        return [_NO_RESIDUALS] * frames
-    run_count = -(-frame_count // FRAMES_PER_RUN)
-    head, payload_size = stream[: 4 * run_count], len(stream) - 4 * run_count
-    lengths = np.frombuffer(head if payload_size >= 0 else b"", dtype="<u4").astype(np.int64)
-    if payload_size < 0 or lengths.sum() != payload_size:
-        raise FormatError("a coded residual layer has another length than it says; the file is damaged")
-    start = 4 * run_count + int(lengths[:run].sum())
-    data = stream[start : start + int(lengths[run])]
-    if not data:
-        return [_NO_RESIDUALS] * frames
-    return _read_run(data, frames, graph)
+    """Return the residuals of the frames of one run, of the stream of `frame_count` frames."""
+    frames, data = min(FRAMES_PER_RUN, frame_count - run * FRAMES_PER_RUN), b""
+    if stream:
+        run_count = -(-frame_count // FRAMES_PER_RUN)
+        head, size = stream[: 4 * run_count], len(stream) - 4 * run_count
+        lengths = np.frombuffer(head if size >= 0 else b"", dtype="<u4").astype(np.int64)
+        if size < 0 or lengths.sum() != size:
+            raise FormatError(
+                "the length of a coded residual layer is not the stated one; the file is damaged"
+            )
+        start = 4 * run_count + int(lengths[:run].sum())
+        data = stream[start : start + int(lengths[run])]
+    return _read_run(data, frames, graph) if data else [_NO_RESIDUALS] * frames
 
 
 def _write_run(shared: tuple[Callable[[int], Index], SignalGraph], frames: range) -> bytes:
@@ -285,7 +274,7 @@ def _read_run(stream: bytes, frame_count: int, graph: SignalGraph) -> list[Resid
 
 
 def _new_models() -> BitModels:
-    return new_bit_models(CONTEXTS_PER_BIT, CONTEXTS_PER_INPUT, POSITION_COUNT)
+    return new_bit_models(CONTEXTS_PER_BIT, CONTEXT_VALUES, POSITION_COUNT)
 
 
 def _graph_arrays(graph: SignalGraph) -> tuple[Index, Index, Index, Index]:

@@ -16,7 +16,7 @@ the most important ones; every stream has vectors of all parts. Coefficients hav
 independently.
 
 The first group begins with the part of every vertex, in the order of the mesh's graph: whether a vertex has the most
-frequent label of its known neighbours, or the second most frequent, and else the label itself, from its highest bit.
+frequent label of its known neighbours, or the second most frequent; otherwise the label itself, from its highest bit.
 The contexts of both questions are the number of neighbours, and the numbers with either label.
 
 Frozen: changing this breaks old files (golden: ``tests/compression/golden/*.npz``; ``parts.npz`` has several parts,
@@ -59,7 +59,7 @@ def write_labels(writer: Writer, labels: Index, graph: SignalGraph) -> None:
 
 
 def read_labels(reader: Reader, part_count: int, graph: SignalGraph) -> Index:
-    """Return the labels ``(V,)`` of `part_count` parts written by `write_labels`."""
+    """Read the labels ``(V,)`` of `part_count` parts written by `write_labels`."""
     node_labels = np.zeros(graph.size, dtype=np.int64)
     _code_labels(reader.stream(), _new_label_models(), node_labels, graph.neighbours, graph.counts)
     reader.add_to_checksum(node_labels)
@@ -76,7 +76,7 @@ def _new_label_models() -> BitModels:
 
 @compiled
 def _code_labels(
-    stream: BitStream, models: BitModels, labels: Index, neighbours: NDArray[np.int64], counts: Index
+    stream: BitStream, models: BitModels, labels: Index, neighbours: Index, counts: Index
 ) -> None:
     """Write or read the labels ``(N,)`` of nodes."""
     votes = np.zeros(1 << _LABEL_BITS, dtype=np.int64)
@@ -107,17 +107,17 @@ def _code_labels(
             labels[node] = second
             continue
         models.contexts[0] = models.contexts[1] = 0
-        code = 1
+        prefix = 1  # the bits so far, after a 1
         for shift in range(_LABEL_BITS - 1, -1, -1):
-            code = 2 * code + code_modelled_bit(stream, models, 1 + code, (label >> shift) & 1)
-        labels[node] = code - (1 << _LABEL_BITS)
+            prefix = 2 * prefix + code_modelled_bit(stream, models, 1 + prefix, (label >> shift) & 1)
+        labels[node] = prefix - (1 << _LABEL_BITS)
 
 
 BasisKind = Literal["trajectories", "shapes"]
 
 
 class Part(NamedTuple):
-    """Vertices ``(n,)`` of a part, increasing, and the graph over them."""
+    """Vertices ``(n,)`` of a part, ascending, and the graph over them."""
 
     vertices: Index
     graph: SignalGraph
@@ -130,28 +130,26 @@ def whole_mesh_part(graph: SignalGraph) -> tuple[Part, ...]:
 
 def split_parts(labels: Index, faces: NDArray[np.integer]) -> tuple[Part, ...]:
     """Return the parts of labels ``(V,)`` 0 ... P - 1, each with the triangles ``(F, 3)`` that lie inside it."""
-    return tuple(on_two_threads()(_make_part, (labels, faces), enumerate(part_vertices(labels))))
-
-
-def _make_part(mesh: tuple[Index, NDArray[np.integer]], part: tuple[int, Index]) -> Part:
-    """Return the part of a mesh (labels and triangles) with a number and vertices ``(n,)``."""
-    part_id, vertices = part
-    return Part(vertices, build_part_graph(part_id, vertices, *mesh))
+    vertices = part_vertices(labels)
+    graphs = on_two_threads()(
+        lambda _, part: build_part_graph(part, vertices[part], labels, faces), None, range(len(vertices))
+    )
+    return tuple(map(Part, vertices, graphs))
 
 
 def part_vertices(labels: Index) -> list[Index]:
-    """Return the vertices of every part, increasing."""
+    """Return the vertices of every part, ascending."""
     return [np.flatnonzero(labels == part) for part in range(int(labels.max(initial=-1)) + 1)]
 
 
-def build_part_graph(part_id: int, vertices: Index, labels: Index, faces: NDArray[np.integer]) -> SignalGraph:
+def build_part_graph(part: int, vertices: Index, labels: Index, faces: NDArray[np.integer]) -> SignalGraph:
     """Return the graph over the vertices ``(n,)`` of a part."""
-    inner_faces = faces[(labels[faces] == part_id).all(axis=1)]
+    inner_faces = faces[(labels[faces] == part).all(axis=1)]
     return mesh_graph(np.searchsorted(vertices, inner_faces), len(vertices))
 
 
 class PartBasis(NamedTuple):
-    """The basis of a part: its vertices ``(n,)``, increasing, and the vectors ``(K, c, n)`` over them."""
+    """The basis of a part: its vertices ``(n,)``, ascending, and the vectors ``(K, c, n)`` over them."""
 
     vertices: Index
     vectors: Float
@@ -171,24 +169,23 @@ class SpatialBasis:
     @property
     def vertex_count(self) -> int:
         """Number V of vertices."""
-        return sum(len(part_basis.vertices) for part_basis in self.part_bases)
+        return sum(len(basis.vertices) for basis in self.part_bases)
 
     @property
     def norms(self) -> Float:
         """Norms ``(K,)`` of the vectors."""
         norms = np.empty(len(self.part_ids))
-        for part, part_basis in enumerate(self.part_bases):
-            norms[self.part_ids == part] = np.sqrt(np.square(part_basis.vectors).sum(axis=(1, 2)))
+        for part, basis in enumerate(self.part_bases):
+            norms[self.part_ids == part] = np.sqrt(np.square(basis.vectors).sum(axis=(1, 2)))
         return norms
 
     @property
     def vectors(self) -> Float:
         """All vectors ``(K, c, V)`` over the whole mesh."""
-        vectors = np.zeros((len(self.part_ids), 1 if self.kind == "trajectories" else 3, self.vertex_count))
-        for part, part_basis in enumerate(self.part_bases):
-            vectors[np.ix_(self.part_ids == part, np.arange(vectors.shape[1]), part_basis.vertices)] = (
-                part_basis.vectors
-            )
+        coordinates = np.arange(1 if self.kind == "trajectories" else 3)
+        vectors = np.zeros((len(self.part_ids), len(coordinates), self.vertex_count))
+        for part, basis in enumerate(self.part_bases):
+            vectors[np.ix_(self.part_ids == part, coordinates, basis.vertices)] = basis.vectors
         return vectors
 
     @property
@@ -204,9 +201,9 @@ class SpatialBasis:
             displacements = np.tensordot(coefficients[..., 0], vectors[1:], 1)
             return np.asarray(mean + displacements.transpose(0, 2, 1))
         frames = np.empty((len(coefficients), self.vertex_count, 3))
-        for part, part_basis in enumerate(self.part_bases):
-            part_coefficients = coefficients[:, self.part_ids == part].transpose(0, 2, 1)
-            frames[:, part_basis.vertices] = (part_coefficients @ part_basis.vectors[:, 0]).transpose(0, 2, 1)
+        for part, basis in enumerate(self.part_bases):
+            of_part = coefficients[:, self.part_ids == part].transpose(0, 2, 1)
+            frames[:, basis.vertices] = (of_part @ basis.vectors[:, 0]).transpose(0, 2, 1)
         return frames
 
 
@@ -221,10 +218,10 @@ def group_slices(rank: int) -> list[slice]:
 
 def part_groups(ranks: Sequence[int]) -> list[list[tuple[int, slice]]]:
     """Return the parts, and slices of their vectors, in every stream."""
-    slices_of_parts = [group_slices(rank) for rank in ranks]
+    slices = [group_slices(rank) for rank in ranks]
     return [
-        [(part, slices[group]) for part, slices in enumerate(slices_of_parts) if group < len(slices)]
-        for group in range(max(map(len, slices_of_parts), default=0))
+        [(part, of_part[group]) for part, of_part in enumerate(slices) if group < len(of_part)]
+        for group in range(max(map(len, slices), default=0))
     ]
 
 
@@ -241,44 +238,43 @@ def read_basis(
     readers = [Reader(stream) for stream in streams]
     if len(ranks) > 1:
         labels = read_labels(readers[0], len(ranks), graph)
-    parts, vectors = part_vertices(labels), [list[Float]() for _ in ranks]
-    # Made on demand and freed after use, as a coder takes more than a kilobyte a vertex.
+    vertices, signals = part_vertices(labels), [list[Float]() for _ in ranks]
+    # Created on demand and freed after use, as a coder takes more than a kilobyte a vertex.
     coders: dict[int, SignalCoder] = {}
-    for reader, group_of_parts in zip(readers, part_groups(ranks), strict=True):
-        for part, group in group_of_parts:
+    for reader, group in zip(readers, part_groups(ranks), strict=True):
+        for part, vectors in group:
             coder = coders.pop(part, None)
             if coder is None:
-                part_graph = build_part_graph(part, parts[part], labels, faces) if len(ranks) > 1 else graph
-                coder = SignalCoder(part_graph, coordinates, models)
-            for _ in range(group.start, group.stop):
-                vectors[part] += [coder.read_ahead(reader) for _ in range(coordinates)]
-            if group.stop < ranks[part]:
+                if len(ranks) > 1:
+                    graph = build_part_graph(part, vertices[part], labels, faces)
+                coder = SignalCoder(graph, coordinates, models)
+            for _ in range(coordinates * (vectors.stop - vectors.start)):
+                signals[part].append(coder.read_ahead(reader))
+            if vectors.stop < ranks[part]:
                 coders[part] = coder
             del coder
         reader.finish()
-    decoded = [
-        step * np.array(part_vectors).reshape(-1, coordinates, len(vertices))
-        for part_vectors, vertices in zip(vectors, parts, strict=True)
-    ]
-    return decoded, parts
+    shapes = [(-1, coordinates, len(of_part)) for of_part in vertices]
+    return [
+        step * np.array(values).reshape(shape) for values, shape in zip(signals, shapes, strict=True)
+    ], vertices
 
 
 def assemble_basis(
-    kind: BasisKind, vectors: Sequence[Float], parts: Sequence[Index], frame_count: int
+    kind: BasisKind, vectors: Sequence[Float], vertices: Sequence[Index], frame_count: int
 ) -> SpatialBasis:
     """Return the basis of decoded vectors ``(K, c, n)`` of all parts, without zero ones, ordered by groups."""
-    kept_masks = [np.any(part_vectors, axis=(1, 2)) for part_vectors in vectors]
+    nonzero_masks = [np.any(of_part, axis=(1, 2)) for of_part in vectors]
     if kind == "shapes":
-        kept_masks[0][:1] = True  # the mean, which may be zero
-    part_bases, part_ids = [], [np.arange(len(parts) if kind == "trajectories" else 0)]
-    for vertices, part_vectors, kept in zip(parts, vectors, kept_masks, strict=True):
-        constant = np.full((1, 1, len(vertices)), 1 / np.sqrt(len(vertices)))
-        stacked = part_vectors[kept] if kind == "shapes" else np.concatenate([constant, part_vectors[kept]])
-        part_bases.append(PartBasis(vertices, stacked))
-    for group_of_parts in part_groups([len(part_vectors) for part_vectors in vectors]):
-        part_ids += [
-            np.full(np.count_nonzero(kept_masks[part][group]), part) for part, group in group_of_parts
-        ]
+        nonzero_masks[0][:1] = True  # the mean, which may be zero
+    part_bases, part_ids = [], [np.arange(len(vertices) if kind == "trajectories" else 0)]
+    for of_part, own, nonzero_mask in zip(vertices, vectors, nonzero_masks, strict=True):
+        own = own[nonzero_mask]
+        if kind == "trajectories":
+            own = np.concatenate([np.full((1, 1, len(of_part)), 1 / np.sqrt(len(of_part))), own])
+        part_bases.append(PartBasis(of_part, own))
+    for group in part_groups(list(map(len, vectors))):
+        part_ids += [np.full(np.count_nonzero(nonzero_masks[part][span]), part) for part, span in group]
     return SpatialBasis(kind, tuple(part_bases), np.concatenate(part_ids), frame_count)
 
 

@@ -161,10 +161,8 @@ class Copies(NamedTuple):
 
 def new_copies(corners: Corners, order: Index) -> Copies:
     """Return a state without regions."""
-    places = np.empty(len(order), dtype=np.int64)
-    places[order] = np.arange(len(order))
     return Copies(
-        places=places,
+        places=np.argsort(order),
         image=np.full(len(corners.node), -1, dtype=np.int64),
         mirrored=np.zeros(len(order), dtype=np.bool_),
         region=np.full(len(order), -1, dtype=np.int64),
