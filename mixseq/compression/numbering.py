@@ -109,7 +109,7 @@ def walk_numbering(polygons: Polygons, sizes: Sequence[int], *, vertices: bool) 
 
 
 def cheapest_numbering(header: SequenceHeader, order: OrderName) -> Renumbering:
-    """Return the numbering in which polygons take the fewest bytes, of those that keep the `order` asked for."""
+    """Return the numbering in which polygons take the fewest bytes, of those that keep `order`."""
     if order not in ORDERS:
         raise SettingsError(f"order is {order!r}; one of {', '.join(ORDERS)} is expected")
     polygons, sizes = header.polygons, object_vertex_counts(header)

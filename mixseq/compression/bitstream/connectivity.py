@@ -1,7 +1,7 @@
 """Code polygons without loss: the order of vertices and faces, and first corners, are kept.
 
 Users number vertices and faces, so they cannot be renumbered as Edgebreaker does. Corners are coded in their order, and
-predicted from the mesh so far, from the polygons before, and from the numbers of their neighbours (in the spirit of the
+predicted from the known mesh, from the last polygons, and from the numbers of their neighbours (in the spirit of the
 index codec of *meshoptimizer*). Probabilities of the predictions are learned bit by bit
 (`mixseq.compression.bitstream.arithmetic`). Meshes in coherent order take 2 to 10 bits per triangle; random order takes
 about half a logarithm of V! F!.

@@ -1,9 +1,9 @@
 """The compiled loop over all corners of a mesh, for coding and decoding connectivity.
 
 *Half-edges* of a mesh that grows polygon by polygon run from a corner's vertex to the next corner's. A half-edge is
-*open* until its opposite is added. A vertex is *unused* until a polygon has it, then *open* while open
-half-edges end or start there, else *closed*; it may open again. Vertices of a state have ranks, in the order of their
-numbers, by a tree of partial sums (Fenwick 1994, *A new data structure for cumulative frequency tables*).
+*open* until its opposite is added. A vertex is *unused* until a polygon has it, then *open* while open half-edges end
+or start there, otherwise *closed*; it may open again. Vertices of a state have ranks, in the order of their numbers, by
+a tree of partial sums (Fenwick 1994, *A new data structure for cumulative frequency tables*).
 
 *Guesses.* The *place* of a corner is 0 for the first, 1 for the second, 3 for the last and 2 for those between. With
 *b* the corner before (of any polygon; 0 at the start), *s* the first corner of this polygon (*b* at place 0), and
@@ -63,7 +63,7 @@ _MAX_SEARCHED_HALF_EDGES = 32
 
 
 class HalfEdges(NamedTuple):
-    """The mesh so far. A half-edge has the number of its first corner."""
+    """The mesh of the polygons that are coded. A half-edge has the number of its first corner."""
 
     tails: Int32  # (C,) start vertex of every half-edge that was opened
     heads: Int32  # (C,) end vertex of every half-edge that was opened

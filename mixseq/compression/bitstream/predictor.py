@@ -19,19 +19,19 @@ slopes, at the vertex and at its neighbours,
 
 .. math:: \sum_{i \in \{v\} \cup N(v)} \Bigl( \frac{1}{|N(i)|} \sum_{j \in N(i)} \frac{x_j - x_i}{l_{ij}} \Bigr)^2 ,
 
-with v and the neighbours :math:`N(i)` that are left when v is gone, without those across v. Lengths :math:`l_{ij}` are
+with v and the neighbours :math:`N(i)` that remain without v, except those across v. Lengths :math:`l_{ij}` are
 numbers of edges: one in the mesh, and the sum of both sides where an edge closes the hole of a removed vertex. So a
-vertex is predicted from its neighbours, and from theirs; on a line of equal lengths with weights of -1/12, 7/12, 7/12,
--1/12.
+vertex is predicted from its neighbours and from their neighbours; on a line of equal lengths with weights of -1/12,
+7/12, 7/12, -1/12.
 
-*Similar nodes.* Later, every node is also joined to the most similar nodes before it, anywhere in the graph. So distant
+*Similar nodes.* Later, every node is also joined to the most similar nodes before it, anywhere in the graph. Distant
 vertices of one rigid part, or of several components, predict each other, and so do frames of one pose in a repeating
 motion.
 
-*Steps.* Later signals are small, and most of their numbers zero, so that errors of nodes on coarse levels are inherited
-by all nodes between them: their steps are smaller.
+*Steps.* Later signals are small, and most of their numbers zero, so all nodes between nodes of a coarse level inherit
+the errors of these. Coarse levels have smaller steps.
 
-*The same everywhere.* Values are whole 64ths of a step, trust is a power of two, and weights are whole multiples of
+*Reproducibility.* Values are whole 64ths of a step, trust is a power of two, and weights are whole multiples of
 2^-24, so that predictions are exact in float64, in any order of summation, for values below 2^29 (8 million steps); so
 are roughness, distances and sums of products in nearly all files, and where these are rounded, it is in a fixed order.
 Weights are solved for with rounded operations, + - * / and roots, in a fixed order:

@@ -170,24 +170,19 @@ def solve_weights(ridge: float, blocks: Blocks, gram: Float, initial: Float, wei
 
 @compiled
 def find_similar_nodes(
-    signals: Float,
-    neighbours: Int32,
-    counts: Int32,
-    exhaustive_count: int,
-    similar: Int32,
-    similar_counts: Int32,
+    signals: Float, neighbours: Int32, counts: Int32, exhaustive: int, similar: Int32, similar_counts: Int32
 ) -> None:
     """Write the nodes before every node that are nearest to it in signals ``(D, N)``, without its neighbours.
 
-    The first `exhaustive_count` nodes search all nodes before them; later ones the neighbours of their neighbours, and
-    the results for these. Up to k nodes are written to `similar` ``(N, k)``, nearest first, ties in search order, and
-    their number to `similar_counts` ``(N,)``.
+    The first `exhaustive` nodes search all nodes before them; later ones the neighbours of their neighbours, and the
+    results for these. Up to k nodes are written to `similar` ``(N, k)``, nearest first, ties in search order, and their
+    number to `similar_counts` ``(N,)``.
     """
     size, most = signals.shape[1], similar.shape[1]
-    exhaustive_count = min(size, exhaustive_count)
+    first_count = min(size, exhaustive)
     nearest = np.empty(most)  # squared distances of the similar nodes of a node
-    distances = np.empty(exhaustive_count)
-    for node in range(exhaustive_count):
+    distances = np.empty(first_count)
+    for node in range(first_count):
         # Dimension by dimension: one instruction serves several nodes.
         distances[:node] = 0.0
         for dimension in range(len(signals)):
@@ -204,7 +199,7 @@ def find_similar_nodes(
                 _insert(node, other, distances[other], similar, similar_counts, nearest)
     points = np.ascontiguousarray(signals.T)
     visitor = np.full(size, -1, dtype=np.int32)  # the last node that visited a node
-    for node in range(exhaustive_count, size):
+    for node in range(first_count, size):
         similar_counts[node] = 0
         nearest[:] = np.inf
         for i in range(counts[node]):
@@ -224,17 +219,12 @@ def find_similar_nodes(
                     if distance >= nearest[most - 1]:
                         break
                 if distance < nearest[most - 1]:
-                    _insert(node, np.int64(other), distance, similar, similar_counts, nearest)
+                    _insert(node, int(other), distance, similar, similar_counts, nearest)
 
 
 @joined
 def _insert(
-    node: int,
-    other: int | np.int64,
-    distance: float,
-    similar: Int32,
-    similar_counts: Int32,
-    nearest: Float,
+    node: int, other: int, distance: float, similar: Int32, similar_counts: Int32, nearest: Float
 ) -> None:
     """Insert another node into the similar ones of a node by its squared distance, replacing the farthest."""
     place = len(nearest) - 1

@@ -11,7 +11,7 @@ shapes
     A basis vector has three coordinates at each vertex, and one coefficient at each frame. The first one is the mean
     shape, whose coefficient :math:`u_0 = 1 / \sqrt T` is known.
 
-Basis vectors are split into streams (groups), each with twice as many as the one before, so that a damaged file keeps
+Basis vectors are split into streams (groups), each of twice the size of the one before, so that a damaged file keeps
 the most important ones; every stream has vectors of all parts. Coefficients have one stream per chunk of frames, coded
 independently.
 
@@ -123,18 +123,13 @@ class Part(NamedTuple):
     graph: SignalGraph
 
 
-def whole_mesh_part(graph: SignalGraph) -> tuple[Part, ...]:
-    """Return the mesh as its only part."""
-    return (Part(np.arange(graph.size), graph),)
-
-
-def split_parts(labels: Index, faces: NDArray[np.integer]) -> tuple[Part, ...]:
+def split_parts(labels: Index, faces: NDArray[np.integer]) -> list[Part]:
     """Return the parts of labels ``(V,)`` 0 ... P - 1, each with the triangles ``(F, 3)`` that lie inside it."""
     vertices = part_vertices(labels)
     graphs = on_two_threads()(
         lambda _, part: build_part_graph(part, vertices[part], labels, faces), None, range(len(vertices))
     )
-    return tuple(map(Part, vertices, graphs))
+    return list(map(Part, vertices, graphs))
 
 
 def part_vertices(labels: Index) -> list[Index]:

@@ -64,7 +64,7 @@ class Guess(NamedTuple):
 
 
 class KnownNodes(NamedTuple):
-    """Nodes known so far."""
+    """Coordinates of the known nodes."""
 
     values: Index  # (N, 2) coordinates
     is_known: Mask  # (N,) whether they are known
@@ -148,7 +148,7 @@ _ROTATION_BITS = 17
 
 
 class Copies(NamedTuple):
-    """Images so far."""
+    """Images of the visited polygons."""
 
     places: Index  # (P,) when a polygon is visited
     image: Index  # (C,) the image of every corner, -1 if there is none

@@ -51,11 +51,6 @@ class PrincipalComponents:
         """Norms ``(K,)`` of the vectors, decreasing: the singular values."""
         return np.asarray(np.sqrt(np.square(self.vectors).sum(axis=(1, 2))))
 
-    @property
-    def frame_count(self) -> int:
-        """Number T of frames."""
-        return int(self.curves.shape[1])
-
 
 def trajectory_components(sequence: FrameStore, min_norm: float) -> PrincipalComponents:
     """Compute the principal components of all vertices' trajectories."""
@@ -193,7 +188,7 @@ class PartComponents:
         elif components.kind == "trajectories":
             self._computed = list(vectors)
         else:
-            root = np.sqrt(components.frame_count)
+            root = np.sqrt(components.curves.shape[1])
             self._computed = [root * components.mean, *vectors]
             self.norms = np.append(root * np.linalg.norm(components.mean), self.norms)
         self._loadings = vectors.reshape(len(vectors), -1)
@@ -227,8 +222,8 @@ class PartComponents:
 
     def fit(self, basis: PartBasis) -> Fit:
         """Fit coefficients of rounded vectors to the motion of the part, by least squares."""
-        count, vectors = self._components.frame_count, basis.vectors.reshape(len(basis.vectors), -1)
         loadings, curves = self._loadings, self._components.curves.reshape(len(self._loadings), -1)
+        count, vectors = self._components.curves.shape[1], basis.vectors.reshape(len(basis.vectors), -1)
         has_mean_shape = self._components.kind == "shapes"
         if has_mean_shape:  # the rounding error of the mean is one more component
             loadings = np.append(loadings, self._computed[0].reshape(1, -1) - vectors[:1], axis=0)

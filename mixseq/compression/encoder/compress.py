@@ -1,6 +1,6 @@
 """Compress a sequence to an error or a size, and measure the error by decoding the result.
 
-The step is found by `mixseq.compression.encoder.search`; guaranteed errors are measured ones.
+Guaranteed errors are measured ones. The step is found by `mixseq.compression.encoder.search`.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def compress(
 ) -> CompressedSequence:
     """Compress a sequence.
 
-    It works on `mixseq.runtime.parallel.thread_count` threads; the bytes are the same for any number.
+    The bytes are the same for any number of threads (`mixseq.runtime.parallel.thread_count`).
 
     Parameters
     ----------
@@ -69,10 +69,11 @@ def compress(
     uvs : bool
         Whether to keep texture coordinates.
     order : {"keep", "vertices", "free"}
-        Numbers to keep: of vertices and faces; of vertices only; or neither. The others are chosen for the fewest
-        bytes; attributes of vertices, faces and corners are reordered too.
+        Numbering to keep: of vertices and faces; of vertices only; or neither. The others are chosen for the fewest
+        bytes; attributes of vertices, faces and corners are reordered as well.
     chunk : int
-        About this many frames, 16 or more, are decoded together, or lost together. Small chunks take more bytes.
+        Approximate number of frames, 16 or more, that are decoded together, or lost together. Small chunks take more
+        bytes.
 
     Returns
     -------
@@ -86,7 +87,7 @@ def compress(
         or `max_error` is beyond the digits of the coordinates, or `uv_error` is not from 0 to 0.25,
         or there is no such `order`, or `chunk` is below 16.
     FormatError, InvalidSequenceError
-        If a sequence that is read turns out to be damaged or unsound, or too small or too large for doubles.
+        If the sequence is damaged or invalid, or too small or too large for double precision.
     """
     check_frames(sequence)
     _check_target(max_error, kg, size)
@@ -109,13 +110,12 @@ def compress(
 
 
 def _check_target(max_error: float | None, kg: float | None, size: int | None) -> None:
-    given = {"max_error": max_error, "kg": kg, "size": size}
-    values = {name: value for name, value in given.items() if value is not None}
-    if len(values) != 1:
-        raise SettingsError(
-            f"{' and '.join(values) or 'nothing'} is given; give one of max_error, kg and size"
-        )
-    [(name, value)] = values.items()
+    targets = {"max_error": max_error, "kg": kg, "size": size}
+    given = [(name, value) for name, value in targets.items() if value is not None]
+    if len(given) != 1:
+        names = " and ".join(name for name, _ in given) or "nothing"
+        raise SettingsError(f"{names} is given; give one of max_error, kg and size")
+    [(name, value)] = given
     least = 1 if name == "size" else 0
     if not (np.isfinite(value) and value > 0 and value >= least):
         raise SettingsError(f"{name} is {value}; a positive number{' of bytes' * least} is expected")
@@ -124,15 +124,16 @@ def _check_target(max_error: float | None, kg: float | None, size: int | None) -
 def _with_margin(bound: float, sequence: FrameStore) -> float:
     """Reduce a bound by the last digits, which vary between machines, and by the rounding of single-precision files."""
     largest = largest_coordinate(sequence.points)
-    last = digits_end(largest)
-    if bound < last:
-        place = bound >= digits_end(farthest(sequence.points))
+    least = digits_end(largest)
+    if bound < least:
+        cure = (
+            ", or move the sequence to the origin" if bound >= digits_end(farthest(sequence.points)) else ""
+        )
         raise SettingsError(
             f"max_error is {bound:.3g} in units of the sequence, beyond the digits of coordinates of up to "
-            f"{largest:.3g}; give at least {last:.3g} of these units{', or move the sequence to the origin' * place}"
+            f"{largest:.3g}; give at least {least:.3g} of these units{cure}"
         )
-    single = sequence.points.dtype == np.float32
-    rounding = largest * 2.0**-24 * 3**0.5 if single else last
+    rounding = largest * 2.0**-24 * 3**0.5 if sequence.points.dtype == np.float32 else least
     return bound - min(1e-9 * bound + rounding, bound / 2)
 
 
@@ -157,7 +158,7 @@ def _search_streams(
     kg: float | None,
     size: int | None,
 ) -> CompressedSequence:
-    """Return the streams found by a search. Its other results, some kB a vertex, are freed."""
+    """Return the streams found by a search; its other results, some kB a vertex, are freed."""
     search = Search(frames, mesh_graph(frames.header.faces, frames.header.vertex_count), stages, chunk)
     if max_error is not None:
         best = search.find_for_bound(_with_margin(max_error * unit, frames))
@@ -187,23 +188,23 @@ def _measure_errors(
     model, between = decode(coded)
     unit = coded.parameters.diagonal
     squares = variation = largest = 0.0
-    done = 0
+    frame_count = 0
     for block in model.blocks(model.times):
-        points = sequence.points[done : done + len(block)].astype(np.float64)
+        points = sequence.points[frame_count : frame_count + len(block)].astype(np.float64)
         distances = np.square(points - block).sum(axis=2)
         squares, largest = squares + float(distances.sum()), max(largest, float(distances.max()))
         variation += float(np.square(points - points.mean(axis=1, keepdims=True)).sum())
-        done += len(block)
+        frame_count += len(block)
     error = float(np.sqrt(largest)) / unit
     if bound is not None and error > bound:
         raise ReconstructionError(
-            f"a vertex is off by {error:.3g} diagonals after decoding, more than {bound:g}; please report this"
+            f"the error of a decoded vertex is {error:.3g} diagonals, more than {bound:g}; please report this"
         )
-    rounding = sequence.points.shape[1] * done * (1e-12 * unit) ** 2
+    rounding = sequence.points.shape[1] * frame_count * (1e-12 * unit) ** 2
     kg_percent = 100 * float(np.sqrt(squares / variation)) if variation > rounding else 0.0
     if kg is not None and kg_percent > (1 + 1e-9) * kg:
         raise ReconstructionError(
-            f"the KG error is {kg_percent:.6g} % after decoding, more than {kg:g}; please report this"
+            f"the KG error of the decoded frames is {kg_percent:.6g} %, more than {kg:g}; please report this"
         )
     parameters = replace(coded.parameters, max_error=error if bound is None else bound, kg_percent=kg_percent)
     return replace(coded, parameters=parameters, between=between)

@@ -155,7 +155,7 @@ def refine_parts(
     neighbour_mean = _neighbour_mean_matrix(faces, vertex_count)
     squares = np.einsum("rv,rv->v", motion, motion)
     for _ in range(MAX_ROUNDS):
-        work = on_two_threads()(_code_lengths, _Motion(motion, squares, labels, step), range(part_count))
+        work = on_two_threads()(_code_lengths, (motion, squares, labels, step), range(part_count))
         lengths = np.stack(list(work), axis=1)
         lengths = (lengths + neighbour_mean @ lengths) / 2
         refined = lengths.argmin(axis=1)
@@ -166,25 +166,19 @@ def refine_parts(
     return labels
 
 
-class _Motion(NamedTuple):
-    """Motion ``(R, V)`` of the vertices, its squares ``(V,)``, the parts they are in ``(V,)``, and the step."""
+def _code_lengths(shared: tuple[Float, Float, Index, float], part: int) -> Float:
+    """Return the approximate code length in nats of every vertex's motion in a part.
 
-    coordinates: Float
-    squares: Float
-    labels: Index
-    step: float
-
-
-def _code_lengths(motion: _Motion, part: int) -> Float:
-    """Return the approximate code length in nats of every vertex's motion in a part."""
-    coordinates, unit = motion.coordinates, motion.step**2
-    own = coordinates[:, motion.labels == part]
+    Shared are the motion ``(R, V)`` of the vertices, its squares ``(V,)``, their parts ``(V,)``, and the step.
+    """
+    motion, squares, labels, step = shared
+    own, unit = motion[:, labels == part], step**2
     mean = own.mean(axis=1)
     covariance = own @ own.T / own.shape[1] - np.outer(mean, mean)
     values, directions = linalg.eigh(covariance, subset_by_value=(unit, np.inf), check_finite=False)
     # All other directions are assumed to have rounding errors only.
-    scores = directions.T @ coordinates - (directions.T @ mean)[:, None]
-    squares = motion.squares - 2 * (mean @ coordinates) + mean @ mean
+    scores = directions.T @ motion - (directions.T @ mean)[:, None]
+    squares = squares - 2 * (mean @ motion) + mean @ mean
     explained = (1 - unit / (values + unit)) @ np.square(scores, out=scores)
     return np.asarray(((squares - explained) / unit + np.log1p(values / unit).sum()) / 2)
 

@@ -5,7 +5,7 @@ found by the secant method on logarithms. With a bound on every vertex, an accur
 coarse one many; the cheapest of some steps is taken.
 
 At the first step several numbers of parts are tried, and both kinds of basis unless the norms of the components exclude
-one. Every part has coefficients of its own, so long sequences of few vertices have one part. The ratio of actual and
+one. Every part has coefficients of its own; therefore long sequences of few vertices have one part. The ratio of actual and
 expected error of a trial corrects the first step of the next one.
 
 Candidates of large meshes are compared on a coarse mesh. Its vertices are those coded first, and its edges those that

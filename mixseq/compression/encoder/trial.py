@@ -24,11 +24,11 @@ from mixseq.compression.bitstream.residual_layer import write_residuals
 from mixseq.compression.bitstream.signal_coder import NumberModels, Signal, SignalCoder, Writer
 from mixseq.compression.bitstream.signal_graph import SignalGraph, path_graph
 from mixseq.compression.bitstream.spatial_basis import (
+    Part,
     SpatialBasis,
     assemble_basis,
     part_groups,
     split_parts,
-    whole_mesh_part,
     write_labels,
 )
 from mixseq.compression.encoder.components import PartComponents, PrincipalComponents
@@ -161,7 +161,7 @@ class Candidate:
         share: float = 1.0,
     ) -> Candidate:
         """Make a candidate with parts by labels ``(V,)``, without their components of norms below `min_norm`."""
-        parts = split_parts(labels, faces) if labels.any() else whole_mesh_part(graph)
+        parts = split_parts(labels, faces) if labels.any() else [Part(np.arange(graph.size), graph)]
         of_parts = on_two_threads()(lambda _, part: PartComponents(components, part, min_norm), None, parts)
         return cls(components, tuple(of_parts), graph, labels, share)
 

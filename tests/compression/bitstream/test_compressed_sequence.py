@@ -103,11 +103,11 @@ def test_models_are_of_the_space_of_their_factors() -> None:
 
 def test_frames_are_the_same_bits_however_they_are_asked_for() -> None:
     model = to_model(bounded())
-    whole_mesh_part = model.sample().points
-    np.testing.assert_array_equal(model.sample(frames=[3, 77, 199]).points, whole_mesh_part[[3, 77, 199]])
-    np.testing.assert_array_equal(model(model.times[130]), whole_mesh_part[130])
+    whole = model.sample().points
+    np.testing.assert_array_equal(model.sample(frames=[3, 77, 199]).points, whole[[3, 77, 199]])
+    np.testing.assert_array_equal(model(model.times[130]), whole[130])
     blocks = to_model(bounded()).blocks(model.times[::-1], size=7)
-    np.testing.assert_array_equal(np.concatenate(list(blocks)), whole_mesh_part[::-1])
+    np.testing.assert_array_equal(np.concatenate(list(blocks)), whole[::-1])
 
 
 # Between frames ---------------------------------------------------------------------------------------------

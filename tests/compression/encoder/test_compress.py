@@ -26,7 +26,7 @@ from mixseq.compression.bitstream import signal_coder, spatial_basis
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, to_model
 from mixseq.compression.bitstream.signal_coder import Reader, Writer
 from mixseq.compression.bitstream.signal_graph import mesh_graph
-from mixseq.compression.bitstream.spatial_basis import read_labels, split_parts, whole_mesh_part, write_labels
+from mixseq.compression.bitstream.spatial_basis import read_labels, split_parts, write_labels
 from mixseq.compression.encoder import parts, trial
 from mixseq.compression.encoder.compress import compress
 from mixseq.compression.encoder.parts import initial_parts, merge_parts
@@ -483,8 +483,6 @@ def test_parts_are_all_vertices_once() -> None:
     for number, part in enumerate(parts):
         np.testing.assert_array_equal(part.vertices, np.flatnonzero(labels == number))
         assert part.graph.size == len(part.vertices)
-    [one] = whole_mesh_part(mesh_graph(sequence.faces, sequence.vertex_count))
-    np.testing.assert_array_equal(one.vertices, np.arange(sequence.vertex_count))
 
 
 # Joining ----------------------------------------------------------------------------------------------------
