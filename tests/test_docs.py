@@ -38,7 +38,7 @@ from mixseq.spaces.edge import EdgeSettings
 from mixseq.spaces.mixed.mixed_space import Projection
 from mixseq.spaces.vertex import BasisSpace
 from mixseq_io import FORMATS
-from mixseq_io.registry import capabilities, motions
+from mixseq_io.registry import capability_table, motion_table
 from mixseq_io.surfaces import SURFACE_ARRAY_NAMES
 from scripts.paper_study.main import STAGES
 from tests import given
@@ -335,7 +335,7 @@ def test_formats_are_complete() -> None:
 
 
 def test_table_of_formats_is_that_of_the_code() -> None:
-    for table in (capabilities(), motions()):
+    for table in (capability_table(), motion_table()):
         assert as_markdown(table) in page("docs/formats.md"), "run `mixseq formats --markdown`"
 
 

@@ -15,7 +15,7 @@ Examples
 MeshSequence('mesh': 2 frames, 3 vertices, 1 faces, 24 fps)
 """
 
-from mixseq_io.reader import SequenceReader, in_step
+from mixseq_io.reader import SequenceReader, unzip_blocks
 from mixseq_io.registry import FORMATS, open_sequence, read, write, write_blocks
 from mixseq_io.rig_files import read_bind_pose, read_skeleton, write_rig
 from mixseq_io.text.label_files import read_labels
@@ -25,12 +25,12 @@ __all__ = [
     "FORMATS",
     "Labels",
     "SequenceReader",
-    "in_step",
     "open_sequence",
     "read",
     "read_bind_pose",
     "read_labels",
     "read_skeleton",
+    "unzip_blocks",
     "write",
     "write_blocks",
     "write_rig",

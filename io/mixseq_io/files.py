@@ -1,18 +1,17 @@
 """Memory limit of readers, and atomic output of writers.
 
-A file of a few bytes can announce, or unpack to, any size, so sizes are compared with a limit before allocation; C++
-parsers are also stopped by the system, see `mixseq_io.isolation`. The limit is `max_memory` of the call that opens a
+A small file can declare, or unpack to, any size, so sizes are compared with a limit before memory is allocated. C++
+parsers are also limited by the system, see `mixseq_io.isolation`. The limit is `max_memory` of the call that opens a
 file (``--max-memory``), else ``MIXSEQ_READER_MEMORY`` in GiB, else 8 GB or half of the machine's memory if less.
 
-Files are written beside the target, then moved over it. A rename within a folder is atomic
-(https://pubs.opengroup.org/onlinepubs/9799919799/functions/rename.html): readers see the old file or the new one, and
-after an error, a full disk or Ctrl-C the old one is unchanged. The new file is flushed to disk first, since a power cut
-could otherwise leave it empty. Signals wait while files are moved.
+Output is written to a temporary file beside the target and flushed to disk, then renamed to the target, which is atomic
+(https://pubs.opengroup.org/onlinepubs/9799919799/functions/rename.html). Readers see the old file or the new one; after
+an error, a full disk, Ctrl-C or a power cut the old one is unchanged. Signals are deferred while files are renamed.
 
-Temporary names of a writer begin with ``.mixseq.HOST.RANDOM``, with a lock on the file of that name with ``.lock``,
-which the system releases when the process ends. The next writer in the folder deletes unlocked files. Without locks,
-and for other hosts, whose locks may be invisible on a shared disk, it deletes files older than a day. Files that were
-put away and not replaced are restored.
+Temporary names start with ``.mixseq.HOST.RANDOM``. The writer holds a lock on the file of that name with ``.lock``; the
+system releases it when the process ends. The next writer in the folder deletes unlocked temporary files. Where locks
+are unsupported, and for other hosts, whose locks may be invisible on a shared disk, it deletes those older than a day.
+Backups of targets that were not replaced are restored.
 """
 
 from __future__ import annotations
@@ -31,129 +30,133 @@ from contextvars import ContextVar
 from pathlib import Path
 
 from mixseq.errors import FormatError, OutputError, SettingsError
-from mixseq.runtime.interrupts import held, raise_swallowed
+from mixseq.runtime.interrupts import deferred_signals, raise_pending_signal
 
-VARIABLE = "MIXSEQ_READER_MEMORY"
+MEMORY_LIMIT_VARIABLE = "MIXSEQ_READER_MEMORY"
 """Environment variable of the limit, in GiB."""
 
-_MOST = 8_000_000_000
-_given: ContextVar[int | None] = ContextVar("max_memory", default=None)
+_DEFAULT_LIMIT_BYTES = 8_000_000_000
+_limit_of_call: ContextVar[int | None] = ContextVar("max_memory", default=None)
 
 
 def max_memory() -> int:
-    """Return the limit in bytes."""
-    given = _given.get()
-    if given is not None:
-        return given
-    told = os.environ.get(VARIABLE)
-    if told is None:
-        return min(_MOST, _memory_of_machine() // 2)
+    """Return the memory limit in bytes."""
+    limit = _limit_of_call.get()
+    if limit is not None:
+        return limit
+    gibibytes = os.environ.get(MEMORY_LIMIT_VARIABLE)
+    if gibibytes is None:
+        return min(_DEFAULT_LIMIT_BYTES, _machine_memory() // 2)
     try:
-        return _bytes(float(told) * (1 << 30))
+        return _validated_limit(float(gibibytes) * (1 << 30))
     except ValueError:
-        raise SettingsError(f"{VARIABLE} is {told!r}; a number of GiB is expected") from None
+        raise SettingsError(
+            f"{MEMORY_LIMIT_VARIABLE} is {gibibytes!r}; a number of GiB is expected"
+        ) from None
 
 
 @contextmanager
 def memory_limit(size: float | None) -> Iterator[None]:
-    """Set the limit in bytes for files read in this thread; None leaves it unchanged."""
+    """Set the memory limit, in bytes, of files read in this thread; None leaves it unchanged."""
     if size is None:
         yield
         return
-    before = _given.set(_bytes(size))
+    token = _limit_of_call.set(_validated_limit(size))
     try:
         yield
     finally:
-        _given.reset(before)
+        _limit_of_call.reset(token)
 
 
-def check_memory(file: object, needed: float, what: str = "what is in it") -> None:
-    """Raise an error if reading needs more memory, in bytes, than the limit."""
+def check_memory(file: object, needed: float, part: str = "its contents") -> None:
+    """Raise an error if a part of a file needs more memory, in bytes, than the limit."""
     limit = max_memory()
     if needed > limit:
         raise FormatError(
-            f"{file}: {what} would take {gigabytes(needed)} of memory, the limit is {gigabytes(limit)}; if you trust "
-            f"it, allow more: --max-memory {gigabytes(1.5 * needed, 'GB')} (max_memory=... in Python)"
+            f"{file}: {part} would take {format_gigabytes(needed)} of memory, the limit is {format_gigabytes(limit)}; "
+            f"if you trust it, allow more: --max-memory {format_gigabytes(1.5 * needed, 'GB')} "
+            "(max_memory=... in Python)"
         )
 
 
-def out_of_memory(file: object) -> FormatError:
-    """Return the error of a file that exceeded the memory or a worker's limit."""
+def out_of_memory_error(file: object) -> FormatError:
+    """Return the error for a file whose reading exhausted the memory."""
     return FormatError(
-        f"{file}: reading needs more than {gigabytes(max_memory())} of memory, the limit, or than there is; it is "
-        "damaged, or more must be allowed: --max-memory (max_memory=... in Python)"
+        f"{file}: reading needs more than {format_gigabytes(max_memory())} of memory, the limit, or than is free; the "
+        "file is damaged, or more must be allowed: --max-memory (max_memory=... in Python)"
     )
 
 
-def gigabytes(size: float, unit: str = " GB") -> str:
-    """Return a number of bytes in gigabytes for a message, such as "0.123 GB"."""
+def format_gigabytes(size: float, unit: str = " GB") -> str:
+    """Format a number of bytes in gigabytes, such as "0.123 GB"."""
     return f"{size / 1e9:.3g}{unit}"
 
 
-def _bytes(size: float) -> int:
+def _validated_limit(size: float) -> int:
     if not 0 < size < 1 << 62:
         raise SettingsError(f"the limit of memory is {size:g} bytes; a positive number is expected")
     return int(size)
 
 
-def _memory_of_machine() -> int:
+def _machine_memory() -> int:
     try:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):  # Windows
-        return 2 * _MOST
+        return 2 * _DEFAULT_LIMIT_BYTES
 
 
-_OLD = 24 * 3600.0  # seconds
-_HOST = re.sub(r"[^\w-]", "-", platform.node())[:32] or "host"
-_AWAY = ".old."
-_NAME = re.compile(r"\.mixseq\.([\w-]+)\.[^.]{8}(?=\.|$)")
+_STALE_SECONDS = 24 * 3600.0
+_HOST_NAME = re.sub(r"[^\w-]", "-", platform.node())[:32] or "host"
+_BACKUP_INFIX = ".old."
+_TEMPORARY_PREFIX = re.compile(r"\.mixseq\.([\w-]+)\.[^.]{8}(?=\.|$)")
 
 
 @contextmanager
-def temporary_name(folder: Path) -> Iterator[Path]:
-    """Yield a unique name prefix in a folder; files with it are deleted at the end."""
+def temporary_prefix(folder: Path) -> Iterator[Path]:
+    """Yield a unique path prefix in a folder; paths with it are deleted at the end."""
     claimed: list[tuple[Path, int]] = []
     try:
-        with held():  # a signal between a name and its end would leave it to the next writer
-            clear(folder)
-            claimed.append(_claim(folder))
+        with deferred_signals():  # a signal right after the claim would skip the cleanup
+            delete_leftovers(folder)
+            claimed.append(_claim_prefix(folder))
         yield claimed[0][0]
     finally:
-        with held():
-            for name, descriptor in claimed:
-                _delete(folder, [entry for entry in _entries(folder) if entry.startswith(name.name)])
+        with deferred_signals():
+            for prefix, descriptor in claimed:
+                names = [name for name in _temporary_names(folder) if name.startswith(prefix.name)]
+                _delete(folder, names)
                 os.close(descriptor)
 
 
-def _claim(folder: Path) -> tuple[Path, int]:
-    """Return a new name prefix and its lock."""
+def _claim_prefix(folder: Path) -> tuple[Path, int]:
+    """Return a new path prefix and the descriptor of its lock."""
     while True:
-        name = folder / f".mixseq.{_HOST}.{secrets.token_hex(4)}"
-        descriptor = os.open(f"{name}.lock", os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
-        if _locked(descriptor) is not False and Path(f"{name}.lock").exists():
-            return name, descriptor
-        os.close(descriptor)  # somebody who clears the folder was quicker
+        prefix = folder / f".mixseq.{_HOST_NAME}.{secrets.token_hex(4)}"
+        descriptor = os.open(f"{prefix}.lock", os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
+        if _try_lock(descriptor) is not False and Path(f"{prefix}.lock").exists():
+            return prefix, descriptor
+        os.close(descriptor)  # another process deleted the lock file as a leftover
 
 
-def put_away(name: Path, target: Path) -> Path:
-    """Return where to keep the old target while it is replaced."""
-    return Path(f"{name}{_AWAY}{target.name}")
+def backup_path(prefix: Path, target: Path) -> Path:
+    """Return the path to which a target is moved while it is replaced."""
+    return Path(f"{prefix}{_BACKUP_INFIX}{target.name}")
 
 
-def clear(folder: Path) -> None:
-    """Delete files left in a folder by writers that have ended."""
-    found = defaultdict(list)
-    for entry in _entries(folder):
-        if match := _NAME.match(entry):
-            found[match[0], match[1]].append(entry)
-    for (name, host), entries in found.items():
-        with _lock_of(folder / f"{name}.lock") as ours:
-            if _old(folder, entries) if host != _HOST or ours is None else ours:
-                _delete(folder, entries)
+def delete_leftovers(folder: Path) -> None:
+    """Delete temporary files in a folder whose writers have ended."""
+    names_of_writer = defaultdict(list)
+    for name in _temporary_names(folder):
+        if match := _TEMPORARY_PREFIX.match(name):
+            names_of_writer[match[0], match[1]].append(name)
+    for (prefix, host), names in names_of_writer.items():
+        with _open_and_lock(folder / f"{prefix}.lock") as locked:
+            if _is_stale(folder, names) if host != _HOST_NAME or locked is None else locked:
+                _delete(folder, names)
 
 
 @contextmanager
-def _lock_of(file: Path) -> Iterator[bool | None]:
+def _open_and_lock(file: Path) -> Iterator[bool | None]:
     """Yield whether a writer's lock could be acquired; None if that is unknown."""
     try:
         descriptor = os.open(file, os.O_RDWR)
@@ -161,12 +164,13 @@ def _lock_of(file: Path) -> Iterator[bool | None]:
         yield None
         return
     try:
-        yield _locked(descriptor)
+        yield _try_lock(descriptor)
     finally:
         os.close(descriptor)
 
 
-def _locked(descriptor: int) -> bool | None:
+def _try_lock(descriptor: int) -> bool | None:
+    """Lock a file without waiting; return whether it succeeded, None if locks are unsupported."""
     try:
         import fcntl
     except ImportError:  # Windows
@@ -180,29 +184,29 @@ def _locked(descriptor: int) -> bool | None:
     return True
 
 
-def _old(folder: Path, entries: list[str]) -> bool:
-    """Whether some files, and all files in these folders, were last modified more than a day ago."""
-    paths = [folder / entry for entry in entries]
+def _is_stale(folder: Path, names: list[str]) -> bool:
+    """Whether files and folders, with everything in them, were last modified more than a day ago."""
+    paths = [folder / name for name in names]
     paths += [inner for path in paths if path.is_dir() for inner in path.rglob("*")]
     with suppress(OSError):
-        return time.time() - max(path.lstat().st_mtime for path in paths) > _OLD
+        return time.time() - max(path.lstat().st_mtime for path in paths) > _STALE_SECONDS
     return False
 
 
-def _entries(folder: Path) -> list[str]:
+def _temporary_names(folder: Path) -> list[str]:
     try:
         return [path.name for path in folder.glob(".mixseq.*")]
     except OSError:  # reported when the file is written
         return []
 
 
-def _delete(folder: Path, entries: list[str]) -> None:
-    """Delete files and folders, the lock last, so that an interrupted deletion is completed by the next writer."""
-    for entry in sorted(entries, key=lambda entry: entry.endswith(".lock")):
+def _delete(folder: Path, names: list[str]) -> None:
+    """Delete files and folders, and restore backups; the lock goes last, so that the next writer can finish the job."""
+    for name in sorted(names, key=lambda name: name.endswith(".lock")):
         with suppress(OSError):
-            path = folder / entry
-            _, away, target = entry.partition(_AWAY)
-            if away and not os.path.lexists(folder / target):
+            path = folder / name
+            _, infix, target = name.partition(_BACKUP_INFIX)
+            if infix and not os.path.lexists(folder / target):
                 path.rename(folder / target)
             elif path.is_dir() and not path.is_symlink():
                 shutil.rmtree(path, ignore_errors=True)
@@ -211,67 +215,68 @@ def _delete(folder: Path, entries: list[str]) -> None:
 
 
 @contextmanager
-def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield a temporary path to write to; it becomes `path` if the block ends without an exception."""
+def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield a temporary path; its file replaces `path` if the block ends without an exception."""
     target = Path(os.path.realpath(path))
-    with _explaining(target):
+    with _translate_write_errors(target):
         _check_target(target)
-        with temporary_name(target.parent) as name:
-            temporary = Path(f"{name}{target.suffix}")
+        with temporary_prefix(target.parent) as prefix:
+            temporary = Path(f"{prefix}{target.suffix}")
             yield temporary
             if target.exists():
                 shutil.copymode(target, temporary)
             _flush(temporary)
-            raise_swallowed()
-            with held():
+            raise_pending_signal()
+            with deferred_signals():
                 temporary.replace(target)
         _flush_folder(target.parent)
 
 
 @contextmanager
-def replacing_many(pattern: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield a temporary folder to write files to; they move beside `pattern`, each atomically, if the block succeeds.
+def atomic_files(pattern: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield a temporary folder; its files move to the folder of `pattern` if the block ends without an exception.
 
-    They move once all are written and flushed; only a sudden end of the process (SIGKILL) can leave some behind.
+    All are written and flushed before the first is renamed; only a killed process (SIGKILL) can leave some behind.
     """
     target = Path(os.path.realpath(pattern))
     folder = target.parent
-    with _explaining(target):
+    with _translate_write_errors(target):
         _check_target(target)
-        with temporary_name(folder) as temporary:
+        with temporary_prefix(folder) as temporary:
             temporary.mkdir()
             yield temporary
             files = sorted(temporary.iterdir())
             for file in files:
                 _check_target(folder / file.name)
                 _flush(file)
-            raise_swallowed()
-            with held():
+            raise_pending_signal()
+            with deferred_signals():
                 for file in files:
                     file.replace(folder / file.name)
         _flush_folder(folder)
 
 
 @contextmanager
-def replacing_folder(path: str | os.PathLike[str], own: Container[str]) -> Iterator[Path]:
-    """Yield a temporary folder to write files to; they move into `path` if the block ends without an exception.
+def atomic_folder(path: str | os.PathLike[str], own: Container[str]) -> Iterator[Path]:
+    """Yield a temporary folder; its files move into the folder `path` if the block ends without an exception.
 
-    An existing folder stays, with the files of others. Files are exchanged one by one; if one fails, all go back.
+    Of an existing folder, files with the writer's `own` names are replaced or deleted; all others are kept. If one file
+    cannot be moved, all are moved back.
     """
     target = Path(os.path.realpath(path))
-    with _explaining(target):
+    with _translate_write_errors(target):
         _check_parent(target)
-        with temporary_name(target.parent) as name:
-            temporary = Path(f"{name}.new")
+        with temporary_prefix(target.parent) as prefix:
+            temporary = Path(f"{prefix}.new")
             temporary.mkdir()
             yield temporary
             for file in temporary.iterdir():
                 _flush(file)
             _flush_folder(temporary)
-            raise_swallowed()
-            with held():
+            raise_pending_signal()
+            with deferred_signals():
                 if target.exists():
-                    _exchange(temporary, target, own, Path(f"{name}.old"))
+                    _exchange(temporary, target, own, Path(f"{prefix}.old"))
                 else:
                     temporary.rename(target)
         _flush_folder(target)
@@ -279,7 +284,7 @@ def replacing_folder(path: str | os.PathLike[str], own: Container[str]) -> Itera
 
 
 def _exchange(source: Path, target: Path, own: Container[str], old: Path) -> None:
-    """Move all files of a folder into another; replaced files and the writer's `own` go to `old`. All or none."""
+    """Move all files of a folder into another, or none; replaced files and other `own` ones go to `old`."""
     old.mkdir()
     written = sorted(file.name for file in source.iterdir())
     stale = [file.name for file in target.iterdir() if file.name in own and file.name not in written]
@@ -292,13 +297,13 @@ def _exchange(source: Path, target: Path, own: Container[str], old: Path) -> Non
                     moved.append((start, end))
     except OSError:
         for start, end in reversed(moved):
-            with suppress(OSError):  # the others can go back
+            with suppress(OSError):  # move back the remaining ones
                 end.rename(start)
         raise
 
 
 def _check_target(target: Path) -> None:
-    """Raise an error for a target that could not be written at the end."""
+    """Raise an error for a target that cannot be replaced."""
     if target.is_dir():
         raise OutputError(f"{target} is a folder; give the name of a file")
     _check_parent(target)
@@ -318,14 +323,13 @@ def _flush(file: Path, mode: int = os.O_RDWR) -> None:
 
 
 def _flush_folder(folder: Path) -> None:
-    # Some systems cannot flush folders. By now the file is in place and safe; a power cut could at worst undo
-    # the rename.
+    # Some systems cannot flush folders. The file itself is flushed; a power cut could at worst undo the rename.
     with suppress(OSError):
         _flush(folder, os.O_RDONLY)
 
 
-_ALMOST_FULL = 1 << 20
-"""Free space in bytes below which a library's failure is taken for a full disk."""
+_FULL_DISK_BYTES = 1 << 20
+"""Free space below which a library's failure is attributed to a full disk."""
 
 _CURES = {
     errno.ENOSPC: "free some space or choose another disk",
@@ -339,16 +343,17 @@ _CURES = {
 
 
 def raise_system_error(message: str, folder: Path) -> None:
-    """Raise the system's error behind a library's failure to write, if there seems to be one, within `replacing`."""
+    """Raise the `OSError` that a library's message quotes or a full disk implies, if any; for use in `atomic_file`."""
     codes = [code for code in _CURES if os.strerror(code) in message]
-    if not codes and shutil.disk_usage(folder).free < _ALMOST_FULL:
+    if not codes and shutil.disk_usage(folder).free < _FULL_DISK_BYTES:
         codes = [errno.ENOSPC]
     if codes:
         raise OSError(codes[0], os.strerror(codes[0]))
 
 
 @contextmanager
-def _explaining(target: Path) -> Iterator[None]:
+def _translate_write_errors(target: Path) -> Iterator[None]:
+    """Translate errors of the system into `OutputError` with a cure."""
     try:
         yield
     except OSError as error:

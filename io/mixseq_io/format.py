@@ -8,30 +8,31 @@ from pathlib import Path
 from typing import Any
 
 from mixseq.errors import SettingsError
-from mixseq.sequence.frame_rates import exact_rate
+from mixseq.sequence.frame_rates import snap_to_ntsc
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray
-from mixseq_io.isolation import loaded, open_isolated
+from mixseq_io.isolation import import_function, open_isolated
 from mixseq_io.reader import SequenceReader
 from mixseq_io.surfaces import RoundingMonitor
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 """First bytes of HDF5 files."""
 
-SINGLE = "float32"
-OF_VERTICES, OPAQUE = "of vertices", "of vertices, opaque"
+SINGLE_PRECISION = "float32"
+PER_VERTEX, OPAQUE_PER_VERTEX = "of vertices", "of vertices, opaque"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Holds:
-    """Capabilities of a format, as text for the table of formats; anything else is reported when it is written.
+class Capabilities:
+    """Parts of a sequence that a format can store, as cells of the table of formats.
 
-    `colours` is text where colours are of something other than corners; `materials` is what becomes of them.
+    `colours` is a text if they are stored per vertex instead of per corner; `materials` is "names" if only their names
+    are stored. Writers warn of everything that their format cannot store.
     """
 
     animation: str
     polygons: str = "any"
-    points: str = SINGLE
+    points: str = SINGLE_PRECISION
     times: str = "any"
     uvs: bool = True
     colours: bool | str = True
@@ -45,16 +46,16 @@ class Holds:
 
 @dataclass(frozen=True)
 class Format:
-    """File format: its name in messages, lower-case extensions, capabilities, options, reader and writer.
+    """File format: name in messages, lower-case extensions, capabilities, options with their help, reader and writer.
 
     `reader` and `writer` are ``"module:function"``, imported at first use: ``(path, **options) -> SequenceReader`` and
-    ``(path, header, blocks, velocities, **options) -> None``. `signatures` are first bytes of files, `numbered` files
-    hold one frame, `isolated` files are parsed by a C++ library in a process of its own, see `mixseq_io.isolation`.
+    ``(path, header, blocks, velocities, **options) -> None``. `signatures` are possible first bytes. `numbered` formats
+    store one frame per file. `isolated` formats are parsed in a worker process, see `mixseq_io.isolation`.
     """
 
     name: str
     extensions: tuple[str, ...]
-    holds: Holds
+    capabilities: Capabilities
     reader: str
     writer: str
     read_options: Mapping[str, str] = field(default_factory=dict)
@@ -67,10 +68,10 @@ class Format:
         """Open a file for reading; see `mixseq_io.open_sequence`."""
         self._check_options("read", self.read_options, options)
         if options.get("fps") is not None:
-            options["fps"] = exact_rate(options["fps"])
+            options["fps"] = snap_to_ntsc(options["fps"])
         if self.isolated:
             return open_isolated(self.reader, path, options)
-        reader: SequenceReader = loaded(self.reader)(path, **options)
+        reader: SequenceReader = import_function(self.reader)(path, **options)
         return reader
 
     def write(
@@ -84,13 +85,13 @@ class Format:
         """Write a file; see `mixseq_io.write_blocks`."""
         self._check_options("written", self.write_options, options)
         rounding = RoundingMonitor()
-        if self.holds.points == SINGLE:
+        if self.capabilities.points == SINGLE_PRECISION:
             blocks = rounding.measure(blocks)
-        loaded(self.writer)(path, header, blocks, velocities, **options)
+        import_function(self.writer)(path, header, blocks, velocities, **options)
         rounding.warn(path, self.name, header)
 
-    def _check_options(self, verb: str, known: Mapping[str, str], given: Mapping[str, Any]) -> None:
-        for option in given:
+    def _check_options(self, verb: str, known: Mapping[str, str], options: Mapping[str, Any]) -> None:
+        for option in options:
             if option not in known:
                 takes = "with " + ", ".join(known) if known else "without options"
                 raise SettingsError(f"{self.name} has no option {option!r}; it is {verb} {takes}")

@@ -44,11 +44,11 @@ from numpy.typing import NDArray
 
 from mixseq.errors import FormatError
 from mixseq.mesh.polygons import Polygons
-from mixseq.sequence.frame_rates import exact_rate
+from mixseq.sequence.frame_rates import snap_to_ntsc
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import FloatArray
-from mixseq_io.files import check_memory, memory_limit, replacing
-from mixseq_io.reader import SequenceReader, checked, naming, reading, warn
+from mixseq_io.files import atomic_file, check_memory, memory_limit
+from mixseq_io.reader import SequenceReader, prefix_errors, translate_read_errors, validate_blocks, warn
 from mixseq_io.surfaces import SURFACE_ARRAY_NAMES, surface_from_arrays, surface_to_arrays
 
 _DAMAGE = (
@@ -136,7 +136,7 @@ def open_archive(path: Path) -> Iterator[Archive]:
 
 def reading_archive(path: Path) -> AbstractContextManager[None]:
     """Translate errors of zipfile and NumPy on damaged files into `FormatError`."""
-    return reading(path, "an npz file", *_DAMAGE)
+    return translate_read_errors(path, "an npz file", *_DAMAGE)
 
 
 _MOST_IN_MEMORY = 1 << 26
@@ -156,7 +156,7 @@ def open_npz(path: Path, fps: float | None = None) -> SequenceReader:
         small = {name: archive.read(name) for name in (*_SMALL, *SURFACE_ARRAY_NAMES) if name in members}
         with archive.open("points") as (_, start):
             shape = _large_array(path, "points", start)
-        with naming(path):
+        with prefix_errors(path):
             header = _header(path, shape, small, fps)
         moving = "velocities" in members and _fit(path, archive, shape)
         return _NpzReader(path, header, archive, resources.pop_all(), moving)
@@ -176,7 +176,7 @@ class _NpzReader(SequenceReader):
         with reading_archive(self.path), self._archive.open(what) as (stream, header):
             frames = header.shape[0]
             if header.fortran:  # a frame's numbers are all over the file: there is nothing to stream
-                with memory_limit(self._limit):
+                with memory_limit(self._memory_limit):
                     whole = _as_floats(self._archive.read(what))
                 yield from (whole[start : start + size] for start in range(0, frames, size))
                 return
@@ -202,7 +202,7 @@ def _header(
         polygons = Polygons(np.full(len(faces), faces.shape[1]), faces.reshape(-1))
     rate = float(small["fps"].item()) if "fps" in small else fps if fps is not None else DEFAULT_FPS
     # A rate that is no rate is reported by the header; dividing by it here must not be an error of its own.
-    rate = rate if "times" in small else exact_rate(rate)
+    rate = rate if "times" in small else snap_to_ntsc(rate)
     times = small["times"] if "times" in small else np.arange(shape[0]) / (rate if rate > 0 else 1.0)
     if np.size(times) != shape[0]:
         raise FormatError(f"{path}: {shape[0]} frames of points for {np.size(times)} times; it is damaged")
@@ -272,8 +272,8 @@ def write_npz(
         arrays["face_indices"] = header.polygons.indices
     arrays |= surface_to_arrays(header.surface)
     method = zipfile.ZIP_DEFLATED if compress else zipfile.ZIP_STORED
-    with replacing(path) as temporary, zipfile.ZipFile(temporary, "w", method) as archive:
-        dtype, numbered = checked(header, blocks, velocities)
+    with atomic_file(path) as temporary, zipfile.ZipFile(temporary, "w", method) as archive:
+        dtype, numbered = validate_blocks(header, blocks, velocities)
         for name, array in arrays.items():
             with archive.open(f"{name}.npy", "w") as stream:
                 npy.write_array(stream, np.asarray(array), allow_pickle=False)

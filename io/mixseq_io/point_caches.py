@@ -54,10 +54,10 @@ from numpy.typing import NDArray
 from mixseq.errors import FormatError, InvalidSequenceError, MixseqError, OutputError, SettingsError
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import FloatArray
-from mixseq_io.files import replacing_many
+from mixseq_io.files import atomic_files
 from mixseq_io.numbered.files import with_article
 from mixseq_io.numbered.obj import lost_in_obj, obj_encoder
-from mixseq_io.reader import SequenceReader, as_float32, checked, naming, reading
+from mixseq_io.reader import SequenceReader, as_float32, prefix_errors, translate_read_errors, validate_blocks
 from mixseq_io.scene_meshes import snap_to_frames
 from mixseq_io.surfaces import lost_scale, warn_of_losses
 
@@ -103,7 +103,7 @@ class _CacheReader(SequenceReader):
         start = self._start
         for first in range(0, len(start.times), size):
             count = min(size, len(start.times) - first)
-            with reading(self.path, "a point cache", ValueError):
+            with translate_read_errors(self.path, "a point cache", ValueError):
                 self._file.seek(start.size + first * start.frame_size)
                 data = self._file.read(count * start.frame_size)
                 points = np.frombuffer(data, f"{start.order}f4").reshape(count, start.points, 3)
@@ -115,7 +115,7 @@ def open_cache(
 ) -> SequenceReader:
     """Open a point cache and its mesh."""
     with ExitStack() as stack:
-        with reading(path, with_article(kind), ValueError):
+        with translate_read_errors(path, with_article(kind), ValueError):
             file = stack.enter_context(path.open("rb"))
             start = read_start(file)
         mesh_path = _mesh_beside(path, kind) if mesh is None else Path(mesh)
@@ -125,7 +125,7 @@ def open_cache(
                 f"{path} has {start.points} points, but its mesh {mesh_path} has {header.vertex_count} vertices; name "
                 "the mesh that it was made for with mesh=... (--mesh)"
             )
-        with naming(path):
+        with prefix_errors(path):
             timed = header.with_times(start.times, start.fps or header.fps)
         return _CacheReader(path, timed, file, start, stack.pop_all())
 
@@ -177,9 +177,9 @@ def write_cache(
         path, f"{kind} files", [*lost, *lost_scale(header, velocities is not None), *lost_in_obj(header)]
     )
     encode = obj_encoder(mesh, header)
-    with replacing_many(target) as folder, (folder / target.name).open("wb") as file:
+    with atomic_files(target) as folder, (folder / target.name).open("wb") as file:
         file.write(start)
-        _, numbered = checked(header, blocks, velocities)
+        _, numbered = validate_blocks(header, blocks, velocities)
         for first, block, _ in numbered:
             points = as_float32(block, first, kind, header=header)
             if first == 0:

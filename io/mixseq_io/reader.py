@@ -1,4 +1,4 @@
-"""Base of all readers, whose blocks are checked as they are read, and the checks of blocks on their way to writers."""
+"""Base class of all readers, checks of blocks that are read or written, and translation of errors."""
 
 from __future__ import annotations
 
@@ -21,32 +21,32 @@ from mixseq.errors import FormatError, InvalidSequenceError, MixseqError, Mixseq
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import check_block
 from mixseq.types import FloatArray
-from mixseq_io.files import check_memory, max_memory, memory_limit, out_of_memory
+from mixseq_io.files import check_memory, max_memory, memory_limit, out_of_memory_error
 from mixseq_io.text.labels import Markings, group_face_sets
 
-Numbered = tuple[int, FloatArray, FloatArray | None]
+FrameBlock = tuple[int, FloatArray, FloatArray | None]
 """Index of a block's first frame, its points ``(B, V, 3)``, and its velocities or None."""
 
 
-def checked(
+def validate_blocks(
     header: SequenceHeader, blocks: Iterable[FloatArray], velocities: Iterable[FloatArray] | None = None
-) -> tuple[np.dtype[np.floating], Iterator[Numbered]]:
-    """Return the points' dtype, from the first block, and the numbered blocks, checked as they pass."""
-    rest = iter(blocks)
-    first = next(rest, None)
-    if first is None:
+) -> tuple[np.dtype[np.floating], Iterator[FrameBlock]]:
+    """Return the dtype of the first block of points, and an iterator that checks every block when it is fetched."""
+    block_iterator = iter(blocks)
+    first_block = next(block_iterator, None)
+    if first_block is None:
         raise InvalidSequenceError(f"there are no points for the header's {header.frame_count} times")
-    dtype = _as_floats(first).dtype
-    speeds = None if velocities is None else iter(velocities)
-    return dtype, _numbered(header, chain([first], rest), speeds, dtype)
+    dtype = _as_floats(first_block).dtype
+    velocity_iterator = None if velocities is None else iter(velocities)
+    return dtype, _validated(header, chain([first_block], block_iterator), velocity_iterator, dtype)
 
 
-def _numbered(
+def _validated(
     header: SequenceHeader,
     blocks: Iterator[FloatArray],
     velocities: Iterator[FloatArray] | None,
     dtype: DTypeLike,
-) -> Iterator[Numbered]:
+) -> Iterator[FrameBlock]:
     frame = 0
     for block in blocks:
         points = _as_floats(block)
@@ -57,11 +57,10 @@ def _numbered(
             )
         if frame + len(points) > header.frame_count:
             raise InvalidSequenceError(f"there are more frames of points than {header.frame_count} times")
-        yield (
-            frame,
-            points,
-            (None if velocities is None else _like(header, points, next(velocities, None), frame)),
-        )
+        velocity_block = None
+        if velocities is not None:
+            velocity_block = _validate_velocities(header, points, next(velocities, None), frame)
+        yield frame, points, velocity_block
         frame += len(points)
     if frame < header.frame_count:
         raise InvalidSequenceError(f"there are {frame} frames of points for {header.frame_count} times")
@@ -69,7 +68,9 @@ def _numbered(
         raise InvalidSequenceError("there are more velocities than points; give one velocity per point")
 
 
-def _like(header: SequenceHeader, points: FloatArray, block: FloatArray | None, frame: int) -> FloatArray:
+def _validate_velocities(
+    header: SequenceHeader, points: FloatArray, block: FloatArray | None, frame: int
+) -> FloatArray:
     """Return a block of velocities in the dtype of its block of points."""
     if block is None:
         raise InvalidSequenceError(
@@ -79,7 +80,7 @@ def _like(header: SequenceHeader, points: FloatArray, block: FloatArray | None, 
     if velocities.shape != points.shape:
         raise InvalidSequenceError(
             f"velocities from {header.frame_name(frame)} on have shape {velocities.shape}, points {points.shape}; "
-            "give as many"
+            "give one velocity per point"
         )
     check_velocities(header, velocities, frame)
     if points.dtype == np.float64:
@@ -89,8 +90,9 @@ def _like(header: SequenceHeader, points: FloatArray, block: FloatArray | None, 
 
 def check_velocities(header: SequenceHeader, velocities: FloatArray, first_frame: int) -> None:
     """Check that all velocities ``(B, V, 3)`` of a block are finite."""
-    if not np.isfinite(velocities).all():
-        frame, vertex = (int(i) for i in np.argwhere(~np.isfinite(velocities))[0, :2])
+    finite = np.isfinite(velocities)
+    if not finite.all():
+        frame, vertex = (int(i) for i in np.argwhere(~finite)[0, :2])
         raise InvalidSequenceError(
             f"{header.frame_name(first_frame + frame)}: the velocity of vertex {vertex} is "
             f"{velocities[frame, vertex].tolist()}; velocities must be finite"
@@ -98,28 +100,28 @@ def check_velocities(header: SequenceHeader, velocities: FloatArray, first_frame
 
 
 def _as_floats(block: FloatArray) -> FloatArray:
-    points = np.asarray(block)
-    if points.dtype not in (np.float32, np.float64):
-        points = points.astype(np.float64)
-    return np.ascontiguousarray(points)
+    array = np.asarray(block)
+    if array.dtype not in (np.float32, np.float64):
+        array = array.astype(np.float64)
+    return np.ascontiguousarray(array)
 
 
-def in_step(
+def unzip_blocks(
     pairs: Iterable[tuple[FloatArray, FloatArray]],
 ) -> tuple[Iterator[FloatArray], Iterator[FloatArray]]:
-    """Split pairs of blocks of points and velocities (`Model.moving_blocks`) into two iterators, advanced in turns."""
-    one, other = tee(pairs)
-    return (points for points, _ in one), (velocities for _, velocities in other)
+    """Split pairs of point and velocity blocks (`Model.moving_blocks`) into two iterators, advanced alternately."""
+    for_points, for_velocities = tee(pairs)
+    return (points for points, _ in for_points), (velocities for _, velocities in for_velocities)
 
 
 def as_float32(
     values: FloatArray,
     first_frame: int,
-    what: str,
-    of: str = "vertex",
+    format_name: str,
+    element: str = "vertex",
     header: SequenceHeader | None = None,
 ) -> FloatArray:
-    """Round points or velocities to float32; errors name the format `what`."""
+    """Round points or velocities ``(B, V, 3)`` to float32; raise an error where they overflow."""
     with np.errstate(over="ignore", under="ignore"):
         rounded = values.astype(np.float32)
     finite = np.isfinite(rounded)
@@ -128,8 +130,8 @@ def as_float32(
         index = first_frame + frame
         name = f"frame {index}" if header is None else header.frame_name(index)
         raise InvalidSequenceError(
-            f"{name}: {of} {vertex} is {values[frame, vertex].tolist()}, too large "
-            f"for {what}, which stores float32; scale the points down, or write .npz or .h5"
+            f"{name}: {element} {vertex} is {values[frame, vertex].tolist()}, too large "
+            f"for {format_name}, which stores float32; scale the points down, or write .npz or .h5"
         )
     return rounded
 
@@ -137,16 +139,16 @@ def as_float32(
 def warn(message: str) -> None:
     """Warn at the line of the first caller outside mixseq."""
     level, frame = 1, sys._getframe()
-    ours = ("mixseq", "mixseq_io")
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in ours:
+    own_packages = ("mixseq", "mixseq_io")
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in own_packages:
         level, frame = level + 1, frame.f_back
     warnings.warn(message, MixseqWarning, stacklevel=level)
 
 
 class SequenceReader(ABC):
-    """Open file of a mesh sequence, used in a ``with`` statement.
+    """Open file of a mesh sequence, a context manager.
 
-    Subclasses open their file, find the header, and implement `_read`.
+    Subclasses open the file, read its header, and implement `_read`.
     """
 
     def __init__(
@@ -161,32 +163,32 @@ class SequenceReader(ABC):
         self.has_velocities = has_velocities
         self._resources = resources or ExitStack()
         self._closed = False
-        self._limit = max_memory()
-        self._process = os.getpid()
+        self._memory_limit = max_memory()
+        self._process_id = os.getpid()
 
     def blocks(self, size: int = 16) -> Iterator[FloatArray]:
-        """Iterate over blocks ``(B, V, 3)`` of the points, from the first frame at each call."""
-        return self._checked("points", self._read("points", self._fitting(size)), check_block)
+        """Iterate over all points in blocks ``(B, V, 3)`` of at most `size` frames."""
+        return self._checked("points", self._read("points", self._block_size(size)), check_block)
 
     def velocity_blocks(self, size: int = 16) -> Iterator[FloatArray] | None:
-        """Iterate over blocks ``(B, V, 3)`` of velocities, in units per second, in step with `blocks` of that size."""
-        fitting = self._fitting(size)
+        """Iterate over all velocities, in units per second, in the same blocks as `blocks`; None without any."""
+        block_size = self._block_size(size)
         if not self.has_velocities:
             return None
-        return self._checked("velocities", self._read("velocities", fitting), check_velocities)
+        return self._checked("velocities", self._read("velocities", block_size), check_velocities)
 
-    def check_whole(self) -> None:
-        """Raise an error if all frames together take more than `max_memory`."""
-        numbers = 3 * self.header.vertex_count * self.header.frame_count * (1 + self.has_velocities)
-        with memory_limit(self._limit):
-            check_memory(self.path, 4 * numbers, f"all its {self.header.frame_count} frames")
+    def check_total_memory(self) -> None:
+        """Raise an error if all frames together, in single precision, exceed the memory limit."""
+        coordinate_count = 3 * self.header.vertex_count * self.header.frame_count * (1 + self.has_velocities)
+        with memory_limit(self._memory_limit):
+            check_memory(self.path, 4 * coordinate_count, f"all its {self.header.frame_count} frames")
 
     def markings(self) -> Markings:
-        """Return the sets of polygons, and joints where they are read."""
+        """Return the named face sets, and the skinning weights if the format has any."""
         return Markings(sets=group_face_sets(self.header))
 
     def close(self) -> None:
-        """Close the file; blocks that were read stay valid."""
+        """Close the file."""
         self._closed = True
         self._resources.close()
 
@@ -198,17 +200,17 @@ class SequenceReader(ABC):
     ) -> None:
         self.close()
 
-    def _fitting(self, size: int) -> int:
-        """Return the number of frames of a block that fits the memory limit."""
+    def _block_size(self, size: int) -> int:
+        """Return the largest number of frames up to `size` that fits the memory limit in double precision."""
         if size < 1:
             raise SettingsError(f"block size is {size}; a positive number of frames is expected")
-        frame = 3 * 8 * self.header.vertex_count
-        with memory_limit(self._limit):
-            check_memory(self.path, frame, "a frame")
-        return min(size, self._limit // max(frame, 1))
+        bytes_per_frame = 3 * 8 * self.header.vertex_count
+        with memory_limit(self._memory_limit):
+            check_memory(self.path, bytes_per_frame, "a frame")
+        return min(size, self._memory_limit // max(bytes_per_frame, 1))
 
     @abstractmethod
-    def _read(self, what: str, size: int) -> Iterator[FloatArray]:
+    def _read(self, quantity: str, size: int) -> Iterator[FloatArray]:
         """Yield "points", or "velocities" if the file has any, in blocks of at most `size` frames."""
 
     def _check_open(self) -> None:
@@ -217,12 +219,12 @@ class SequenceReader(ABC):
         self._check_process()
 
     def _check_process(self) -> None:
-        if self._process != os.getpid():  # both would move the place in the file
+        if self._process_id != os.getpid():  # both processes would share the position in the file
             raise FormatError(f"{self.path} was opened before this process was forked; open it again here")
 
     def _checked(
         self,
-        what: str,
+        quantity: str,
         blocks: Iterator[FloatArray],
         check: Callable[[SequenceHeader, FloatArray, int], None],
     ) -> Iterator[FloatArray]:
@@ -232,19 +234,19 @@ class SequenceReader(ABC):
             block = next(blocks, None)
             if block is None:
                 break
-            with naming(self.path):
+            with prefix_errors(self.path):
                 check(self.header, block, frame)
             yield block
             frame += len(block)
         if frame != self.header.frame_count:
             raise FormatError(
-                f"{self.path}: {frame} frames of {what} for {self.header.frame_count} times; is it truncated?"
+                f"{self.path}: {frame} frames of {quantity} for {self.header.frame_count} times; is it truncated?"
             )
 
 
 @contextmanager
-def naming(path: Path | str) -> Iterator[None]:
-    """Put the file's name before error messages about its sequence."""
+def prefix_errors(path: Path | str) -> Iterator[None]:
+    """Prefix messages of `InvalidSequenceError` with the file's path."""
     try:
         yield
     except InvalidSequenceError as error:
@@ -252,9 +254,9 @@ def naming(path: Path | str) -> Iterator[None]:
 
 
 @contextmanager
-def reading(path: Path | str, what: str, *errors: type[Exception]) -> Iterator[None]:
-    """Translate a library's errors about a bad file into `FormatError`."""
-    check_regular(path, what)
+def translate_read_errors(path: Path | str, kind: str, *errors: type[Exception]) -> Iterator[None]:
+    """Translate errors of the system, and a library's `errors` about damaged files, into `FormatError`."""
+    check_regular_file(path, kind)
     damage: tuple[type[Exception], ...] = (OSError, *errors)
     try:
         yield
@@ -263,41 +265,42 @@ def reading(path: Path | str, what: str, *errors: type[Exception]) -> Iterator[N
     except FileNotFoundError:
         raise FormatError(f"{path} does not exist") from None
     except IsADirectoryError:
-        raise FormatError(f"{path} is a folder, not {what}") from None
+        raise FormatError(f"{path} is a folder, not {kind}") from None
     except PermissionError:
         raise FormatError(f"{path}: no permission to read it") from None
     except MemoryError:
-        raise out_of_memory(path) from None
+        raise out_of_memory_error(path) from None
     except damage as error:
         raise FormatError(
-            f"{path} cannot be read as {what}; it is damaged, truncated or of another type ({brief(error)})"
+            f"{path} cannot be read as {kind}; it is damaged, truncated or of another type ({summarize_error(error)})"
         ) from error
 
 
-_OF_TEXT = 6
-"""Memory in bytes per byte of text that is parsed into words and numbers in Python."""
+_PARSED_BYTES_PER_BYTE = 6
+"""Memory for the words and numbers that Python makes of a byte of text."""
 
 
-def read_whole(path: Path, text: bool = False) -> bytes:
-    """Return all bytes of a file, if they fit the memory limit; for `text` including its parsed words."""
+def read_bytes(path: Path, text: bool = False) -> bytes:
+    """Return a file's bytes; raise an error if they, or for `text` its parsed words, exceed the memory limit."""
     size = path.stat().st_size
-    check_memory(
-        path, size * _OF_TEXT if text else size, "the file and what is made of it" if text else "the file"
-    )
+    if text:
+        check_memory(path, size * _PARSED_BYTES_PER_BYTE, "the file and its parsed numbers")
+    else:
+        check_memory(path, size, "the file")
     return path.read_bytes()
 
 
-def check_regular(path: Path | str, what: str) -> None:
+def check_regular_file(path: Path | str, kind: str) -> None:
     """Raise an error for a pipe, a socket or a device, since reading it may never end."""
     try:
         mode = Path(path).stat().st_mode
-    except (OSError, ValueError):  # not there, or no name that a file can have: its reader will tell
+    except (OSError, ValueError):  # missing, or an invalid name: reported by the reader
         return
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-        raise FormatError(f"{path} is a pipe, a socket or a device, not {what}; give the name of a file")
+        raise FormatError(f"{path} is a pipe, a socket or a device, not {kind}; give the name of a file")
 
 
-def brief(error: BaseException) -> str:
-    """Return an error's first line, or its type if it has no text."""
+def summarize_error(error: BaseException) -> str:
+    """Return the first line of an error's message, or its type if the message is empty."""
     lines = str(error).strip().splitlines()
     return lines[0].strip() if lines else type(error).__name__

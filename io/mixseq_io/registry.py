@@ -12,39 +12,43 @@ import numpy as np
 from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, OutputError, SettingsError
 from mixseq.runtime.public import public
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import MeshSequence, collect
+from mixseq.sequence.sequence import MeshSequence, join_blocks
 from mixseq.types import FloatArray, PathLike
 from mixseq_io.files import memory_limit
-from mixseq_io.format import HDF5_SIGNATURE, OF_VERTICES, OPAQUE, Format, Holds
-from mixseq_io.reader import SequenceReader, check_regular, naming
+from mixseq_io.format import HDF5_SIGNATURE, OPAQUE_PER_VERTEX, PER_VERTEX, Capabilities, Format
+from mixseq_io.reader import SequenceReader, check_regular_file, prefix_errors
 
 if TYPE_CHECKING:
     from mixseq.signals.model import Model
 
 
-_FPS = "frames per second, 24 by default"
-_GAPS = "accept missing numbers; the frames keep the times of their numbers"
-_START = "number of the first file, by default that of the first frame"
-_MESH = "file of the mesh; by default one of the same name beside it"
-_PRIM = "path of a mesh or of something above it; / takes all meshes, by default all that move are taken"
-_FLATTEN = "write a file that stands alone, not one that builds on the file that the sequence came from"
-_SOURCES = "times of the original that the frames show, where these are others than their own"
-_ONTO = "the file to build on, if it is another one than the sequence came from"
+_FPS_OPTION = "frames per second, 24 by default"
+_GAPS_OPTION = "accept missing numbers; the frames keep the times of their numbers"
+_START_OPTION = "number of the first file, by default that of the first frame"
+_MESH_OPTION = "file of the mesh; by default one of the same name beside it"
+_PRIM_OPTION = "path of a mesh or of its parent; / reads all meshes, by default all that move are read"
+_FLATTEN_OPTION = "write a stand-alone file instead of one that builds on the original"
+_SOURCES_OPTION = "times in the original that the frames show, if they differ from the frames' own"
+_ONTO_OPTION = "the file to build on, by default the original"
+
+_POINTS_AND_FACES_ONLY: dict[str, Any] = {
+    "hard_edges": False,
+    "face_sets": False,
+    "objects": False,
+    "materials": "no",
+}
 
 
-_NO_PARTS: dict[str, Any] = {"hard_edges": False, "face_sets": False, "objects": False, "materials": "no"}
-
-
-def _numbered(name: str, module: str, *signatures: bytes, **holds: Any) -> Format:
-    """Return a format of numbered files, an object of this name in a module of `mixseq_io.numbered`."""
+def _numbered_format(name: str, module: str, *signatures: bytes, **capabilities: Any) -> Format:
+    """Return the format of numbered files that is implemented by an object of this name in `mixseq_io.numbered`."""
     return Format(
         name=name,
         extensions=(f".{name.lower()}",),
-        holds=Holds(animation="a file per frame", times="no", **holds),
+        capabilities=Capabilities(animation="a file per frame", times="no", **capabilities),
         reader=f"mixseq_io.numbered.{module}:{name}.open",
         writer=f"mixseq_io.numbered.{module}:{name}.write",
-        read_options={"fps": _FPS, "allow_gaps": _GAPS},
-        write_options={"start": _START},
+        read_options={"fps": _FPS_OPTION, "allow_gaps": _GAPS_OPTION},
+        write_options={"start": _START_OPTION},
         signatures=signatures,
         numbered=True,
     )
@@ -54,7 +58,7 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="USD",
         extensions=(".usd", ".usda", ".usdc", ".usdz"),
-        holds=Holds(
+        capabilities=Capabilities(
             animation="point samples, transforms, skeletons, blend shapes, value clips",
             units=True,
             velocities=True,
@@ -62,14 +66,14 @@ FORMATS: tuple[Format, ...] = (
         ),
         reader="mixseq_io.usd.reader:open_usd",
         writer="mixseq_io.usd.writer:write_usd",
-        read_options={"prim": _PRIM},
+        read_options={"prim": _PRIM_OPTION},
         write_options={
-            "flatten": _FLATTEN,
-            "onto": _ONTO,
+            "flatten": _FLATTEN_OPTION,
+            "onto": _ONTO_OPTION,
             "clips": "frames per file of value clips, for long shots; 0, the default, keeps all in one file",
             "pack_from": "folder from which textures may be packed into .usdz, besides that of the original",
-            "sources": _SOURCES,
-            "whole_stage": "retime everything else that moves in the original, too, by sources",
+            "sources": _SOURCES_OPTION,
+            "whole_stage": "retime all other motion of the original by sources, too",
         },
         signatures=(b"PXR-USDC", b"#usda", b"#sdf", b"PK\x03\x04"),
         isolated=True,
@@ -77,7 +81,7 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="HDF5 sequence",
         extensions=(".h5", ".hdf5"),
-        holds=Holds(
+        capabilities=Capabilities(
             animation="point samples, models", points="float32, float64", units=True, velocities=True
         ),
         reader="mixseq_io.loading:open_h5",
@@ -87,18 +91,20 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="Alembic",
         extensions=(".abc",),
-        holds=Holds(animation="point samples, transforms", velocities=True, materials="carried along"),
+        capabilities=Capabilities(
+            animation="point samples, transforms", velocities=True, materials="carried along"
+        ),
         reader="mixseq_io.alembic.reader:open_alembic",
         writer="mixseq_io.alembic.writer:write_alembic",
-        read_options={"prim": _PRIM},
-        write_options={"flatten": _FLATTEN, "onto": _ONTO, "sources": _SOURCES},
+        read_options={"prim": _PRIM_OPTION},
+        write_options={"flatten": _FLATTEN_OPTION, "onto": _ONTO_OPTION, "sources": _SOURCES_OPTION},
         signatures=(b"Ogawa", HDF5_SIGNATURE),
         isolated=True,
     ),
     Format(
         name="glTF",
         extensions=(".glb", ".gltf"),
-        holds=Holds(
+        capabilities=Capabilities(
             animation="skins, morph targets, transforms, compressed models",
             polygons="triangles",
             times="float32, from 0 on",
@@ -107,22 +113,24 @@ FORMATS: tuple[Format, ...] = (
         reader="mixseq_io.loading:open_gltf",
         writer="mixseq_io.gltf.writer:write_gltf",
         read_options={
-            "prim": _PRIM,
+            "prim": _PRIM_OPTION,
             "animation": "name or number of the animation, the first by default",
             "fps": "frames per second; by default the frames are the animation's keys",
         },
         write_options={
-            "flatten": _FLATTEN,
-            "onto": _ONTO,
-            "keep_start": "let the animation begin when the sequence does, and not at 0",
-            "sources": _SOURCES,
+            "flatten": _FLATTEN_OPTION,
+            "onto": _ONTO_OPTION,
+            "keep_start": "start the animation at the time of the first frame instead of 0",
+            "sources": _SOURCES_OPTION,
         },
         signatures=(b"glTF",),
     ),
     Format(
         name="npz",
         extensions=(".npz",),
-        holds=Holds(animation="point samples", points="float32, float64", units=True, velocities=True),
+        capabilities=Capabilities(
+            animation="point samples", points="float32, float64", units=True, velocities=True
+        ),
         reader="mixseq_io.npz:open_npz",
         writer="mixseq_io.npz:write_npz",
         read_options={"fps": "frames per second, where the file has neither fps nor times; 24 by default"},
@@ -132,24 +140,28 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="PC2",
         extensions=(".pc2",),
-        holds=Holds(animation="point samples", times="even, rate not told", colours=OPAQUE),
+        capabilities=Capabilities(
+            animation="point samples", times="even, no frame rate", colours=OPAQUE_PER_VERTEX
+        ),
         reader="mixseq_io.point_caches:open_pc2",
         writer="mixseq_io.point_caches:write_pc2",
-        read_options={"mesh": _MESH, "fps": _FPS},
+        read_options={"mesh": _MESH_OPTION, "fps": _FPS_OPTION},
         signatures=(b"POINTCACHE2\x00",),
     ),
     Format(
         name="MDD",
         extensions=(".mdd",),
-        holds=Holds(animation="point samples", times="float32", colours=OPAQUE),
+        capabilities=Capabilities(animation="point samples", times="float32", colours=OPAQUE_PER_VERTEX),
         reader="mixseq_io.point_caches:open_mdd",
         writer="mixseq_io.point_caches:write_mdd",
-        read_options={"mesh": _MESH},
+        read_options={"mesh": _MESH_OPTION},
     ),
-    _numbered("OBJ", "obj", points="all digits", colours=OPAQUE),
-    _numbered("PLY", "ply", b"ply", points="float32, float64", **_NO_PARTS),
-    _numbered("STL", "stl_off", polygons="triangles", uvs=False, colours=False, **_NO_PARTS),
-    _numbered(
+    _numbered_format("OBJ", "obj", points="all digits", colours=OPAQUE_PER_VERTEX),
+    _numbered_format("PLY", "ply", b"ply", points="float32, float64", **_POINTS_AND_FACES_ONLY),
+    _numbered_format(
+        "STL", "stl_off", polygons="triangles", uvs=False, colours=False, **_POINTS_AND_FACES_ONLY
+    ),
+    _numbered_format(
         "OFF",
         "stl_off",
         b"OFF",
@@ -157,46 +169,38 @@ FORMATS: tuple[Format, ...] = (
         polygons="triangles",
         points="all digits",
         uvs=False,
-        colours=OF_VERTICES,
-        **_NO_PARTS,
+        colours=PER_VERTEX,
+        **_POINTS_AND_FACES_ONLY,
     ),
 )
 
 
-def capabilities() -> list[tuple[str, ...]]:
-    """Return the formats' capabilities as a table: a row of titles, then a row per format."""
-    columns = [column.name for column in fields(Holds) if column.name != "animation"]
-    titles = ("format", "reads", "writes", *(column.replace("_", " ") for column in columns))
-    rows = [
-        (
-            form.name,
-            " ".join(form.extensions),
-            " ".join(form.extensions),
-            *(
-                {True: "yes", False: "no"}.get(held := getattr(form.holds, column), held)
-                for column in columns
-            ),
-        )
-        for form in FORMATS
-    ]
-    return [titles, *rows]
+def capability_table() -> list[tuple[str, ...]]:
+    """Return the capabilities of all formats as a table: a row of titles, then a row per format."""
+    columns = [column.name for column in fields(Capabilities) if column.name != "animation"]
+    table = [("format", "reads", "writes", *(column.replace("_", " ") for column in columns))]
+    for file_format in FORMATS:
+        extensions = " ".join(file_format.extensions)
+        values = (getattr(file_format.capabilities, column) for column in columns)
+        cells = ({True: "yes", False: "no"}.get(value, value) for value in values)
+        table.append((file_format.name, extensions, extensions, *cells))
+    return table
 
 
-def motions() -> list[tuple[str, ...]]:
-    """Return the kinds of motion that are read, and the options, as a table like `capabilities`."""
+def motion_table() -> list[tuple[str, ...]]:
+    """Return the kinds of animation that are read, and the options, in rows as of `capability_table`."""
     titles = ("format", "motion that is read", "options for reading", "options for writing")
     rows = [
-        (form.name, form.holds.animation, ", ".join(form.read_options), ", ".join(form.write_options))
-        for form in FORMATS
+        (each.name, each.capabilities.animation, ", ".join(each.read_options), ", ".join(each.write_options))
+        for each in FORMATS
     ]
     return [titles, *rows]
 
 
-# Other formats that users may have under a wrong name; only for messages.
-_FOREIGN_SIGNATURES = {
-    b"Kaydara FBX": "FBX",
-    b"BLENDER": "Blender",
-}
+_FOREIGN_SIGNATURES = {b"Kaydara FBX": "FBX", b"BLENDER": "Blender"}
+"""First bytes of formats that mixseq does not read, to name them in messages."""
+
+_SIGNATURE_BYTES = 16
 
 
 @public
@@ -217,14 +221,14 @@ def open_sequence(
         The file; numbered files (OBJ, PLY, STL, OFF) by folder or by pattern: ``walk_####.obj``,
         ``walk_%04d.obj``, ``walk_*.obj``.
     up_axis : {"X", "Y", "Z"}, optional
-        Which axis points up, where the file lacks it or is wrong. Points stay as they are.
+        Axis that points up, if the file has none or a wrong one. Points are unchanged.
     metres_per_unit : float, optional
-        Length of a unit, likewise.
+        Length of a unit in metres, if the file has none or a wrong one. Points are unchanged.
     start_frame : float, optional
-        Number of the first frame, likewise; times are shifted to match, see `mixseq.sequence.frame_rates`.
+        Number of the first frame; times are shifted to match, see `mixseq.sequence.frame_rates`.
     max_memory : float, optional
-        Bytes that one read may take; by default 8 GB, or half of the machine's memory if that is less,
-        see `mixseq_io.files`.
+        Memory limit of one read in bytes; by default 8 GB or half of the machine's memory, whichever is less
+        (`mixseq_io.files`).
     **options
         The format's ``read_options``, see `FORMATS`.
 
@@ -236,27 +240,26 @@ def open_sequence(
     Raises
     ------
     FormatError
-        If the file is missing, damaged, of another type, or too new, or takes more than `max_memory`.
+        If the file is missing, damaged, of another type or of a newer version, or needs more than `max_memory`.
     AmbiguousError
-        If there are several sequences; the message explains how to choose.
+        If the file holds several sequences; the message explains how to choose one.
     InvalidSequenceError
-        If its contents are not a mesh sequence.
+        If the contents are not a mesh sequence.
     SettingsError
         If the format has no such option, or `start_frame` is not finite.
     """
     file = Path(path)
-    check_regular(file, "a file")
-    chosen = _format_to_read(file)
+    check_regular_file(file, "a file")
+    file_format = _format_to_read(file)
     if file.is_file():
-        _check_signature(file, chosen)
+        _check_signature(file, file_format)
     with memory_limit(max_memory):
-        reader = chosen.open(file, **options)
-    told: dict[str, Any] = {"up_axis": up_axis, "metres_per_unit": metres_per_unit}
+        reader = file_format.open(file, **options)
+    overrides: dict[str, Any] = {"up_axis": up_axis, "metres_per_unit": metres_per_unit}
+    overrides = {name: value for name, value in overrides.items() if value is not None}
     try:
-        with naming(file):
-            reader.header = replace(
-                reader.header, **{key: value for key, value in told.items() if value is not None}
-            )
+        with prefix_errors(file):
+            reader.header = replace(reader.header, **overrides)
             if start_frame is not None:
                 reader.header = reader.header.numbered_from(start_frame)
     except (InvalidSequenceError, SettingsError):
@@ -269,9 +272,9 @@ def open_sequence(
 def read(path: PathLike, **options: Any) -> MeshSequence:
     """Read a file into memory; parameters and errors are those of `open_sequence`."""
     with open_sequence(path, **options) as reader:
-        reader.check_whole()
+        reader.check_total_memory()
         velocities = reader.velocity_blocks()
-        sequence = collect(reader.header, reader.blocks())
+        sequence = join_blocks(reader.header, reader.blocks())
         if velocities is None:
             return sequence
         return replace(sequence, velocities=np.concatenate(list(velocities)))
@@ -279,14 +282,14 @@ def read(path: PathLike, **options: Any) -> MeshSequence:
 
 @public
 def write(path: PathLike, sequence: MeshSequence | Model, **options: Any) -> None:
-    """Write a sequence; see `write_blocks`.
+    """Write a sequence or the frames of a model; errors and warnings are those of `write_blocks`.
 
     Parameters
     ----------
     path : path-like
-        The file; for several frames of OBJ, PLY, STL or OFF a pattern, ``walk_####.obj``.
+        The file; a pattern such as ``walk_####.obj`` for several frames of OBJ, PLY, STL or OFF.
     sequence : MeshSequence or Model
-        The sequence with its velocities, if any, or the model whose frames are written.
+        The sequence, written with its velocities if it has any, or a model, sampled at its frames.
     **options
         The format's ``write_options``, see `FORMATS`.
     """
@@ -304,28 +307,28 @@ def write_blocks(
     velocities: Iterable[FloatArray] | None = None,
     **options: Any,
 ) -> None:
-    """Write a sequence as its frames arrive.
+    """Write a sequence block by block.
 
-    The file appears under its name when complete. Until then, and after any error, an existing file is unchanged.
+    The file appears under its name when it is complete. After an error an existing file is unchanged.
 
     Parameters
     ----------
     path : path-like
         The file.
     header : SequenceHeader
-        Everything but the points.
+        Faces, times, units and surface of the sequence.
     blocks : iterable of (B, V, 3) float
-        The points, any number of frames at a time, all of one dtype.
+        Points, in blocks of any number of frames and of one dtype.
     velocities : iterable of (B, V, 3) float, optional
         Velocities of the vertices in units per second, in blocks of the same sizes, stored in the points' precision.
-        Each block is fetched after its block of points (`mixseq_io.in_step` splits pairs of both).
+        Each block is fetched after its block of points (`mixseq_io.unzip_blocks` splits pairs of both).
     **options
         The format's ``write_options``, see `FORMATS`.
 
     Raises
     ------
     OutputError
-        If the file cannot be written: no such folder, no permission, disk full, no such format.
+        If the file cannot be written: missing folder, no permission, disk full, unknown format.
     InvalidSequenceError
         If the blocks do not fit the header or the velocities, or the format cannot hold their values.
     SettingsError
@@ -334,7 +337,7 @@ def write_blocks(
     Warns
     -----
     MixseqWarning
-        If the format cannot hold something, for example velocities.
+        If the format cannot store a part of the sequence, for example velocities.
     """
     file = Path(path)
     _format_to_write(file).write(file, header, blocks, velocities, **options)
@@ -343,74 +346,71 @@ def write_blocks(
 def _format_to_read(path: Path) -> Format:
     if path.is_dir():
         return _format_of_folder(path)
-    if known := _by_extension(path):
-        return known
+    if file_format := _find_format(path):
+        return file_format
     if not path.exists():
         raise FormatError(f"{path} does not exist")
-    found = _recognised(path)
-    holds = f"it holds {found} data" if found else "its contents are of no known format"
+    name = _detect_format_name(path)
+    contents = f"it holds {name} data" if name else "its contents are of no known format"
     raise FormatError(
-        f"{path}: the extension {path.suffix.lower()!r} is not known, and {holds}; known are {_extensions()}"
+        f"{path}: the extension {path.suffix.lower()!r} is not known, and {contents}; known are {_extensions()}"
     )
 
 
-def _format_of_folder(path: Path) -> Format:
+def _format_of_folder(folder: Path) -> Format:
     """Return the format of the numbered files in a folder."""
-    present = {file.suffix.lower() for file in path.iterdir() if not file.name.startswith(".")}
-    numbered = [each for each in FORMATS if each.numbered]
-    found = [each for each in numbered if present & set(each.extensions)]
-    if len(found) > 1:
-        names = " and ".join(each.name for each in found)
+    extensions = {file.suffix.lower() for file in folder.iterdir() if not file.name.startswith(".")}
+    candidates = [each for each in FORMATS if each.numbered]
+    present = [each for each in candidates if extensions & set(each.extensions)]
+    if len(present) > 1:
+        names = " and ".join(each.name for each in present)
         raise AmbiguousError(
-            f"{path} holds {names} files; give a pattern such as {path}/*{found[0].extensions[0]}"
+            f"{folder} holds {names} files; give a pattern such as {folder}/*{present[0].extensions[0]}"
         )
-    if not found:
-        names = ", ".join(each.name for each in numbered)
-        raise FormatError(f"{path} is a folder without numbered files; {names} files are expected in it")
-    return found[0]
+    if not present:
+        names = ", ".join(each.name for each in candidates)
+        raise FormatError(f"{folder} is a folder without numbered files; {names} files are expected in it")
+    return present[0]
 
 
 def _format_to_write(path: Path) -> Format:
-    if known := _by_extension(path):
-        return known
+    if file_format := _find_format(path):
+        return file_format
     raise OutputError(
         f"{path}: the extension {path.suffix.lower()!r} is not known; write one of {_extensions()}"
     )
 
 
-def _by_extension(path: Path) -> Format | None:
+def _find_format(path: Path) -> Format | None:
     return next((each for each in FORMATS if path.suffix.lower() in each.extensions), None)
 
 
 def _extensions() -> str:
-    return ", ".join(extension for candidate in FORMATS for extension in candidate.extensions)
+    return ", ".join(extension for each in FORMATS for extension in each.extensions)
 
 
-def _check_signature(path: Path, chosen: Format) -> None:
+def _check_signature(path: Path, file_format: Format) -> None:
     """Raise an error if a file's first bytes belong to another format than its extension."""
-    start = _start(path)
-    if start.startswith(chosen.signatures):
+    if _read_signature(path).startswith(file_format.signatures):
         return
-    found = _recognised(path)
-    if found:
-        raise FormatError(f"{path} holds {found} data, not {chosen.name}; give it the extension of {found}")
+    if name := _detect_format_name(path):
+        raise FormatError(
+            f"{path} holds {name} data, not {file_format.name}; give it the extension of {name}"
+        )
 
 
-def _recognised(path: Path) -> str | None:
+def _detect_format_name(path: Path) -> str | None:
     """Return the name of the format that a file's first bytes belong to."""
-    start = _start(path)
-    for candidate in FORMATS:
-        if start.startswith(candidate.signatures):
-            return "zip (npz or usdz)" if start.startswith(b"PK") else candidate.name
-    for signature, name in _FOREIGN_SIGNATURES.items():
-        if start.startswith(signature):
-            return name
-    return None
+    signature = _read_signature(path)
+    for file_format in FORMATS:
+        if signature.startswith(file_format.signatures):
+            return "zip (npz or usdz)" if signature.startswith(b"PK") else file_format.name
+    return next((name for start, name in _FOREIGN_SIGNATURES.items() if signature.startswith(start)), None)
 
 
-def _start(path: Path) -> bytes:
+def _read_signature(path: Path) -> bytes:
     try:
         with path.open("rb") as file:
-            return file.read(16)
+            return file.read(_SIGNATURE_BYTES)
     except OSError:
         return b""  # the reader reports the error

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from mixseq.errors import FormatError, OutputError
 from mixseq.runtime.public import public
 from mixseq.types import PathLike
-from mixseq_io.reader import check_regular, naming
+from mixseq_io.reader import check_regular_file, prefix_errors
 
 if TYPE_CHECKING:
     from mixseq.rigging.rigs import Morph, Skeleton, Skin
@@ -68,14 +68,14 @@ def write_rig(path: PathLike, rig: Skin | Morph) -> None:
 
 def _write_gltf_rig(file: Path, rig: Skin | Morph) -> None:
     from mixseq.rigging.rigs import Skin
-    from mixseq_io.files import replacing
+    from mixseq_io.files import atomic_file
     from mixseq_io.gltf.codecs import open_buffer_writer
     from mixseq_io.gltf.rigs import create_morphed_scene, create_skinned_scene
     from mixseq_io.gltf.writer import standalone_losses, warn_of_changes
 
     layout = create_skinned_scene(rig) if isinstance(rig, Skin) else create_morphed_scene(rig)
     warn_of_changes(file, rig.header, standalone_losses(rig.header))
-    with replacing(file) as temporary, open_buffer_writer(file, temporary, layout):
+    with atomic_file(file) as temporary, open_buffer_writer(file, temporary, layout):
         pass  # all of it is in the layout already
 
 
@@ -114,7 +114,7 @@ def read_skeleton(path: PathLike, name: str | None = None) -> Skeleton:
     """
     file = Path(path)
     _check_skeleton_file(file)
-    with naming(file):
+    with prefix_errors(file):
         if file.suffix.lower() in GLTF:
             from mixseq_io.gltf.reader import read_joints
 
@@ -145,7 +145,7 @@ def read_bind_pose(path: PathLike, name: str | None = None) -> MeshSequence:
     AmbiguousError
         If there are several skeletons; the message names them.
     """
-    from mixseq.sequence.sequence import collect
+    from mixseq.sequence.sequence import join_blocks
 
     file = Path(path)
     _check_skeleton_file(file)
@@ -154,12 +154,12 @@ def read_bind_pose(path: PathLike, name: str | None = None) -> MeshSequence:
     else:
         from mixseq_io.usd.reader import open_usd_bind_pose as open_bind_pose
     with open_bind_pose(file, name) as reader:
-        return collect(reader.header, reader.blocks())
+        return join_blocks(reader.header, reader.blocks())
 
 
 def _check_skeleton_file(file: Path) -> None:
     """Raise an error for a file that cannot hold skeletons."""
-    check_regular(file, "a file")
+    check_regular_file(file, "a file")
     if file.suffix.lower() not in RIG_EXTENSIONS:
         raise FormatError(
             f"{file}: skeletons are read from glTF and USD; a file that ends in {_LISTED} is expected"

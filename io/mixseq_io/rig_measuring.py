@@ -29,7 +29,7 @@ from mixseq_io.scene_meshes import split_meshes
 
 
 @dataclass(frozen=True)
-class Measured:
+class RigErrors:
     """Errors of a file: largest and root mean square distance in diagonals, and KG in percent."""
 
     max_error: float
@@ -37,7 +37,7 @@ class Measured:
     kg_percent: float
 
 
-def measure(path: Path, sequence: MeshSequence) -> Measured:
+def measure_rig_file(path: Path, sequence: MeshSequence) -> RigErrors:
     """Compare a written file with its sequence, at the times of its frames."""
     gltf = path.suffix.lower() in GLTF
     kept = _with_polygons(sequence.header) if gltf else np.arange(sequence.vertex_count)
@@ -52,14 +52,14 @@ def measure(path: Path, sequence: MeshSequence) -> Measured:
         squares += float(square.sum())
         spread += float(np.square(here - here.mean(axis=0)).sum())
     diagonal = bounding_diagonal(sequence.points[0][kept].astype(np.float64) @ turn)
-    return Measured(
+    return RigErrors(
         max_error=_ratio(np.sqrt(largest), diagonal),
         rms_error=_ratio(np.sqrt(squares / (sequence.frame_count * len(kept))), diagonal),
         kg_percent=100 * _ratio(np.sqrt(squares), np.sqrt(spread)),
     )
 
 
-def size_as_frames(header: SequenceHeader) -> int:
+def size_with_frame_targets(header: SequenceHeader) -> int:
     """Return the size in bytes of a .glb with a morph target per frame, up to the text of bounds."""
     layout, meshes = create_scene(header)
     MorphFrameWriter(layout, meshes, header)

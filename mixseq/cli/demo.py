@@ -15,6 +15,7 @@ from mixseq.cli.compare import at_times_of
 from mixseq.cli.files import Claim, overwriting, read_sequence
 from mixseq.cli.group import announce, print_table, progress_bar
 from mixseq.cli.info import dimension_rows
+from mixseq.cli.lengths import length_text
 
 
 @options.command("demo", "mixseq demo --out fox --frames 24")
@@ -30,7 +31,7 @@ def command(out: Path, frames: int, claim: Claim, quiet: bool) -> None:
     reconstruction and its error.
     """
     from mixseq.creature import walk_cycle
-    from mixseq_io.files import replacing
+    from mixseq_io.files import atomic_file
 
     out.mkdir(parents=True, exist_ok=True)
     creature, stored, decoded, sheet = (
@@ -63,7 +64,10 @@ def command(out: Path, frames: int, claim: Claim, quiet: bool) -> None:
                 ("vertices", f"{original.vertex_count:,}"),
                 ("frames", f"{original.frame_count} encoded, {doubled.frame_count} decoded"),
                 *dimension_rows(model),
-                ("max error", f"{error.max_error:.2g} of the diagonal"),
+                (
+                    "max error",
+                    length_text(error.max_error, error.diagonal * original.metres_per_unit, digits=2),
+                ),
                 ("KG error", f"{error.kg_percent:.2g} %"),
                 ("seconds", ", ".join(f"{time:.1f} to {step}" for step, time in seconds.items())),
             ]
@@ -73,6 +77,6 @@ def command(out: Path, frames: int, claim: Claim, quiet: bool) -> None:
     from mixseq.pictures.sheets import contact_sheet
 
     parts = model.decomposition
-    with replacing(sheet) as temporary:
+    with atomic_file(sheet) as temporary:
         contact_sheet(temporary, original, doubled, parts.part_of_face, parts.joint_of_face)
     announce(sheet)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from mixseq.signals.model import Model
 
 
-SCRIPT = """\b
+SCRIPT_HELP = """\b
 A script has a table for every edit:
   [[edit]]
   operation = "repeat"
@@ -40,7 +40,7 @@ A script has a table for every edit:
     "edit",
     "mixseq edit run.h5 attack.h5 --script attack.toml",
     "mixseq edit walk.h5 long.usdc --script edits.toml --fps 48",
-    before=SCRIPT,
+    before=SCRIPT_HELP,
 )
 @options.argument("source", metavar="MODEL")
 @options.argument("target", metavar="OUT")
@@ -134,14 +134,14 @@ def command(
 def _write_travel(path: Path, model: Model, edit: Edit) -> None:
     """Write the distance that a body has travelled at every frame, before an edit removes it."""
     from mixseq.operations import travel_of
-    from mixseq_io.files import replacing
+    from mixseq_io.files import atomic_file
 
     places = travel_of(model, **edit.arguments)(model.times)
     rows = (
         ",".join(f"{number:.9g}" for number in (time, *place))
         for time, place in zip(model.times, places, strict=True)
     )
-    with replacing(path) as file:
+    with atomic_file(path) as file:
         file.write_text("\n".join(["seconds,x,y,z", *rows, ""]), encoding="utf-8")
 
 

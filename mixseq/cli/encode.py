@@ -15,6 +15,7 @@ from mixseq.cli import files, options
 from mixseq.cli.compressed import aiming, coding_facts, coding_rows, compressed
 from mixseq.cli.group import announce, print_table, progress_bar
 from mixseq.cli.info import bytes_of_frames, dimension_rows, size_row
+from mixseq.cli.lengths import in_diagonals, length_text
 from mixseq.errors import OutputError
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     "mixseq encode walk.usdc walk.h5 --exact",
     "mixseq encode walk.usdc walk.h5 --tolerance 0.002 --parts 12",
     "mixseq encode man.glb man.h5 --source skeleton",
-    "mixseq encode walk.usdc small.h5 --max-error 0.001",
+    "mixseq encode walk.usdc small.h5 --max-error 0.5mm",
     "mixseq encode walk.usdc small.h5 --size 200kB",
     "mixseq encode walk.usdz walk.glb --max-error 0.001",
 )
@@ -41,8 +42,8 @@ if TYPE_CHECKING:
 @files.labelling
 @options.setting(
     "--knots N",
-    type=options.WHOLE,
-    help="Number of inner knots of all curves over time.  [default: as the tolerance asks, else all]",
+    type=options.NON_NEGATIVE_INTEGER,
+    help="Number of inner knots of all curves over time.  [default: as the tolerance needs, else all]",
 )
 @options.setting(
     "--pose",
@@ -85,11 +86,11 @@ def command(
     also a .glb), reproduces its frames within the tolerance and can be decoded at any time in between.
 
     With --max-error, --kg or --size the model is compressed: as few bytes as that error takes, or as small an error as
-    fits into that many bytes. An error that --max-error asks for is guaranteed, the others are measured; see
+    fits into that many bytes. The error of --max-error is guaranteed, the others are measured; see
     "mixseq verify". As a .glb it plays on the web (see "mixseq web"); a compressed model that SOURCE is already becomes
     one as it is.
     """
-    web = target.suffix.lower() == files.GLB
+    web = target.suffix.lower() == files.GLB_EXTENSION
     _check_name(target, compressed=bool(aim) or (web and files.is_model(source)))
     if not web:
         options.refuse("still", why="is for .glb files; leave it out")
@@ -107,6 +108,7 @@ def command(
         elif web:
             model = read_compressed(source)
         else:
+            fitting = in_diagonals(fitting, reader, "tolerance")
             fitting["parts"] = labels.parts(reader, fitting.get("parts"), reading)
             model = mixseq.fit(reader, **fitting, knots=knots, pose=pose, progress=progress, workers=work)
         mixseq.save(target, model, still=still)
@@ -115,15 +117,14 @@ def command(
             error = mixseq.compare(reader, files.decoded(mixseq.load(target), progress, work))
     if not quiet:
         if isinstance(model, CompressedSequence):
-            rows = dict(coding_rows(coding_facts(target, model)))
+            rows = dict(coding_rows(coding_facts(target, model), model.header.metres_per_unit))
         else:
             sizes = target.stat().st_size, bytes_of_frames(model.header)
             rows = dict([*dimension_rows(model), size_row(*sizes)])
         rows["time"] = f"{seconds:.1f} s"
         if error is not None:
-            rows["max error"] = (
-                f"{error.max_error:.2g} of the diagonal, in frame {reader.header.frame_number(error.worst_frame)}"
-            )
+            length = length_text(error.max_error, error.diagonal * reader.header.metres_per_unit, digits=2)
+            rows["max error"] = f"{length}, in frame {reader.header.frame_number(error.worst_frame)}"
             rows["KG error"] = f"{error.kg_percent:.2g} %"
         print_table(rows.items())
     announce(target)
@@ -132,10 +133,10 @@ def command(
 def _check_name(path: Path, compressed: bool) -> None:
     """Raise an error for a path without a model's extension."""
     suffix = path.suffix.lower()
-    if suffix == files.GLB and not compressed:
+    if suffix == files.GLB_EXTENSION and not compressed:
         raise OutputError(f"{path}: a .glb holds compressed models; give --max-error, --kg or --size, too")
-    if suffix not in (*files.MODEL_EXTENSIONS, files.GLB):
+    if suffix not in (*files.MODEL_EXTENSIONS, files.GLB_EXTENSION):
         raise OutputError(
-            f"{path}: models are HDF5 files; end the name in {' or '.join(files.MODEL_EXTENSIONS)}, or in {files.GLB} "
-            "for the web"
+            f"{path}: models are HDF5 files; end the name in {' or '.join(files.MODEL_EXTENSIONS)}, or in "
+            f"{files.GLB_EXTENSION} for the web"
         )

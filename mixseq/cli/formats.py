@@ -16,9 +16,9 @@ Table = Sequence[Sequence[str]]
 @options.setting("--markdown", is_flag=True, help="Print the tables in Markdown.")
 def command(markdown: bool) -> None:
     """List the file formats: what each can hold, which motion is read from it, and its options."""
-    from mixseq_io.registry import capabilities, motions
+    from mixseq_io.registry import capability_table, motion_table
 
-    for number, (titles, *rows) in enumerate((capabilities(), motions())):
+    for number, (titles, *rows) in enumerate((capability_table(), motion_table())):
         if number:
             click.echo()
         if markdown:

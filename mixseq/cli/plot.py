@@ -14,6 +14,7 @@ from mixseq.choices import COLOURS, PICTURES, PictureKind
 from mixseq.cli import options
 from mixseq.cli.files import Claim, overwriting, read_sequence, scene_items
 from mixseq.cli.group import announce, progress_bar
+from mixseq.cli.lengths import in_diagonals
 from mixseq.errors import SettingsError
 
 
@@ -49,7 +50,9 @@ _FILM_OPTIONS = ("size", "film_fps", "seconds", "turn", "follow", "colour", "sca
     help="Frames to number in the embedding, or to draw with the errors of their vertices.  [default: automatic]",
     metavar="N,N,...",
 )
-@options.option("--tolerance D", type=float, help="Draw a line at an error of so many diagonals.")
+@options.length(
+    "--tolerance D", help="Draw a line at this error, a fraction of the bounding box's diagonal, or 0.5mm."
+)
 @options.option(
     "--video FILE",
     help="Make a film of FILES side by side, sequences or models: .webp, .gif, or .mp4, which needs ffmpeg.",
@@ -96,7 +99,7 @@ def command(
     kind: PictureKind | None,
     against: Path | None,
     frames: options.FrameChoice | None,
-    tolerance: float | None,
+    tolerance: float | str | None,
     video: Path | None,
     names: tuple[str, ...] | None,
     filming: dict[str, Any],
@@ -129,27 +132,32 @@ def command(
     source, target = files
     from mixseq.pictures.charts import picture_format
     from mixseq.pictures.models import check_settings, plot_model
-    from mixseq_io.files import replacing
+    from mixseq_io.files import atomic_file
 
     picture_format(target)
     camera = filming.get("camera")
-    check_settings(kind, against is not None, None if frames is None else frames.ranges, tolerance, camera)
+    numbers = None if frames is None else frames.ranges
+    positive = 1.0 if isinstance(tolerance, str) else tolerance  # a length in units is converted below
+    check_settings(kind, against is not None, numbers, positive, camera)
     if against is None and reading:
         raise SettingsError(
-            "--prim, --animation, --input-fps, --mesh and --allow-gaps tell how to read a sequence; give --against"
+            "--prim, --animation, --input-fps, --mesh and --allow-gaps are for reading a sequence; give --against"
         )
     claim(target)
+    from mixseq.sequence.sequence import LazyFrames
+
     model = mixseq.load(source)
+    first_pose = LazyFrames(model.header, lambda _: iter([model(model.start)[None]]))
     with progress_bar(quiet) as progress:
         original = None if against is None else read_sequence(against, reading, progress)
-        with replacing(target) as temporary:
+        with atomic_file(target) as temporary:
             plot_model(
                 temporary,
                 model,
                 kind,
                 against=original,
                 frames=None if frames is None else frames.indices(model.header),
-                tolerance=tolerance,
+                tolerance=in_diagonals({"tolerance": tolerance}, first_pose, "tolerance")["tolerance"],
                 camera=camera,
                 progress=progress,
             )
@@ -169,7 +177,7 @@ def _make_film(
     """Make the film of `files`; their captions are by default their names, if there are several."""
     from mixseq.pictures.film import FilmSettings, film
     from mixseq.pictures.film_encoding import check_film, film_format
-    from mixseq_io.files import replacing
+    from mixseq_io.files import atomic_file
 
     form = film_format(target)
     settings = FilmSettings(**{name.removeprefix("film_"): value for name, value in filming.items()})
@@ -180,6 +188,6 @@ def _make_film(
     captions = names or ([file.name for file in files] if len(files) > 1 else [""])
     with ExitStack() as stack, progress_bar(quiet) as progress:
         shown, original = scene_items(files, captions, against, reading, stack)
-        with replacing(target) as temporary:
+        with atomic_file(target) as temporary:
             film(temporary, shown, settings, original, progress)
     announce(target)

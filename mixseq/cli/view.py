@@ -30,15 +30,17 @@ from mixseq.cli.files import (
     write_frames,
 )
 from mixseq.cli.group import announce, needed, progress_bar, say
+from mixseq.cli.lengths import in_diagonals
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
-from mixseq.runtime.interrupts import answered
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.interrupts import acknowledge_signal
+from mixseq.runtime.progress import Progress, no_progress
 
 if TYPE_CHECKING:
     from mixseq.pictures.colours import SceneColours
+    from mixseq.pictures.scene import SceneItem
     from mixseq.retargeting.markers import Markers
     from mixseq.runtime.parallel import Executor
-    from mixseq.sequence.sequence import MeshSequence
+    from mixseq.sequence.sequence import LazyFrames, MeshSequence
     from mixseq.signals.model import Model
     from mixseq.viewer.live.marking import MarkedMeshes
 
@@ -100,12 +102,13 @@ if TYPE_CHECKING:
 )
 @options.group(
     "paging",
-    options.setting("--every N", type=options.COUNT, help="Of the frames of PAGE, keep every N-th."),
-    options.option(
+    options.setting(
+        "--every N", type=options.POSITIVE_INTEGER, help="Of the frames of PAGE, keep every N-th."
+    ),
+    options.length(
         "--max-error E",
-        type=options.POSITIVE,
-        help="No vertex of PAGE is farther off, in diagonals; models that are compressed are taken as they are.  "
-        "[default: 0.001]",
+        help="No vertex of PAGE is farther off than this fraction of the bounding box's diagonal, or 0.5mm; compressed "
+        "models are taken as they are.  [default: 0.001]",
     ),
 )
 @options.reading
@@ -136,7 +139,7 @@ def command(
     started.
 
     With --markers, the two FILES are shown at rest, each in its first frame (of glTF, in the pose without animation),
-    and points that are the same are clicked in pairs. Some are proposed; how well they fit is told meanwhile.
+    and points that are the same are clicked in pairs. Some are proposed; how well they fit is shown meanwhile.
 
     The viewer runs until Ctrl-C. On another machine, forward its port: ssh -L 8080:127.0.0.1:8080 machine.
     """
@@ -162,7 +165,7 @@ def command(
     if markers is not None:
         _set_markers(files, markers, reading, viewing, browser)
         return
-    with options.threads_held(threads) as work:
+    with options.thread_limit(threads) as work:
         with progress_bar(quiet) as progress:
             colours = _opened(files, against, rate, reading, progress)
             if page is not None:
@@ -181,12 +184,12 @@ def _opened(
     """Open models, and read sequences."""
     from mixseq.pictures.colours import SceneColours, check_original
     from mixseq.pictures.scene import Scene
-    from mixseq.sequence.sequence import frame_store
+    from mixseq.sequence.sequence import load_frames
 
     with ExitStack() as stack:
         items, original = scene_items(files, _names(files), against, reading, stack)
         scene = Scene(tuple(item.with_random_access(progress) for item in items), fps).validated()
-        stored = None if original is None else frame_store(original, progress)
+        stored = None if original is None else load_frames(original, progress)
     if stored is not None:
         check_original(scene, stored)
     return SceneColours(scene, stored)
@@ -213,7 +216,7 @@ def _run(
         try:
             _wait(running.address, browser)
         finally:
-            answered()  # later saves are intentional
+            acknowledge_signal()  # later saves are intentional
             for name, model in running.session.unsaved.items():
                 kept = _free_name(Path(f"{Path(name).stem}-unsaved.h5"))
                 mixseq.save(kept, model)
@@ -248,7 +251,7 @@ def _has_screen() -> bool:
 
 def _save(sources: Sequence[Path], path: Path, model: Model, replace: bool) -> str:
     """Write an edited model, as a model or as a sequence; return a message with its name and the files it needs."""
-    from mixseq.runtime.parallel import on_threads
+    from mixseq.runtime.parallel import thread_executor
     from mixseq_io.numbered.files import find_numbered_files
 
     for source in sources:
@@ -259,7 +262,7 @@ def _save(sources: Sequence[Path], path: Path, model: Model, replace: bool) -> s
         if path.suffix.lower() in MODEL_EXTENSIONS:
             mixseq.save(path, model)
         else:
-            write_frames(path, model, model.header, False, {}, silent, on_threads())
+            write_frames(path, model, model.header, False, {}, no_progress, thread_executor())
     except OSError as error:
         raise OutputError(f"{path}: {error.strerror or error}") from None
     return f"{path.name} in {path.parent}{needed(path)}"
@@ -294,8 +297,8 @@ def _set_markers(
         try:
             _wait(running.address, browser)
         finally:
-            answered()  # later saves are intentional
-            if running.session.unsaved:
+            acknowledge_signal()  # later saves are intentional
+            if running.session.has_changes:
                 kept = _free_name(path.with_stem(f"{path.stem}-unsaved"))
                 write_markers(kept, running.session.marking.markers)
                 warnings.warn(f"the markers were not saved; they are in {kept}", MixseqWarning, stacklevel=2)
@@ -306,7 +309,7 @@ def _open_marked_meshes(files: Sequence[Path], path: Path, reading: Mapping[str,
     import numpy as np
 
     from mixseq.mesh.topology import Topology
-    from mixseq.retargeting.checks import check_numbers
+    from mixseq.retargeting.checks import check_marker_vertices
     from mixseq.retargeting.markers import Markers
     from mixseq.viewer.live.marking import MarkedMeshes
     from mixseq_io.registry import FORMATS
@@ -316,11 +319,11 @@ def _open_marked_meshes(files: Sequence[Path], path: Path, reading: Mapping[str,
     check_options(files, reading)
     if path.suffix.lower() in (extension for form in FORMATS for extension in form.extensions):
         raise SettingsError(f"{path}: markers are a text; end the name in .txt, .json or .yml")
-    markers = read_markers(path) if path.exists() else Markers.of(np.zeros((0, 2), np.int64))
+    markers = read_markers(path) if path.exists() else Markers.from_pairs(np.zeros((0, 2), np.int64))
     source, target = (_still(file, reading) for file in files)
     tops = [Topology(mesh.faces, mesh.vertex_count) for mesh in (source, target)]
     try:
-        check_numbers(markers, *tops)
+        check_marker_vertices(markers, *tops)
     except SettingsError as error:
         raise SettingsError(f"{path}: {error}") from None
     names = (files[0].name, files[1].name)
@@ -341,6 +344,13 @@ def _still(path: Path, reading: Mapping[str, Any]) -> MeshSequence:
 # Pages that play on their own -----------------------------------------------------------------------------
 
 
+def _first_frame(item: SceneItem) -> LazyFrames:
+    """Return the first pose of a mesh as a sequence."""
+    from mixseq.sequence.sequence import LazyFrames
+
+    return LazyFrames(item.header, lambda _: iter([item.pose(0.0)[None]]))
+
+
 def _export(
     page: Path,
     colours: SceneColours,
@@ -352,14 +362,17 @@ def _export(
     """Write a page with all meshes."""
     from mixseq.viewer.export import ExportSettings, export_page
     from mixseq.viewer.export_data import page_items
-    from mixseq_io.files import replacing
+    from mixseq_io.files import atomic_file
     from mixseq_io.verification import is_compressed, read_compressed
 
+    # A length is a different fraction of every mesh; the smallest holds for all.
+    bounds = [in_diagonals(settings, _first_frame(item), "max_error") for item in colours.scene.items]
+    bound = min(bounds, key=lambda converted: converted.get("max_error", 0.0))
     items = page_items(
         colours, [read_compressed(file) if is_model(file) and is_compressed(file) else None for file in files]
     )
-    with replacing(page) as temporary:
-        report = export_page(temporary, items, ExportSettings(**settings), progress, workers)
+    with atomic_file(page) as temporary:
+        report = export_page(temporary, items, ExportSettings(**bound), progress, workers)
     announce(page)
     for item in report.items:
         about = f"{item.name}: n" if len(report.items) > 1 else "n"

@@ -21,13 +21,13 @@ def command(out: Path, claim: Claim, quiet: bool) -> None:
     a README. "mixseq encode shot.usdz shot.glb --max-error 0.001" makes files for it.
     """
     from mixseq.web import package_files
-    from mixseq_io.files import replacing
+    from mixseq_io.files import atomic_file
 
     files = package_files()
     out.mkdir(parents=True, exist_ok=True)
     claim(*(out / name for name in files))
     for name, text in files.items():
-        with replacing(out / name) as temporary:
+        with atomic_file(out / name) as temporary:
             temporary.write_text(text, encoding="utf-8", newline="\n")
     if not quiet:
         announce(out)

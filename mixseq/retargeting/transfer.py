@@ -15,148 +15,160 @@ from mixseq.mesh.topology import Topology
 from mixseq.retargeting.contacts import ContactReport, PlantedTransfer, plant_contacts
 from mixseq.retargeting.gradient_transfer import gradient_transfer
 from mixseq.retargeting.markers import Correspondence, Markers
-from mixseq.retargeting.matching import Mesh, Quality
+from mixseq.retargeting.matching import CorrespondenceQuality, RestMesh
 from mixseq.retargeting.mixed_transfer import MixedTransfer, mixed_transfer
 from mixseq.retargeting.parts import PartCorrespondence, PartPoses
-from mixseq.retargeting.sources import SourceMotion, source_motion
-from mixseq.runtime.parallel import Executor, on_threads, one_blas_thread
-from mixseq.runtime.progress import Progress, silent
+from mixseq.retargeting.sources import SourceMotion, prepare_source
+from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import Frames, MeshSequence, block_size, check_frames, collect
+from mixseq.sequence.sequence import Frames, MeshSequence, block_size, check_frames, join_blocks
 from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.signals.model import Model
 from mixseq.types import Float, FloatArray
 
 
 class TransferMethod(Protocol):
-    """A method of transfer, made for two meshes."""
+    """A method of transfer, prepared for two meshes at rest."""
 
     @property
     def parts(self) -> PartCorrespondence | None:
         """Parts and joints of both meshes; None for methods without parts."""
 
-    def frame(self, x: FloatArray) -> Float:
-        """Move the target ``(V', 3)`` as the source is moved in a frame ``(V, 3)``."""
+    def transfer_frame(self, points: FloatArray) -> Float:
+        """Return the target ``(V', 3)`` for a frame ``(V, 3)`` of the source."""
+
+
+@dataclass(frozen=True, eq=False)
+class TransferSettings:
+    """Settings of `transfer`, which documents them; `rest` and `parts` are those of a source to be prepared."""
+
+    markers: Markers | ArrayLike | None = None
+    mapping: Correspondence | Callable[[RestMesh, RestMesh], Correspondence] | None = None
+    method: TransferName = "mixed"
+    rest: int | MeshSequence = 0
+    contacts: Mapping[str, ArrayLike] | None = None
+    parts: int | ArrayLike | None = None
+    joint_width: int = 3
+    shell: ShellSettings | None = None
+
+    def __post_init__(self) -> None:
+        if self.method not in TRANSFERS:
+            raise SettingsError(f"method is {self.method!r}; {' or '.join(map(repr, TRANSFERS))} is expected")
+        if self.contacts and self.method != "mixed":
+            raise SettingsError(
+                "contacts need the poses of parts; leave out the contacts, or choose the method 'mixed'"
+            )
+        if self.markers is not None and self.mapping is not None:
+            raise SettingsError("both markers and a map are given; give one of them")
 
 
 @dataclass(frozen=True, eq=False)
 class Transfer:
-    """A transfer that is ready to make frames; made by `plan`."""
+    """A prepared transfer, from `plan_transfer`."""
 
     header: SequenceHeader  # header of the result: the target's mesh, at the source's times
-    source: SourceMotion  # the source: its frames and its shape at rest
+    source: SourceMotion  # frames and rest shape of the source
     target: Float  # (V', 3) the target at rest
-    correspondence: Correspondence  # where the target is on the source
-    method: TransferMethod  # method that moves the target
-    quality: Quality | None = None  # quality of a correspondence from markers
-    # Where the parts go so that contacts do not slide, if there are any.
-    planted: PlantedTransfer | None = None
+    correspondence: Correspondence  # source point of every target vertex
+    method: TransferMethod  # method that makes the frames
+    quality: CorrespondenceQuality | None = None  # quality of a correspondence from markers
+    planted: PlantedTransfer | None = None  # poses without sliding contacts, if there are contacts
 
     @property
     def contacts(self) -> ContactReport:
         """Report on the contacts."""
         return ContactReport() if self.planted is None else self.planted.report
 
-    def blocks(self, progress: Progress = silent, workers: Executor | None = None) -> Iterator[Float]:
+    def blocks(self, progress: Progress = no_progress, workers: Executor | None = None) -> Iterator[Float]:
         """Yield the target's points in blocks ``(B, V', 3)``, from the first frame to the last."""
-        done, count, work = 0, len(self.source.points), workers or on_threads()
+        done_count, frame_count, run = 0, len(self.source.points), workers or thread_executor()
         size = block_size(max(self.source.header.vertex_count, self.header.vertex_count))
-        slices = [slice(start, start + size) for start in range(0, count, size)]
-        frames, planted = (self.source.points[some] for some in slices), self.planted
+        slices = [slice(start, start + size) for start in range(0, frame_count, size)]
+        frames, planted = (self.source.points[block] for block in slices), self.planted
         if planted is None:
-            made = work(_moved, self.method, frames)
+            blocks = run(_transfer_block, self.method, frames)
         else:
-            poses = (PartPoses(*(values[some] for values in planted.poses)) for some in slices)
-            made = work(_posed, planted.method, zip(frames, poses, strict=True))
-        for block in made:
+            poses = (PartPoses(*(values[block] for values in planted.poses)) for block in slices)
+            blocks = run(_transfer_posed_block, planted.method, zip(frames, poses, strict=True))
+        for block in blocks:
             yield block
-            done += len(block)
-            progress(done, count, "transferring frames")
+            done_count += len(block)
+            progress(done_count, frame_count, "transferring frames")
 
 
-def _moved(method: TransferMethod, block: FloatArray) -> Float:
-    return np.stack([method.frame(x) for x in block])
+def _transfer_block(method: TransferMethod, frames: FloatArray) -> Float:
+    return np.stack([method.transfer_frame(points) for points in frames])
 
 
-def _posed(method: MixedTransfer, item: tuple[FloatArray, PartPoses]) -> Float:
-    block, poses = item
-    each = zip(block, *poses, strict=True)
-    return np.stack([method.frame(x, PartPoses(turns, centres)) for x, turns, centres in each])
+def _transfer_posed_block(method: MixedTransfer, block: tuple[FloatArray, PartPoses]) -> Float:
+    frames, poses = block
+    return np.stack(
+        [
+            method.transfer_frame(points, PartPoses(rotations, centres))
+            for points, rotations, centres in zip(frames, *poses, strict=True)
+        ]
+    )
 
 
-def plan(
+def plan_transfer(
     source: Frames | Model | SourceMotion,
     target: Frames,
-    markers: Markers | ArrayLike | None = None,
-    mapping: Correspondence | Callable[[Mesh, Mesh], Correspondence] | None = None,
-    method: TransferName = "mixed",
-    rest: int | MeshSequence = 0,
-    contacts: Mapping[str, ArrayLike] | None = None,
-    *,
-    parts: int | ArrayLike | None = None,
-    joint_width: int = 3,
-    shell: ShellSettings | None = None,
-    progress: Progress = silent,
+    settings: TransferSettings | None = None,
+    progress: Progress = no_progress,
     workers: Executor | None = None,
 ) -> Transfer:
-    """Prepare a transfer without making frames; takes and raises what `transfer` does, a `SourceMotion` also."""
-    if method not in TRANSFERS:
-        raise SettingsError(f"method is {method!r}; {' or '.join(map(repr, TRANSFERS))} is expected")
-    if contacts and method != "mixed":
-        raise SettingsError(
-            "contacts are kept by the poses of parts; leave them out, or choose the method 'mixed'"
-        )
+    """Prepare a transfer to a target without making frames; raises what `transfer` raises."""
+    settings = settings or TransferSettings()
     check_frames(target)
     with one_blas_thread():
-        motion = source if isinstance(source, SourceMotion) else source_motion(source, rest, parts, progress)
-        shape = next(iter(target.blocks(1)))[0].astype(np.float64)
+        motion = (
+            source
+            if isinstance(source, SourceMotion)
+            else prepare_source(source, settings.rest, settings.parts, progress)
+        )
+        rest = next(iter(target.blocks(1)))[0].astype(np.float64)
         topology = Topology(target.header.faces, target.header.vertex_count)
-        found, quality = correspondence_of(motion, shape, target.header, markers, mapping, progress)
-        gradients = gradient_transfer(motion.topology, motion.rest, topology, shape, found)
+        correspondence, quality = _find_correspondence(motion, rest, target.header, settings, progress)
+        gradients = gradient_transfer(motion.topology, motion.rest, topology, rest, correspondence)
         header = target.header.with_times(motion.header.times, motion.header.fps)
-        if method == "gradients":
-            return Transfer(header, motion, shape, found, gradients, quality)
+        if settings.method == "gradients":
+            return Transfer(header, motion, rest, correspondence, gradients, quality)
         progress(0, 1, "finding parts")
-        labels = motion.part_of_face()
-        mixed = mixed_transfer(gradients, motion.points, labels, joint_width, shell or ShellSettings())
-        if not contacts:
-            return Transfer(header, motion, shape, found, mixed, quality)
-        work = workers or on_threads()
-        planted = plant_contacts(mixed, motion.points, header, contacts, work, progress)
-        return Transfer(header, motion, shape, found, planted.method, quality, planted)
+        shell = settings.shell or ShellSettings()
+        mixed = mixed_transfer(gradients, motion.points, motion.part_of_face(), settings.joint_width, shell)
+        if not settings.contacts:
+            return Transfer(header, motion, rest, correspondence, mixed, quality)
+        planted = plant_contacts(
+            mixed, motion.points, header, settings.contacts, workers or thread_executor(), progress
+        )
+        return Transfer(header, motion, rest, correspondence, planted.method, quality, planted)
 
 
-def correspondence_of(
-    source: SourceMotion,
-    shape: Float,
-    header: SequenceHeader,
-    markers: Markers | ArrayLike | None,
-    mapping: Correspondence | Callable[[Mesh, Mesh], Correspondence] | None,
-    progress: Progress = silent,
-) -> tuple[Correspondence, Quality | None]:
-    """Return the given correspondence, or that of markers or connectivity; for markers also its quality."""
-    if markers is not None and mapping is not None:
-        raise SettingsError("markers and a map are two ways to say the same; give one of them")
-    sizes = tuple((t.vertex_count, len(t.faces)) for t in (source.header, header))
+def _find_correspondence(
+    source: SourceMotion, rest: Float, header: SequenceHeader, settings: TransferSettings, progress: Progress
+) -> tuple[Correspondence, CorrespondenceQuality | None]:
+    """Return the correspondence of a target ``(V', 3)`` by map, markers or connectivity, and the quality by markers."""
+    sizes = tuple((mesh.vertex_count, len(mesh.faces)) for mesh in (source.header, header))
+    mapping, markers = settings.mapping, settings.markers
     if mapping is not None:
         if not isinstance(mapping, Correspondence):
-            mapping = mapping((source.rest, source.header.faces), (shape, header.faces))
+            mapping = mapping((source.rest, source.header.faces), (rest, header.faces))
         mapping.check(*sizes)
         return mapping, None
     if markers is not None:
         from mixseq.retargeting.correspond import correspond_and_assess
 
-        given = markers if isinstance(markers, Markers) else Markers.of(markers)
-        still = MeshSequence.from_header(source.header.with_times([0.0]), source.rest[None])
-        other = MeshSequence.from_header(header.with_times([0.0]), shape[None])
-        found = correspond_and_assess(still, other, given, progress=progress)
-        return found.correspondence, found.quality
+        pairs = markers if isinstance(markers, Markers) else Markers.from_pairs(markers)
+        source_mesh = MeshSequence.from_header(source.header.with_times([0.0]), source.rest[None])
+        target_mesh = MeshSequence.from_header(header.with_times([0.0]), rest[None])
+        return correspond_and_assess(source_mesh, target_mesh, pairs, progress=progress)
     if not np.array_equal(source.topology.faces, header.faces):
-        (vertices, faces), (others, other_faces) = sizes
+        (vertices, faces), (target_vertices, target_faces) = sizes
         raise SettingsError(
-            f"the source has {vertices} vertices and {faces} triangles, the target {others} and {other_faces}, or "
-            "they are in another order; give markers or a map that tell what corresponds"
+            f"the source has {vertices} vertices and {faces} triangles, the target {target_vertices} and "
+            f"{target_faces}, or they are in another order; give markers or a map"
         )
     return Correspondence.identity(*sizes[0]), None
 
@@ -166,7 +178,7 @@ def transfer(
     source: Frames | Model,
     target: Frames,
     markers: Markers | ArrayLike | None = None,
-    mapping: Correspondence | Callable[[Mesh, Mesh], Correspondence] | None = None,
+    mapping: Correspondence | Callable[[RestMesh, RestMesh], Correspondence] | None = None,
     method: TransferName = "mixed",
     rest: int | MeshSequence = 0,
     contacts: Mapping[str, ArrayLike] | None = None,
@@ -174,7 +186,7 @@ def transfer(
     parts: int | ArrayLike | None = None,
     joint_width: int = 3,
     shell: ShellSettings | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     workers: Executor | None = None,
 ) -> MeshSequence:
     """Move a mesh as another one moves.
@@ -234,18 +246,6 @@ def transfer(
     >>> transfer(walk, tall).points.shape == walk.points.shape
     True
     """
-    planned = plan(
-        source,
-        target,
-        markers,
-        mapping,
-        method,
-        rest,
-        contacts,
-        parts=parts,
-        joint_width=joint_width,
-        shell=shell,
-        progress=progress,
-        workers=workers,
-    )
-    return collect(planned.header, planned.blocks(progress, workers))
+    settings = TransferSettings(markers, mapping, method, rest, contacts, parts, joint_width, shell)
+    prepared = plan_transfer(source, target, settings, progress, workers)
+    return join_blocks(prepared.header, prepared.blocks(progress, workers))

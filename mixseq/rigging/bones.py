@@ -30,11 +30,11 @@ from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from mixseq.mesh.rigid import kabsch, nearest_rotations
-from mixseq.rigging.rigs import Skeleton, Skin, without_sign_jumps
+from mixseq.rigging.rigs import Skeleton, Skin, remove_sign_flips
 from mixseq.runtime.jit import compiled
 from mixseq.segmentation.motion import moments, union_errors
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import Frames, bounding_diagonal, frame_store
+from mixseq.sequence.sequence import Frames, bounding_diagonal, load_frames
 from mixseq.types import Float, Index
 
 ROUNDS = 60  # of an active set: each adds or removes a bone
@@ -357,7 +357,7 @@ class Centred:
     @classmethod
     def of(cls, sequence: Frames) -> Centred:
         """Read a sequence into memory."""
-        held = frame_store(sequence)
+        held = load_frames(sequence)
         points = np.asarray(held.points[: held.header.frame_count], dtype=np.float64)
         return cls(held.header, points, points.mean(axis=1), bounding_diagonal(points[0]) or 1.0)
 
@@ -384,7 +384,7 @@ class Centred:
             header=self.header,
             rest=self.diagonal * binding.rest + origin,
             skeleton=skeleton,
-            rotations=without_sign_jumps(quaternions),
+            rotations=remove_sign_flips(quaternions),
             translations=self.diagonal * places + self.centres[:, None],
             influences=np.where(weights > 0, influences, 0),
             weights=weights,
@@ -412,7 +412,7 @@ def motion_of(tracks: Float, rest: Float, vertices: Index) -> Float:
     return transposed(*kabsch(rest[vertices], some))
 
 
-def vertex_labels(faces: Index, labels: Index, vertex_count: int) -> Index:
+def label_vertices(faces: Index, labels: Index, vertex_count: int) -> Index:
     """Return the most frequent label ``(V,)`` of triangles at a vertex, ties to the lowest; 0 where there is none."""
     votes = np.zeros((vertex_count, int(labels.max()) + 1), dtype=np.int64)
     np.add.at(votes, (faces.reshape(-1), np.repeat(labels, 3)), 1)

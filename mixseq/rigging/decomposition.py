@@ -36,11 +36,11 @@ from mixseq.rigging.bones import (
     Binding,
     Centred,
     bind,
+    label_vertices,
     merged,
     motion_of,
     on_rotations,
     seeded,
-    vertex_labels,
 )
 from mixseq.rigging.rigs import INFLUENCES, Skeleton, Skin
 from mixseq.runtime.progress import Progress
@@ -61,7 +61,7 @@ _BETWEEN = 2  # rounds before more bones are seeded
 _TRIED = 3  # a number of sliding joints gets this fraction of all rounds: 1 / _TRIED
 
 
-def free_bones(
+def decompose_tracks(
     tracks: Float, labels: Index, most: int, rounds: int, told: Callable[[int], None]
 ) -> tuple[Binding, Float]:
     """Fit weights, rest positions, motions ``(B, 4, 3T)`` of free bones: tracks ``(V, 3T)``; labels ``(V,)``."""
@@ -186,7 +186,7 @@ def fit_free_bones(
 ) -> FreeBones:
     """Fit free bones: at most a number, or from the labels ``(F,)`` of triangles, or from parts by motion."""
     tracks = sequence.tracks
-    binding, motions = free_bones(tracks, *_initial_labels(sequence, bones), rounds, told)
+    binding, motions = decompose_tracks(tracks, *_initial_labels(sequence, bones), rounds, told)
     off = tracks - binding.matrix(len(motions)) @ motions.reshape(-1, motions.shape[2])
     squares = np.square(off).reshape(len(off), -1, 3).sum(axis=2)
     spread = float(np.square(tracks).sum()) or 1.0
@@ -204,7 +204,7 @@ def skin_of_tree(sequence: Centred, free: FreeBones, rounds: int, told: Callable
     parents = joints.parents[kept]
     origin = sequence.centres[0]
     skeleton = replace(
-        Skeleton.flat(sequence.diagonal * joints.pivots[kept] + origin),
+        Skeleton.from_pivots(sequence.diagonal * joints.pivots[kept] + origin),
         parents=np.where(parents < 0, -1, place[parents]),
     )
     binding = replace(binding, influences=place[binding.influences])
@@ -229,7 +229,7 @@ def _initial_labels(sequence: Centred, bones: int | ArrayLike | None) -> tuple[I
                 f"one whole number for each of the {len(faces)} triangles is expected"
             )
         labels = np.unique(labels, return_inverse=True)[1]
-    return vertex_labels(faces, labels, vertices), count or int(labels.max()) + 1
+    return label_vertices(faces, labels, vertices), count or int(labels.max()) + 1
 
 
 _OTHER_LENGTH = 1.5  # ratio of median edge lengths: another unit, or another mesh; chosen empirically
@@ -306,12 +306,12 @@ def _converted(sequence: Centred, skeleton: Skeleton, bind_pose: MeshSequence) -
             f"the bind pose has {bind_pose.vertex_count} vertices, the sequence has {header.vertex_count}; the same "
             "mesh is expected, or none, if the skeleton stands in the first frame"
         )
-    conversion = UnitConversion.of(bind_pose.header, header.up_axis, header.metres_per_unit)
-    shape = np.asarray(conversion.values(bind_pose.points[0].astype(np.float64)), dtype=np.float64)
+    conversion = UnitConversion.from_header(bind_pose.header, header.up_axis, header.metres_per_unit)
+    shape = np.asarray(conversion.convert(bind_pose.points[0].astype(np.float64)), dtype=np.float64)
     _check_size(shape, sequence)
-    turn = Rotation.from_matrix(conversion.turn)
+    turn = Rotation.from_matrix(conversion.rotation)
     axes = (turn * Rotation.from_quat(skeleton.axes)).as_quat()
-    pivots = np.asarray(conversion.values(skeleton.pivots), dtype=np.float64)
+    pivots = np.asarray(conversion.convert(skeleton.pivots), dtype=np.float64)
     return replace(skeleton, pivots=pivots, axes=axes), shape
 
 

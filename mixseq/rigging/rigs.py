@@ -32,7 +32,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from mixseq.errors import InvalidSequenceError, SettingsError
-from mixseq.mesh.polygons import frozen
+from mixseq.mesh.polygons import read_only
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray, Index
 
@@ -81,7 +81,7 @@ class Skeleton:
         parents = np.asarray(self.parents, dtype=np.int64)
         if parents.shape != (count,):
             raise InvalidSequenceError(f"parents have shape {parents.shape}; ({count},) is expected")
-        object.__setattr__(self, "parents", frozen(parents))
+        object.__setattr__(self, "parents", read_only(parents))
         early = (parents < -1) | (parents >= np.arange(count))
         if early.any():
             bone = int(np.argmax(early))
@@ -98,7 +98,7 @@ class Skeleton:
             )
 
     @classmethod
-    def flat(cls, pivots: FloatArray) -> Skeleton:
+    def from_pivots(cls, pivots: FloatArray) -> Skeleton:
         """Return bones without parents, with the axes of the world, named ``bone_000`` and so on: pivots ``(B, 3)``."""
         count = len(pivots)
         names = tuple(f"bone_{bone:03d}" for bone in range(count))
@@ -204,7 +204,7 @@ class Skin:
         _take(self, "weights", (v, INFLUENCES))
         _take(self, "targets", (m, v, 3))
         _take(self, "target_weights", (t, m))
-        object.__setattr__(self, "influences", frozen(np.asarray(self.influences, dtype=np.int64)))
+        object.__setattr__(self, "influences", read_only(np.asarray(self.influences, dtype=np.int64)))
         if self.influences.shape != (v, INFLUENCES):
             raise InvalidSequenceError(
                 f"influences have shape {self.influences.shape}; ({v}, {INFLUENCES}) is expected"
@@ -240,13 +240,13 @@ class Skin:
         """Points p ``(B, 3)`` about which the bones turn, in the rest shape."""
         return self.skeleton.pivots
 
-    def local(self) -> LocalMotion:
+    def local_motion(self) -> LocalMotion:
         """Return joints relative to their parents: rotations ``(T, B, 4)`` and translations ``(T, B, 3)``.
 
         Rotations have no jumps of sign along the frames.
         """
         found = self.skeleton.to_local(self.rotations, self.translations)
-        return replace(found, rotations=without_sign_jumps(found.rotations))
+        return replace(found, rotations=remove_sign_flips(found.rotations))
 
     def blocks(self, size: int = 16) -> Iterator[Float]:
         """Iterate over the points in blocks ``(n, V, 3)`` of at most `size` frames."""
@@ -280,7 +280,7 @@ class Skin:
         """
         header = self.header.with_times(times, fps)
         before, after, share = _between(self.header, header.times)
-        local = self.local()
+        local = self.local_motion()
         p, q = local.rotations[before], local.rotations[after]
         q = q * np.where(np.sum(p * q, axis=2, keepdims=True) < 0, -1.0, 1.0)
         moved = LocalMotion(
@@ -290,7 +290,7 @@ class Skin:
         return replace(
             self,
             header=header,
-            rotations=without_sign_jumps(rotations),
+            rotations=remove_sign_flips(rotations),
             translations=translations,
             target_weights=_mixed(self.target_weights, before, after, share),
         )
@@ -377,7 +377,7 @@ def rotation_matrices(quaternions: FloatArray) -> Float:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def without_sign_jumps(quaternions: FloatArray) -> Float:
+def remove_sign_flips(quaternions: FloatArray) -> Float:
     """Choose signs of quaternions ``(T, ..., 4)``, w >= 0 at first, then near the one before, for interpolation."""
     q = np.array(quaternions, dtype=np.float64)
     flips = np.ones(q.shape[:-1])
@@ -427,4 +427,4 @@ def _take(rig: object, name: str, shape: tuple[int, ...]) -> None:
         raise InvalidSequenceError(f"{name} have shape {array.shape}; {shape} is expected")
     if not np.isfinite(array).all():
         raise InvalidSequenceError(f"{name} have entries that are not finite")
-    object.__setattr__(rig, name, frozen(array))
+    object.__setattr__(rig, name, read_only(array))

@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import SettingsError
-from mixseq.mesh.polygons import frozen
+from mixseq.mesh.polygons import read_only
 from mixseq.types import Float
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
 
 
-CLOSEST = 1e-100
+MIN_KNOT_SPACING = 1e-100
 """Least time between knots, in seconds, whose third power is still a divisor in double precision."""
 
 
@@ -55,14 +55,14 @@ class Curve:
         apart = np.diff(times)
         if not (np.isfinite(times).all() and np.isfinite(values).all() and (apart > 0).all()):
             raise SettingsError("the knots of a curve must be finite and increase")
-        if (apart < CLOSEST).any():
+        if (apart < MIN_KNOT_SPACING).any():
             knot = int(np.argmin(apart))
             raise SettingsError(
-                f"knots {knot} and {knot + 1} of a curve are {apart[knot]:g} s apart; {CLOSEST:g} s or more are "
-                "expected"
+                f"knots {knot} and {knot + 1} of a curve are {apart[knot]:g} s apart; "
+                f"{MIN_KNOT_SPACING:g} s or more are expected"
             )
-        object.__setattr__(self, "times", frozen(times))
-        object.__setattr__(self, "values", frozen(values))
+        object.__setattr__(self, "times", read_only(times))
+        object.__setattr__(self, "values", read_only(values))
 
     def __repr__(self) -> str:
         return f"Curve({len(self.times)} knots, {self.start:g} to {self.end:g} s, {self.dim} coordinates)"

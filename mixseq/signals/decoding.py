@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import SettingsError
-from mixseq.runtime.parallel import Executor, on_threads, serially
-from mixseq.runtime.progress import Progress, silent
-from mixseq.sequence.frame_rates import exact_rate, seconds_meant, span_text
+from mixseq.runtime.parallel import Executor, serial_executor, thread_executor
+from mixseq.runtime.progress import Progress, no_progress
+from mixseq.sequence.frame_rates import format_span, hint_frame_number, snap_to_ntsc
 from mixseq.sequence.header import SequenceHeader, frame_times
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.spaces.base import ShapeSpace
@@ -20,7 +20,7 @@ from mixseq.types import Float
 
 Decoded = TypeVar("Decoded")
 
-FRAMES = 4
+FRAMES_PER_BLOCK = 4
 """Frames decoded at once, per thread."""
 
 
@@ -85,7 +85,7 @@ class Decodable(ABC):
         self,
         times: ArrayLike | None = None,
         fps: float | None = None,
-        progress: Progress = silent,
+        progress: Progress = no_progress,
         *,
         frames: Iterable[int] | None = None,
         velocities: bool = False,
@@ -116,7 +116,7 @@ class Decodable(ABC):
         SettingsError
             If a time is outside the sequence, there is no such frame, or fps is not positive.
         """
-        header = self.header_at(times if frames is None else self._times_of(frames, times), fps)
+        header = self.header_at(times if frames is None else self._times_of_frames(frames, times), fps)
         if velocities:
             moving = list(self.moving_blocks(header.times, progress=progress))
             points, speeds = (np.concatenate(arrays) for arrays in zip(*moving, strict=True))
@@ -124,7 +124,7 @@ class Decodable(ABC):
         points = np.concatenate(list(self.blocks(header.times, progress=progress)))
         return MeshSequence.from_header(header, points)
 
-    def _times_of(self, frames: Iterable[int], times: ArrayLike | None) -> Float:
+    def _times_of_frames(self, frames: Iterable[int], times: ArrayLike | None) -> Float:
         numbers = np.fromiter(frames, dtype=np.int64)
         if times is not None:
             raise SettingsError("give either times or frames")
@@ -138,32 +138,34 @@ class Decodable(ABC):
         """Return the header of the result of `sample`, without decoding."""
         if fps is not None and not (np.isfinite(fps) and fps > 0):
             raise SettingsError(f"fps is {fps}; a positive number is expected")
-        fps = None if fps is None else exact_rate(fps, self.header.fps)
+        fps = None if fps is None else snap_to_ntsc(fps, self.header.fps)
         if times is None and fps is not None:
             times = frame_times(self.times[0], self.times[-1], fps)
-        return self.header.with_times(self.times if times is None else self.inside(times), fps)
+        return self.header.with_times(self.times if times is None else self.clip_times(times), fps)
 
     def blocks(
         self,
         times: ArrayLike,
-        size: int = FRAMES,
-        progress: Progress = silent,
+        size: int = FRAMES_PER_BLOCK,
+        progress: Progress = no_progress,
         workers: Executor | None = None,
     ) -> Iterator[Float]:
         """Decode frames at `times` in blocks ``(B, V, 3)``, B <= size; the same bits for any blocks and workers."""
-        return _decoded(_points, self, self.inside(times), size, progress, workers)
+        return _decode_blocks(_decode_points, self, self.clip_times(times), size, progress, workers)
 
     def moving_blocks(
         self,
         times: ArrayLike,
-        size: int = FRAMES,
-        progress: Progress = silent,
+        size: int = FRAMES_PER_BLOCK,
+        progress: Progress = no_progress,
         workers: Executor | None = None,
     ) -> Iterator[tuple[Float, Float]]:
         """Decode frames in blocks of points and velocities, in units per second, ``(B, V, 3)`` each."""
-        return _decoded(_moving_points, self, self.inside(times), size, progress, workers)
+        return _decode_blocks(
+            _decode_points_and_velocities, self, self.clip_times(times), size, progress, workers
+        )
 
-    def inside(self, times: ArrayLike) -> Float:
+    def clip_times(self, times: ArrayLike) -> Float:
         """Return times ``(N,)``, rounded to the ends, or raise `SettingsError` if one is outside the model."""
         wanted = np.atleast_1d(np.asarray(times, dtype=np.float64))
         first, last = self.start, self.end
@@ -172,13 +174,13 @@ class Decodable(ABC):
         if outside.any():
             raise SettingsError(
                 f"time {wanted[outside][0]:g} s is outside the sequence, "
-                f"{span_text(first, last, self.header.fps)}; models do not extrapolate"
-                f"{seconds_meant(float(wanted[outside][0]), first, last, self.header.fps)}"
+                f"{format_span(first, last, self.header.fps)}; models do not extrapolate"
+                f"{hint_frame_number(float(wanted[outside][0]), first, last, self.header.fps)}"
             )
         return np.clip(wanted, first, last)
 
 
-def _decoded(
+def _decode_blocks(
     decode: Callable[[Decodable, Float], Decoded],
     model: Decodable,
     times: Float,
@@ -188,8 +190,8 @@ def _decoded(
 ) -> Iterator[Decoded]:
     """Yield results of `decode` (`_points` or `_moving_points`) at times ``(N,)`` in blocks of `size` frames."""
     some = (times[start : start + size] for start in range(0, len(times), size))
-    work = workers or (on_threads() if len(times) > size else serially)
-    model.space.prepared()
+    work = workers or (thread_executor() if len(times) > size else serial_executor)
+    model.space.precompute()
     done = 0
     for block in work(decode, model, some):
         yield block
@@ -197,15 +199,15 @@ def _decoded(
         progress(done, len(times), "decoding frames")
 
 
-def _points(model: Decodable, times: Float) -> Float:
+def _decode_points(model: Decodable, times: Float) -> Float:
     """Return the points ``(N, V, 3)`` at times ``(N,)``."""
     points = model.space.decode(model.curve(times))
     return points if model.residual_layer is None else points + model.residual_layer.at(times)
 
 
-def _moving_points(model: Decodable, times: Float) -> tuple[Float, Float]:
+def _decode_points_and_velocities(model: Decodable, times: Float) -> tuple[Float, Float]:
     """Return points and velocities ``(N, V, 3)`` at times ``(N,)``."""
-    points, speeds = model.space.decode_moving(model.curve(times), model.rates(times))
+    points, speeds = model.space.decode_with_velocities(model.curve(times), model.rates(times))
     if model.residual_layer is None:
         return points, speeds
     return points + model.residual_layer.at(times), speeds + model.residual_layer.rates(times)

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 import mixseq
-from mixseq.rigging.bones import vertex_labels
-from mixseq.rigging.decomposition import free_bones
+from mixseq.rigging.bones import label_vertices
+from mixseq.rigging.decomposition import decompose_tracks
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.segmentation.methods import segment
 from mixseq.types import Float
@@ -104,9 +104,9 @@ def _free(sequence: mixseq.MeshSequence, bones: int) -> tuple[int, Float]:
         centred = (points - centres[:, None]) / diagonal
         topology = mixseq.Topology(sequence.faces, sequence.vertex_count)
         labels = segment(centred, topology, parts=bones)
-        of_vertex = vertex_labels(sequence.faces.astype(np.int64), labels, sequence.vertex_count)
+        of_vertex = label_vertices(sequence.faces.astype(np.int64), labels, sequence.vertex_count)
         tracks = np.ascontiguousarray(centred.swapaxes(0, 1).reshape(sequence.vertex_count, -1))
-        binding, motions = free_bones(tracks, of_vertex, bones, ROUNDS, lambda done: None)
+        binding, motions = decompose_tracks(tracks, of_vertex, bones, ROUNDS, lambda done: None)
         shown = binding.matrix(len(motions)) @ motions.reshape(4 * len(motions), -1)
     frames = shown.reshape(sequence.vertex_count, -1, 3).swapaxes(0, 1)
     return len(motions), diagonal * frames + centres[:, None]

@@ -27,9 +27,11 @@ from numpy.typing import NDArray
 
 import mixseq
 from mixseq.choices import TRANSFERS, TransferName
-from mixseq.retargeting.correspond import Assessed, correspond_and_assess
-from mixseq.retargeting.report import TransferReport, measure
-from mixseq.retargeting.transfer import Transfer, plan
+from mixseq.retargeting.correspond import correspond_and_assess
+from mixseq.retargeting.markers import Correspondence
+from mixseq.retargeting.matching import CorrespondenceQuality
+from mixseq.retargeting.report import TransferReport, measure_transfer
+from mixseq.retargeting.transfer import Transfer, TransferSettings, plan_transfer
 from mixseq.sequence.sequence import MeshSequence
 from mixseq_io.text.markers import read_markers
 
@@ -96,17 +98,17 @@ def compare(name: str, pair: Pair) -> None:
     """Print the tables of a pair."""
     source, rest, target = pair.read()
     start = perf_counter()
-    found = correspond_and_assess(rest, first(target), read_markers(pair.markers))
-    print(f"\n{name}: {_quality(found)}, {perf_counter() - start:.1f} s\n")
+    mapping, quality = correspond_and_assess(rest, first(target), read_markers(pair.markers))
+    print(f"\n{name}: {_quality(quality)}, {perf_counter() - start:.1f} s\n")
     columns = "method", "s / frame", "strain", "unlike the source's", "acceleration", "worst frame"
     print("| " + " | ".join((*columns, "crossings", "turned over")) + " |\n|" + "---|" * 8)
     posed = target.frame_count == source.frame_count
-    results = {method: run(source, rest, target, found, method) for method in TRANSFERS}
+    results = {method: run(source, rest, target, mapping, method) for method in TRANSFERS}
     if posed:
         row(
             "the reference",
             None,
-            measure(results["mixed"][0], [target.points]),
+            measure_transfer(results["mixed"][0], [target.points]),
             results["mixed"][0],
             target.points,
         )
@@ -116,15 +118,20 @@ def compare(name: str, pair: Pair) -> None:
 
 
 def run(
-    source: MeshSequence, rest: MeshSequence, target: MeshSequence, found: Assessed, method: TransferName
+    source: MeshSequence,
+    rest: MeshSequence,
+    target: MeshSequence,
+    mapping: Correspondence,
+    method: TransferName,
 ) -> tuple[Transfer, Float]:
     """Transfer by a method, and print its row."""
-    planned = plan(source, first(target), mapping=found.correspondence, method=method, rest=rest)
+    settings = TransferSettings(mapping=mapping, method=method, rest=rest)
+    planned = plan_transfer(source, first(target), settings)
     next(planned.blocks())  # compiles, and factors
     start = perf_counter()
     points = np.concatenate(list(planned.blocks()))
     seconds = (perf_counter() - start) / len(points)
-    row(method, seconds, measure(planned, [points]), planned, points)
+    row(method, seconds, measure_transfer(planned, [points]), planned, points)
     return planned, points
 
 
@@ -149,10 +156,10 @@ def worst_acceleration(transfer: Transfer, points: Float) -> float:
 
     Frames in which the source hardly accelerates, less than half as much as on average, are left out.
     """
-    from mixseq.retargeting.report import Expected
+    from mixseq.retargeting.report import ExpectedTriangles
 
-    scale = Expected.of(transfer).gradients.alignment.scale
-    carried = scale * transfer.correspondence.carry(transfer.source.points[:].astype(np.float64))
+    scale = ExpectedTriangles.from_transfer(transfer).gradients.alignment.scale
+    carried = scale * transfer.correspondence.interpolate(transfer.source.points[:].astype(np.float64))
     own, other = (
         np.sqrt(np.square(np.diff(x, 2, axis=0)).sum(axis=2).mean(axis=1)) for x in (points, carried)
     )
@@ -182,12 +189,11 @@ def _listed(values: Sequence[float]) -> str:
     return " ".join(f"{value:.2f}" for value in values)
 
 
-def _quality(found: Assessed) -> str:
-    quality = found.quality
+def _quality(quality: CorrespondenceQuality) -> str:
     return (
         f"{len(quality.markers)} markers, {100 * quality.target_coverage:.1f} % of the target matched, "
         f"{100 * quality.source_coverage:.1f} % of the source, "
-        f"{100 * quality.mean:.2f} % of the diagonal away on average, {quality.flipped} flipped"
+        f"{100 * quality.mean_distance:.2f} % of the diagonal away on average, {quality.flipped_count} flipped"
     )
 
 

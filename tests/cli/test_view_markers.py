@@ -48,7 +48,7 @@ class Room:
         self.settings: ViewSettings
         self.save: Callable[[Markers], str]
         self.marking = Marking()
-        self.unsaved = False
+        self.has_changes = False
         monkeypatch.setattr(live, "run_marking_viewer", self._viewer)
         monkeypatch.setattr(module, "threading", SimpleNamespace(Event=lambda: self))
 
@@ -113,7 +113,7 @@ def test_a_file_is_continued(run: Run, room: Room) -> None:
 def test_markers_are_saved_to_the_file(run: Run, room: Room) -> None:
     run("view", "bar.npz", "thick.obj", "--markers", "new.txt", "--no-browser")
     assert len(room.meshes.markers) == 0
-    told = room.save(Markers.of([[1, 2], [3, 4]], ("nose", "")))
+    told = room.save(Markers.from_pairs([[1, 2], [3, 4]], ("nose", "")))
     assert told == "2 markers are in new.txt, for mixseq transfer --markers"
     again = mixseq.read_markers("new.txt")
     assert (again.source.tolist(), again.target.tolist(), again.names) == ([1, 3], [2, 4], ("nose", ""))
@@ -121,7 +121,7 @@ def test_markers_are_saved_to_the_file(run: Run, room: Room) -> None:
 
 @pytest.mark.usefixtures("folder")
 def test_what_is_not_saved_is_kept(run: Run, room: Room) -> None:
-    room.marking, room.unsaved = Marking((Pair((1, 2)),)), True
+    room.marking, room.has_changes = Marking((Pair((1, 2)),)), True
     result = run("view", "bar.npz", "thick.obj", "--markers", "pairs.txt", "--no-browser")
     assert "the markers were not saved; they are in pairs-unsaved.txt" in result.stderr
     assert mixseq.read_markers("pairs-unsaved.txt").source.tolist() == [1]

@@ -126,7 +126,7 @@ class Target:
     @property
     def rounds(self) -> bool:
         """Whether points become float32."""
-        return self.format.holds.points == "float32"
+        return self.format.capabilities.points == "float32"
 
 
 TARGETS = (

@@ -1,4 +1,4 @@
-"""What must be the same of a sequence that was written and read, by the table of what the format holds."""
+"""What must be the same of a sequence that was written and read, by the table of what the format can store."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.mesh.polygons import Polygons
-from mixseq.mesh.surface import WHITE, CornerValues
+from mixseq.mesh.surface import DEFAULT_COLOUR, CornerValues
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import IntArray
-from mixseq_io.format import OPAQUE
+from mixseq_io.format import OPAQUE_PER_VERTEX
 
 
 def assert_kept(target: Any, written: MeshSequence, got: MeshSequence) -> None:
-    """Check everything that the target's format holds."""
-    holds = target.format.holds
+    """Check everything that the target's format can store."""
+    capabilities = target.format.capabilities
     if target.format.name == "glTF":
         written = in_metres(written)
-    if holds.polygons == "triangles":
+    if capabilities.polygons == "triangles":
         order, found = sorted_triangles(written), sorted_triangles(got)
     else:
         assert got.polygons.same_as(written.polygons)
@@ -57,7 +57,7 @@ def assert_points(
     assert_close(target, got.points[:, got.polygons.indices[found]], at)
     if target.keeps_unused:
         assert got.vertex_count == written.vertex_count
-        if target.format.holds.polygons != "triangles":
+        if target.format.capabilities.polygons != "triangles":
             assert_close(target, got.points, expected)
 
 
@@ -70,12 +70,14 @@ def assert_close(target: Any, points: NDArray[Any], expected: NDArray[Any]) -> N
 
 
 def assert_header(target: Any, written: MeshSequence, got: MeshSequence) -> None:
-    holds = target.format.holds
+    capabilities = target.format.capabilities
     times = written.times
-    if "from 0 on" in holds.times:  # where a single frame is no animation, and has no time
+    if "from 0 on" in capabilities.times:  # where a single frame is no animation, and has no time
         times = times if len(times) > 1 else np.zeros(1)
     even = np.allclose(np.diff(times, 2), 0, atol=1e-6)
-    if not holds.times.startswith(("no", "even")) or ("even" in holds.times and even and written.fps == 24):
+    if not capabilities.times.startswith(("no", "even")) or (
+        "even" in capabilities.times and even and written.fps == 24
+    ):
         np.testing.assert_allclose(
             got.times, times, rtol=max(target.time_error, 1e-14), atol=target.time_error
         )
@@ -83,40 +85,40 @@ def assert_header(target: Any, written: MeshSequence, got: MeshSequence) -> None
         assert got.fps == written.fps
     if target.keeps_name and len(written.objects) == 1:
         assert got.name == written.name
-    if holds.units:
+    if capabilities.units:
         assert (got.up_axis, got.metres_per_unit) == (written.up_axis, written.metres_per_unit)
 
 
 def assert_surface(
     target: Any, written: MeshSequence, got: MeshSequence, order: IntArray, found: IntArray
 ) -> None:
-    holds, ours, theirs = target.format.holds, written.surface, got.surface
-    if holds.uvs and ours.uvs is not None:
+    capabilities, ours, theirs = target.format.capabilities, written.surface, got.surface
+    if capabilities.uvs and ours.uvs is not None:
         assert theirs.uvs is not None
         # glTF counts v downwards, and 1 - v rounds.
         np.testing.assert_allclose(
             theirs.uvs.at_corners[found], ours.uvs.at_corners[order], rtol=0, atol=1e-7
         )
-    if holds.colours and ours.colours is not None:
+    if capabilities.colours and ours.colours is not None:
         assert theirs.colours is not None
         expected = ours.colours
-        if holds.colours is not True:
+        if capabilities.colours is not True:
             vertices = written.polygons.indices
-            at_vertices = expected.at_vertices(vertices, written.vertex_count, WHITE)
-            at_vertices[:, 3:] = 1 if holds.colours == OPAQUE else at_vertices[:, 3:]
+            at_vertices = expected.at_vertices(vertices, written.vertex_count, DEFAULT_COLOUR)
+            at_vertices[:, 3:] = 1 if capabilities.colours == OPAQUE_PER_VERTEX else at_vertices[:, 3:]
             expected = CornerValues(at_vertices, vertices)
         np.testing.assert_array_equal(theirs.colours.at_corners[found], expected.at_corners[order])
-    if holds.hard_edges:
+    if capabilities.hard_edges:
         np.testing.assert_array_equal(partition(got, found), partition(written, order))
-    if holds.face_sets:
+    if capabilities.face_sets:
         sets = {each.name: each for each in theirs.face_sets}
         for face_set in ours.face_sets:
             assert marked(got, sets[face_set.name].polygons)[found].tolist() == (
                 marked(written, face_set.polygons)[order].tolist()
             )
-            if holds.materials != "no":
+            if capabilities.materials != "no":
                 assert PurePosixPath(sets[face_set.name].material or sets[face_set.name].name).name
-    if holds.objects and len(ours.objects) > 1:
+    if capabilities.objects and len(ours.objects) > 1:
         assert [(each.name, each.vertex_count) for each in theirs.objects] == [
             (each.name, each.vertex_count) for each in ours.objects
         ]

@@ -69,7 +69,7 @@ def random_skin(sequence: MeshSequence, bones: int = 7, targets: int = 2) -> Ski
     return Skin(
         header=header,
         rest=np.asarray(sequence.points[0], dtype=np.float64),
-        skeleton=Skeleton.flat(rng.normal(size=(bones, 3))),
+        skeleton=Skeleton.from_pivots(rng.normal(size=(bones, 3))),
         rotations=turns / np.linalg.norm(turns, axis=2, keepdims=True),
         translations=rng.normal(size=(t, bones, 3)),
         influences=rng.integers(0, bones, (v, 4)),

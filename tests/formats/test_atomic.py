@@ -16,20 +16,20 @@ from mixseq.errors import FormatError, OutputError, SettingsError
 from mixseq.sequence.sequence import MeshSequence
 from mixseq_io import files, isolation
 from mixseq_io.files import (
-    VARIABLE,
+    MEMORY_LIMIT_VARIABLE,
+    atomic_file,
+    atomic_files,
+    atomic_folder,
     check_memory,
     max_memory,
     memory_limit,
-    replacing,
-    replacing_folder,
-    replacing_many,
 )
 from tests.formats.conftest import Target
 
 
 def test_the_file_appears_at_the_end(tmp_path: Path) -> None:
     target = tmp_path / "a.usdc"
-    with replacing(target) as temporary:
+    with atomic_file(target) as temporary:
         assert temporary.suffix == ".usdc"
         assert temporary.parent == tmp_path
         temporary.write_text("new")
@@ -43,7 +43,7 @@ def test_modes_and_links_are_kept(tmp_path: Path) -> None:
     target.write_text("old")
     target.chmod(0o640)
     link.symlink_to(target)
-    with replacing(link) as temporary:
+    with atomic_file(link) as temporary:
         temporary.write_text("new")
     assert link.is_symlink()
     assert target.read_text() == "new"
@@ -53,7 +53,7 @@ def test_modes_and_links_are_kept(tmp_path: Path) -> None:
 def test_new_files_follow_the_umask(tmp_path: Path) -> None:
     before = os.umask(0o027)
     try:
-        with replacing(tmp_path / "a") as temporary:
+        with atomic_file(tmp_path / "a") as temporary:
             temporary.write_text("new")
     finally:
         os.umask(before)
@@ -64,10 +64,10 @@ def test_new_files_follow_the_umask(tmp_path: Path) -> None:
 def test_errors_pass_and_leave_no_trace(tmp_path: Path, error: type[BaseException]) -> None:
     target = tmp_path / "a.npz"
     target.write_text("old")
-    with pytest.raises(error), replacing(target) as temporary:
+    with pytest.raises(error), atomic_file(target) as temporary:
         temporary.write_text("new")
         raise error
-    with pytest.raises(error), replacing_many(tmp_path / "a_#.obj") as folder:
+    with pytest.raises(error), atomic_files(tmp_path / "a_#.obj") as folder:
         (folder / "a_1.obj").write_text("new")
         raise error
     assert target.read_text() == "old"
@@ -88,11 +88,11 @@ def test_the_file_reaches_the_disk_before_its_name(tmp_path: Path, monkeypatch: 
 
     monkeypatch.setattr(os, "fsync", log_fsync)
     monkeypatch.setattr(Path, "replace", log_replace)
-    with replacing(tmp_path / "a") as temporary:
+    with atomic_file(tmp_path / "a") as temporary:
         temporary.write_text("new")
     assert steps == ["file", "rename", "folder"]
     steps.clear()
-    with replacing_many(tmp_path / "a_#") as folder:
+    with atomic_files(tmp_path / "a_#") as folder:
         for number in (1, 2):
             (folder / f"a_{number}").write_text("new")
     assert steps == ["file", "file", "rename", "rename", "folder"]
@@ -105,7 +105,7 @@ def listed(folder: Path) -> dict[str, str]:
 def test_files_in_a_folder_are_replaced_and_what_others_put_there_stays(tmp_path: Path) -> None:
     target = tmp_path / "a.vat"
     for text in ("first", "second"):
-        with replacing_folder(target, {"one", "two"}) as folder:
+        with atomic_folder(target, {"one", "two"}) as folder:
             (folder / ("one" if text == "first" else "two")).write_text(text)
         (target / "deep").mkdir(exist_ok=True)
         (target / "deep" / "notes").write_text("mine")
@@ -121,7 +121,7 @@ def test_a_folder_stays_the_same_one(tmp_path: Path, monkeypatch: pytest.MonkeyP
         (target / name).write_text("old")
     before = [(each, each.stat().st_ino) for each in (target, target / "mine")]
     monkeypatch.chdir(target)
-    with replacing_folder(target, {"one", "two"}) as folder:
+    with atomic_folder(target, {"one", "two"}) as folder:
         (folder / "one").write_text("new")
         (target / "one.meta").write_text("an engine's")
         assert listed(target) == {"one": "old", "two": "old", "mine": "old", "one.meta": "an engine's"}
@@ -133,13 +133,13 @@ def test_a_folder_stays_the_same_one(tmp_path: Path, monkeypatch: pytest.MonkeyP
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
 def test_a_folder_stays_as_it_was_after_an_error(tmp_path: Path, error: type[BaseException]) -> None:
     target = tmp_path / "a.vat"
-    with pytest.raises(error), replacing_folder(target, {"one"}) as folder:
+    with pytest.raises(error), atomic_folder(target, {"one"}) as folder:
         (folder / "one").write_text("new")
         raise error
     assert list(tmp_path.iterdir()) == []
     target.mkdir()
     (target / "one").write_text("old")
-    with pytest.raises(error), replacing_folder(target, {"one"}) as folder:
+    with pytest.raises(error), atomic_folder(target, {"one"}) as folder:
         (folder / "one").write_text("new")
         raise error
     assert listed(tmp_path) == {"a.vat/one": "old"}
@@ -166,7 +166,7 @@ def test_files_in_a_folder_go_back_if_one_cannot_take_its_place(
     monkeypatch.setattr(Path, "rename", refuse)
     with (
         pytest.raises(OutputError, match=r"cannot write .*a\.vat: Permission denied; choose"),
-        replacing_folder(target, {"one", "two", "three"}) as folder,
+        atomic_folder(target, {"one", "two", "three"}) as folder,
     ):
         for name in ("one", "three"):
             (folder / name).write_text("new")
@@ -175,11 +175,11 @@ def test_files_in_a_folder_go_back_if_one_cannot_take_its_place(
 
 
 def test_long_names(tmp_path: Path) -> None:
-    with replacing(tmp_path / ("ö" * 120)) as temporary:  # 240 of 255 bytes
+    with atomic_file(tmp_path / ("ö" * 120)) as temporary:  # 240 of 255 bytes
         temporary.write_text("new")
     with (
         pytest.raises(OutputError, match="too long; choose a shorter name"),
-        replacing(tmp_path / ("x" * 300)),
+        atomic_file(tmp_path / ("x" * 300)),
     ):
         pass
 
@@ -188,7 +188,7 @@ def test_a_file_for_a_folder(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with (
         pytest.raises(OutputError, match="does not exist; make it first"),
-        replacing(tmp_path / "file" / "a.npz"),
+        atomic_file(tmp_path / "file" / "a.npz"),
     ):
         pass
 
@@ -200,13 +200,13 @@ FACES = np.array([[0, 1, 2]])
 
 @pytest.mark.parametrize(("machine", "limit"), [(4e9, 2e9), (64e9, 8e9)])
 def test_default(monkeypatch: pytest.MonkeyPatch, machine: float, limit: float) -> None:
-    monkeypatch.delenv(VARIABLE, raising=False)
-    monkeypatch.setattr(files, "_memory_of_machine", lambda: int(machine))
+    monkeypatch.delenv(MEMORY_LIMIT_VARIABLE, raising=False)
+    monkeypatch.setattr(files, "_machine_memory", lambda: int(machine))
     assert max_memory() == limit
 
 
 def test_the_call_counts_more_than_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(VARIABLE, "0.5")
+    monkeypatch.setenv(MEMORY_LIMIT_VARIABLE, "0.5")
     assert max_memory() == 1 << 29
     with memory_limit(100):
         with memory_limit(None):
@@ -221,7 +221,7 @@ def test_limits_that_are_none(monkeypatch: pytest.MonkeyPatch) -> None:
     for size in (0, -1.0, float("nan"), float("inf")):
         with pytest.raises(SettingsError, match="limit of memory"), memory_limit(size):
             pass
-    monkeypatch.setenv(VARIABLE, "much")
+    monkeypatch.setenv(MEMORY_LIMIT_VARIABLE, "much")
     with pytest.raises(SettingsError, match="MIXSEQ_READER_MEMORY is 'much'"):
         max_memory()
 
@@ -242,9 +242,9 @@ def test_the_error_tells_what_would_help() -> None:
 @pytest.fixture
 def new_workers(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """End the workers of this test, which have been short of memory."""
-    monkeypatch.setattr(isolation, "idle", [])
+    monkeypatch.setattr(isolation, "idle_workers", [])
     yield
-    isolation.dismiss_all()
+    isolation.close_idle_workers()
 
 
 @pytest.mark.slow

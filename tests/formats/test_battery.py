@@ -101,7 +101,7 @@ def test_what_a_format_cannot_hold_is_told(target: Any, what: str, tmp_path: Pat
         warnings.simplefilter("always")
         write(tmp_path / target.file_name, everything, **target.options)
     told = [str(warning.message) for warning in caught if LOSSES[what] in str(warning.message)]
-    assert bool(told) == (getattr(target.format.holds, what) is not True)
+    assert bool(told) == (getattr(target.format.capabilities, what) is not True)
 
 
 def test_blocks_give_the_whole(target: Any, store: Store, tmp_path: Path) -> None:

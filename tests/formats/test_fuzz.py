@@ -34,12 +34,12 @@ SECONDS = 10.0
 @pytest.fixture(scope="module", autouse=True)
 def strict_limits() -> Iterator[None]:
     """Let workers of the C++ libraries have little time and memory."""
-    isolation.dismiss_all()
+    isolation.close_idle_workers()
     with pytest.MonkeyPatch.context() as environment:
         environment.setenv("MIXSEQ_READER_SECONDS", "5")
         environment.setenv("MIXSEQ_READER_MEMORY", "1")
         yield
-    isolation.dismiss_all()
+    isolation.close_idle_workers()
 
 
 @pytest.fixture(params=FILES)

@@ -30,9 +30,9 @@ def opened(how: str = "well", when: str = "opening") -> SequenceReader:
 @pytest.fixture
 def new_workers(monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]:
     """Let no worker of another test answer, and end those of this one."""
-    monkeypatch.setattr(isolation, "idle", [])
+    monkeypatch.setattr(isolation, "idle_workers", [])
     yield monkeypatch
-    isolation.dismiss_all()
+    isolation.close_idle_workers()
 
 
 def test_the_same_sequence_comes_through() -> None:
@@ -71,8 +71,8 @@ def test_a_forked_process_has_workers_of_its_own(new_workers: pytest.MonkeyPatch
         idle.close()
         rest = busy.blocks(1)
         next(rest)
-        assert len(isolation.idle) == 1
-        assert in_a_fork(lambda: len(isolation.idle)) == "0"
+        assert len(isolation.idle_workers) == 1
+        assert in_a_fork(lambda: len(isolation.idle_workers)) == "0"
         assert in_a_fork(lambda: [float(block[0, 0, 0]) for block in rest]) == "[1.0, 2.0, 3.0]"
         assert in_a_fork(busy.close) == "None"
         here = str(read())
@@ -93,7 +93,7 @@ def test_a_worker_ends_though_a_forked_process_lives(new_workers: pytest.MonkeyP
             os.close(done)
             os.read(going_on, 1)
             os._exit(0)
-    isolation.dismiss_all()
+    isolation.close_idle_workers()
     assert worker._process.returncode == 0
     os.close(done)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0

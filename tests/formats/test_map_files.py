@@ -10,7 +10,7 @@ import pytest
 
 from mixseq.errors import FormatError, OutputError
 from mixseq.retargeting.markers import Correspondence
-from mixseq.retargeting.matching import Mesh, from_barycentric, from_vertices
+from mixseq.retargeting.matching import RestMesh, from_barycentric, from_vertices
 from mixseq_io.text.maps import mesh_checksum, read_map, to_correspondence, write_map
 from tests.meshes import grid, tetrahedron, torus
 
@@ -30,7 +30,7 @@ def same(a: Correspondence, b: Correspondence) -> bool:
     return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in names)
 
 
-def loaded(file: Path, source: Mesh = SOURCE, target: Mesh = TARGET) -> Correspondence:
+def loaded(file: Path, source: RestMesh = SOURCE, target: RestMesh = TARGET) -> Correspondence:
     return to_correspondence(read_map(file), source, target)
 
 
@@ -157,8 +157,8 @@ def test_maps_to_points_of_triangles(tmp_path: Path, name: str) -> None:
     points, faces = SOURCE
     found = loaded(file)
     a, b, c = points[faces[4]]
-    assert np.allclose(found.carry(points)[0], a / 2 + b / 4 + c / 4, atol=1e-15)
-    assert np.array_equal(found.carry(points)[1:3], [points[faces[5, 0]], points[faces[6, 1]]])
+    assert np.allclose(found.interpolate(points)[0], a / 2 + b / 4 + c / 4, atol=1e-15)
+    assert np.array_equal(found.interpolate(points)[1:3], [points[faces[5, 0]], points[faces[6, 1]]])
     assert found.matched.tolist() == [True, True, True, False]
 
 

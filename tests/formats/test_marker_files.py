@@ -117,7 +117,7 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="cannot be read as markers"):
         read_markers(tmp_path / "binary.txt")
     with pytest.raises(OutputError, match="does not exist"):
-        write_markers(tmp_path / "no" / "markers.txt", Markers.of([[1, 2]]))
+        write_markers(tmp_path / "no" / "markers.txt", Markers.from_pairs([[1, 2]]))
 
 
 _name = st.text(st.characters(codec="utf-8", exclude_categories=["C", "Z"]), max_size=5)
@@ -130,7 +130,7 @@ def test_what_is_written_is_read(
 ) -> None:
     file = tmp_path_factory.mktemp("markers") / f"markers.{extension}"
     names = tuple(name for _, _, name in rows)
-    markers = Markers.of([row[:2] for row in rows], names if any(names) else ())
+    markers = Markers.from_pairs([row[:2] for row in rows], names if any(names) else ())
     write_markers(file, markers)
     again = read_markers(file)
     assert again.source.tolist() == markers.source.tolist()

@@ -48,10 +48,10 @@ def test_joints_stand_in_the_world(tmp_path: Path) -> None:
 
 
 def test_a_path_is_a_skeleton(tmp_path: Path) -> None:
-    from mixseq_io.given import reader_of
+    from mixseq_io.path_arguments import argument_reader
 
     mixseq.write_rig(tmp_path / "hinge.glb", hinge(up_axis="Y", metres_per_unit=1.0))
-    read = reader_of("skeleton", {"Skeleton", "NoneType"})
+    read = argument_reader("skeleton", {"Skeleton", "NoneType"})
     assert read is not None
     same(read(str(tmp_path / "hinge.glb"), {}), hinge().skeleton)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from mixseq_io import files
-from mixseq_io.files import put_away, replacing, replacing_many, temporary_name
+from mixseq_io.files import atomic_file, atomic_files, backup_path, temporary_prefix
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="there are no locks")
 
@@ -23,13 +23,13 @@ def killed_while_writing(folder: Path) -> None:
     child = os.fork()
     if not child:
         with (
-            replacing(folder / "a.npz") as file,
-            replacing_many(folder / "a_#.obj") as many,
-            temporary_name(folder) as name,
+            atomic_file(folder / "a.npz") as file,
+            atomic_files(folder / "a_#.obj") as many,
+            temporary_prefix(folder) as name,
         ):
             file.write_text("half")
             (many / "a_1.obj").write_text("half")
-            (folder / "clips").rename(put_away(name, folder / "clips"))
+            (folder / "clips").rename(backup_path(name, folder / "clips"))
             os._exit(0)  # as of SIGKILL: nothing is cleaned up
     os.waitpid(child, 0)
 
@@ -41,7 +41,7 @@ def test_the_next_writer_clears_what_a_killed_one_left(tmp_path: Path) -> None:
     (tmp_path / ".mixseq.txt").write_text("somebody's")
     killed_while_writing(tmp_path)
     assert len(names(tmp_path)) == 8  # the two that are left, three locks and what they are for
-    with replacing(tmp_path / "b.npz") as file:
+    with atomic_file(tmp_path / "b.npz") as file:
         file.write_text("new")
     assert names(tmp_path) == [".mixseq.txt", "a.npz", "b.npz", "clips"]
     assert (tmp_path / "a.npz").read_text() == "old"
@@ -49,11 +49,11 @@ def test_the_next_writer_clears_what_a_killed_one_left(tmp_path: Path) -> None:
 
 
 def test_what_is_being_written_is_left_alone(tmp_path: Path) -> None:
-    with replacing(tmp_path / "a.npz") as one:
+    with atomic_file(tmp_path / "a.npz") as one:
         one.write_text("new")
-        with replacing_many(tmp_path / "b_#.obj") as many:
+        with atomic_files(tmp_path / "b_#.obj") as many:
             (many / "b_1.obj").write_text("new")
-            with replacing(tmp_path / "c.npz") as other:
+            with atomic_file(tmp_path / "c.npz") as other:
                 other.write_text("new")
     assert names(tmp_path) == ["a.npz", "b_1.obj", "c.npz"]
 
@@ -63,14 +63,14 @@ def test_those_of_other_hosts_are_cleared_when_they_are_old(tmp_path: Path, name
     left = tmp_path / f".mixseq.{name}"
     left.mkdir()
     (left / "1.obj").touch()
-    files.clear(tmp_path)
+    files.delete_leftovers(tmp_path)
     assert left.exists()
     long_ago = time.time() - 25 * 3600
     os.utime(left, (long_ago, long_ago))
-    files.clear(tmp_path)
+    files.delete_leftovers(tmp_path)
     assert left.exists()  # what is in it is new
     os.utime(left / "1.obj", (long_ago, long_ago))
-    files.clear(tmp_path)
+    files.delete_leftovers(tmp_path)
     assert not left.exists()
 
 
@@ -81,18 +81,18 @@ def test_file_systems_without_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr("fcntl.flock", refuse)
     (tmp_path / "clips").mkdir()
     killed_while_writing(tmp_path)
-    with replacing(tmp_path / "b.npz") as file:
+    with atomic_file(tmp_path / "b.npz") as file:
         file.write_text("new")
     assert len(names(tmp_path)) == 7  # they may be somebody's
     for path in tmp_path.rglob(".mixseq*"):
         for each in (path, *path.rglob("*")):
             os.utime(each, (0, 0))
-    files.clear(tmp_path)
+    files.delete_leftovers(tmp_path)
     assert names(tmp_path) == ["b.npz", "clips"]
 
 
 def test_a_name_that_another_takes_away_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    lock, tries = files._locked, []
+    lock, tries = files._try_lock, []
 
     def too_late(descriptor: int) -> bool | None:
         tries.append(descriptor)
@@ -100,8 +100,8 @@ def test_a_name_that_another_takes_away_is_not_used(tmp_path: Path, monkeypatch:
             next(tmp_path.glob("*.lock")).unlink()
         return lock(descriptor) if len(tries) > 1 else False
 
-    monkeypatch.setattr(files, "_locked", too_late)
-    monkeypatch.setattr(files, "clear", lambda _: None)
-    with temporary_name(tmp_path) as name:
+    monkeypatch.setattr(files, "_try_lock", too_late)
+    monkeypatch.setattr(files, "delete_leftovers", lambda _: None)
+    with temporary_prefix(tmp_path) as name:
         assert Path(f"{name}.lock").exists()
     assert len(tries) == 3

@@ -18,7 +18,7 @@ from mixseq.errors import FormatError, InvalidSequenceError, MixseqWarning
 from mixseq.operations.resampling import plan, resample
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import FloatArray
-from mixseq_io import in_step, open_sequence, read, write, write_blocks
+from mixseq_io import open_sequence, read, unzip_blocks, write, write_blocks
 
 UsdValidation: Any = import_module("pxr.UsdValidation")
 
@@ -107,7 +107,7 @@ def test_blocks_in_step(path: Path) -> None:
             log.append(frame)
             yield sequence.points[frame : frame + 2], sequence.velocities[frame : frame + 2]
 
-    points, velocities = in_step(pairs())
+    points, velocities = unzip_blocks(pairs())
     taken: list[list[int]] = []
     watched = (taken.append(list(log)) or block for block in velocities)  # type: ignore[func-returns-value]
     write_blocks(path, sequence.header, points, watched)
@@ -326,7 +326,7 @@ def test_velocities_of_a_gallop(data: Path, tmp_path: Path) -> None:
     path = tmp_path / "wolf.usdc"
     model = mixseq.fit(read(data / "npz" / "q_wolf_gallop.npz"), exact=True)
     planned = plan(model, start=0.2, end=0.23, speed=0.5)
-    points, velocities = in_step(planned.moving_blocks())
+    points, velocities = unzip_blocks(planned.moving_blocks())
     write_blocks(path, planned.header, points, velocities)
     written = read(path)
     assert written.velocities is not None

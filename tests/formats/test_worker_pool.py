@@ -22,10 +22,10 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(autouse=True)
 def two_workers(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Let two files have workers, none of which are other tests'."""
-    monkeypatch.setattr(isolation, "MOST", 2)
-    monkeypatch.setattr(isolation, "idle", [])
+    monkeypatch.setattr(isolation, "MAX_WORKERS", 2)
+    monkeypatch.setattr(isolation, "idle_workers", [])
     yield
-    isolation.dismiss_all()
+    isolation.close_idle_workers()
 
 
 @pytest.fixture
@@ -61,7 +61,7 @@ def test_many_files_have_few_processes(path: Path) -> None:
     for reader in readers:
         reader.close()
     assert processes(readers) == []
-    assert len(isolation.idle) == 2
+    assert len(isolation.idle_workers) == 2
 
 
 def test_reading_goes_on_where_it_was(path: Path) -> None:

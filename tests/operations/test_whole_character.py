@@ -12,8 +12,8 @@ import mixseq
 from mixseq.creature import walk_cycle
 from mixseq.mesh.rigid import kabsch
 from mixseq.operations import drag, exaggerate, exaggerate_part, hold, sculpt, swap_key
-from mixseq.operations.limbs import limb_of
-from mixseq.operations.sections import moved
+from mixseq.operations.limbs import find_limb
+from mixseq.operations.sections import map_curve_times
 from mixseq.signals.curve import Curve
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
@@ -81,7 +81,7 @@ def test_a_drag_reaches_the_farthest_frame(made: Made) -> None:
 
 def test_the_time_signal_backwards_shows_the_frames_backwards(made: Made) -> None:
     model, rank = made
-    backwards = replace(model, time=moved(model.time, -1.0, model.start + model.end))
+    backwards = replace(model, time=map_curve_times(model.time, model.start + model.end, -1.0))
     if rank is not None:  # the correction is of the pose that was there
         model, backwards = uncorrected(model), uncorrected(backwards)
     forth, back = (standing(each).sample().points for each in (model, backwards))
@@ -140,9 +140,11 @@ def test_a_limb_moves_in_its_joint_and_all_else_stays(made: Made, kind: str) -> 
     between = np.linspace(model.start, model.end, 2 * len(times) - 1)
     before, after = (each.sample(between).points / space.scale for each in (model, edited))
     away = np.linalg.norm(after - before, axis=2).max(axis=0)
-    limb = limb_of(model, part).parts
+    limb = find_limb(model, part).part_mask
     follows = space.skinning_weights @ limb.astype(np.float64)
-    at_joints = np.isin(np.arange(space.vertex_count), space.joints.vertices) & (space.projection.share > 0)
+    at_joints = np.isin(np.arange(space.vertex_count), space.joint_projection.moving_vertex_ids) & (
+        space.projection.share > 0
+    )
     assert away[(follows == 0) & ~at_joints].max() < 1e-9
     assert away[(follows == 1) & ~at_joints].max() > 0.01
     ends = space.topology.edges[follows[space.topology.edges].max(axis=1) > 0]
@@ -171,7 +173,7 @@ def test_vertices_that_were_not_sculpted_stay(made: Made, between: float) -> Non
     sculpted = sculpt(model, time, edited)
     np.testing.assert_allclose(sculpted(time), edited, atol=1e-9 * space.scale)
     if space.projection.share > 0:
-        others = np.setdiff1d(others, space.joints.vertices)
+        others = np.setdiff1d(others, space.joint_projection.moving_vertex_ids)
     frames = times[[0, 9, 15]]
     before, after = (each.sample(frames).points[:, others] for each in (model, sculpted))
     np.testing.assert_allclose(after, before, atol=1e-9 * space.scale)

@@ -13,7 +13,13 @@ import pytest
 import mixseq
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.mesh.topology import Topology
-from mixseq.retargeting.checks import Bending, check_facing, check_markers, check_orientation, orientation
+from mixseq.retargeting.checks import (
+    BendingEnergy,
+    check_facing,
+    check_markers,
+    check_orientation,
+    find_orientation,
+)
 from mixseq.retargeting.markers import Markers
 from mixseq.types import Float, Index
 from mixseq_io.text.markers import read_markers
@@ -80,14 +86,14 @@ def named(messages: list[str]) -> set[int]:
 def test_affine_maps_do_not_bend() -> None:
     points = creature()
     affine = points @ np.random.default_rng(1).normal(size=(3, 3)) + [1, 2, 3]
-    bending = Bending.of(points)
+    bending = BendingEnergy.from_points(points)
     assert np.abs(bending.matrix @ affine).max() < 1e-12
-    assert bending.left_out(affine)[0].max() < 1e-10
+    assert bending.leave_one_out(affine)[0].max() < 1e-10
 
 
 def test_leaving_out_is_what_fitting_the_others_gives() -> None:
     source, target = creature(), other(creature())
-    distances, _ = Bending.of(source).left_out(target)
+    distances, _ = BendingEnergy.from_points(source).leave_one_out(target)
     rest = np.arange(1, 28)
     # The spline through the others, with the same slack, by its own equations.
     kernel = -np.linalg.norm(source[rest][:, None] - source[rest], axis=2) + 0.05 * np.eye(27)
@@ -190,33 +196,33 @@ def test_a_flat_sheet_may_be_turned_over() -> None:
 )
 def test_what_cannot_be_meant_is_refused(pairs: list[list[int]], message: str) -> None:
     with pytest.raises(SettingsError, match=message):
-        check_markers(Markers.of(pairs), creature(), other(creature()))
+        check_markers(Markers.from_pairs(pairs), creature(), other(creature()))
 
 
 def test_markers_on_a_line_are_refused() -> None:
     points = creature()
     points[:5] = np.linspace(0, 1, 5)[:, None] * [1, 2, 3]
     with pytest.raises(SettingsError, match="all markers of the source are on one line"):
-        check_markers(Markers.of([[k, k] for k in range(5)]), points, other(creature()))
+        check_markers(Markers.from_pairs([[k, k] for k in range(5)]), points, other(creature()))
 
 
 def test_markers_on_a_plane_are_told() -> None:
     points = creature()
     points[:6] = [[x, y, 0.0] for x in (-0.5, 0.5) for y in (0.0, 1.0, 2.0)]
     with pytest.warns(MixseqWarning, match="all markers of the source are on one plane"):
-        check_markers(Markers.of([[k, k] for k in range(6)]), points, points + np.eye(28, 3))
+        check_markers(Markers.from_pairs([[k, k] for k in range(6)]), points, points + np.eye(28, 3))
 
 
 def test_markers_on_vertices_without_triangles_are_refused() -> None:
     unused = Topology(np.array([[1, 2, 3]]), 28)
     with pytest.raises(SettingsError, match=r"marker 1 \(0 -> 0\): no triangle of the source uses"):
-        check_markers(Markers.of([[0, 0], [1, 1], [2, 2], [3, 3]]), creature(), creature(), unused)
+        check_markers(Markers.from_pairs([[0, 0], [1, 1], [2, 2], [3, 3]]), creature(), creature(), unused)
 
 
 def test_the_same_marker_twice_is_one() -> None:
     pairs = [[0, 0], [1, 1], [2, 2], [1, 1]]
     with pytest.raises(SettingsError, match="3 markers that differ, of 4; at least 4"):
-        check_markers(Markers.of(pairs), creature(), other(creature()))
+        check_markers(Markers.from_pairs(pairs), creature(), other(creature()))
 
 
 def test_a_flat_mesh_may_have_strays() -> None:
@@ -225,7 +231,7 @@ def test_a_flat_mesh_may_have_strays() -> None:
     points = np.concatenate([points, [[1.0, 1.0, 7.0]]])
     topology = Topology(faces, len(points))
     pairs = [[k, k] for k in (0, 4, 12, 20, 24)]
-    check_markers(Markers.of(pairs), points, 2 * points, topology, topology)
+    check_markers(Markers.from_pairs(pairs), points, 2 * points, topology, topology)
 
 
 # Inside out ---------------------------------------------------------------------------------------------------
@@ -234,14 +240,14 @@ def test_a_flat_mesh_may_have_strays() -> None:
 @pytest.mark.parametrize("mesh", [tetrahedron(), ring(), tube(7, 5)])
 def test_closed_components_have_an_outside(mesh: tuple[Float, Index]) -> None:
     points, faces = mesh
-    assert orientation(points + 100, faces).signs.tolist() == [1]
-    assert orientation(points, faces[:, ::-1]).signs.tolist() == [-1]
+    assert find_orientation(points + 100, faces).signs.tolist() == [1]
+    assert find_orientation(points, faces[:, ::-1]).signs.tolist() == [-1]
 
 
 def test_open_surfaces_have_none() -> None:
-    assert orientation(*grid(3, 4)).signs.tolist() == [0]
+    assert find_orientation(*grid(3, 4)).signs.tolist() == [0]
     points, faces = ring()
-    assert orientation(points, faces[1:]).signs.tolist() == [1]  # a small hole does not matter
+    assert find_orientation(points, faces[1:]).signs.tolist() == [1]  # a small hole does not matter
 
 
 def test_an_inside_out_mesh_is_refused_by_name() -> None:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from mixseq.errors import SettingsError
-from mixseq.retargeting.checks import check_numbers
+from mixseq.retargeting.checks import check_marker_vertices
 from mixseq.retargeting.markers import Markers
-from mixseq.retargeting.suggestions import FEWEST, examine
+from mixseq.retargeting.suggestions import MIN_EXAMINED_MARKERS, examine_markers
 from tests.retargeting.foxes import on_bones, short, tall
 
 pytestmark = pytest.mark.slow
@@ -22,7 +22,7 @@ def set_markers(*bones: str) -> Markers:
 
 
 def test_right_markers() -> None:
-    found = examine(short().mesh, tall().mesh, set_markers(*MARKED))
+    found = examine_markers(short().mesh, tall().mesh, set_markers(*MARKED))
     assert found.residuals is not None
     assert found.residuals.shape == (len(MARKED),)
     assert np.median(found.residuals) < 0.01
@@ -35,15 +35,15 @@ def test_a_wrong_one() -> None:
     wrong = MARKED.index("thigh.r")
     targets = markers.target.copy()
     targets[wrong] = on_bones(tall(), "neck")[0]
-    found = examine(short().mesh, tall().mesh, Markers(markers.source, targets, MARKED))
+    found = examine_markers(short().mesh, tall().mesh, Markers(markers.source, targets, MARKED))
     assert found.residuals is not None
     assert int(found.residuals.argmax()) == wrong
     assert wrong in found.suspects
-    assert any("thigh.r" in each.why for each in found.suspicions)
+    assert any("thigh.r" in each.message for each in found.suspicions)
 
 
 def test_few_markers_have_no_residuals() -> None:
-    found = examine(short().mesh, tall().mesh, set_markers(*MARKED[: FEWEST - 1]))
+    found = examine_markers(short().mesh, tall().mesh, set_markers(*MARKED[: MIN_EXAMINED_MARKERS - 1]))
     assert found.residuals is None
     assert not found.refusal
 
@@ -52,13 +52,13 @@ def test_why_there_is_no_map() -> None:
     markers = set_markers(*MARKED)
     source = markers.source.copy()
     source[1] = source[0]
-    found = examine(short().mesh, tall().mesh, Markers(source, markers.target))
+    found = examine_markers(short().mesh, tall().mesh, Markers(source, markers.target))
     assert found.residuals is None
     assert "two targets" in found.refusal
 
 
 def test_numbers_are_those_of_vertices() -> None:
     fox, other = short().topology, tall().topology
-    check_numbers(Markers.of([[0, 0], [1499, 999]]), fox, other)
+    check_marker_vertices(Markers.from_pairs([[0, 0], [1499, 999]]), fox, other)
     with pytest.raises(SettingsError, match="the target has 1000 vertices"):
-        check_numbers(Markers.of([[0, 0], [1, 1000]]), fox, other)
+        check_marker_vertices(Markers.from_pairs([[0, 0], [1, 1000]]), fox, other)

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from mixseq.errors import SettingsError
-from mixseq.retargeting.suggestions import CoarseSurface, Extremities, far_apart, maxima, mean_distance
+from mixseq.retargeting.suggestions import (
+    CoarseSurface,
+    Extremities,
+    find_maxima,
+    mean_surface_distances,
+    sample_far_apart,
+)
 from mixseq.types import Float
 from tests.meshes import grid, joined, rotation, topology_of, tube
 from tests.retargeting.foxes import Fox, short, tall
@@ -16,7 +22,7 @@ EARS = {"ear.l", "ear.r"}
 
 
 def surface_of(fox: Fox) -> CoarseSurface:
-    return CoarseSurface.of(fox.points, fox.topology)
+    return CoarseSurface.from_mesh(fox.points, fox.topology)
 
 
 def test_maxima_of_two_hills() -> None:
@@ -28,20 +34,20 @@ def test_maxima_of_two_hills() -> None:
         away = np.linalg.norm(points[:, :2] - place, axis=1) / (high - low)[0]
         return np.asarray(height * np.maximum(1 - away / 0.3, 0))
 
-    surface = CoarseSurface.of(points, topology_of((points, faces)))
+    surface = CoarseSurface.from_mesh(points, topology_of((points, faces)))
     values = np.maximum(hill((0.2, 0.2), 3.0), hill((0.75, 0.75), 2.0))
-    vertices, prominences = maxima(values, surface)
+    vertices, prominences = find_maxima(values, surface)
     np.testing.assert_allclose(prominences[:2], [values.max(), values[vertices[1]]])  # a plain between them
     assert values[vertices[0]] == values.max()
     assert np.linalg.norm(points[vertices[1], :2] - (low + 0.75 * (high - low))[:2]) < 0.06 * (high - low)[0]
 
     raised = np.maximum(values, 1.5)  # a plateau, from which the hills rise
-    assert np.allclose(maxima(raised, surface)[1][1], values[vertices[1]] - 1.5)
+    assert np.allclose(find_maxima(raised, surface)[1][1], values[vertices[1]] - 1.5)
 
 
 def test_samples_are_far_from_each_other() -> None:
     surface = surface_of(short())
-    samples, distances = far_apart(surface, 20)
+    samples, distances = sample_far_apart(surface, 20)
     apart = distances[:, samples] + np.diag(np.full(20, np.inf))
     rest = distances.min(axis=0)
     assert apart.min() >= rest.max() - 1e-9
@@ -49,13 +55,13 @@ def test_samples_are_far_from_each_other() -> None:
 
 def test_the_mean_distance_is_least_in_the_trunk() -> None:
     fox = short()
-    values = mean_distance(surface_of(fox))
+    values = mean_surface_distances(surface_of(fox))
     assert fox.bones[int(values.argmin())] in {"pelvis", "belly", "chest"}
 
 
 def test_extremities_of_the_fox() -> None:
     for fox in (short(), tall()):
-        found = Extremities.of(surface_of(fox))
+        found = Extremities.from_surface(surface_of(fox))
         names = [fox.bones[vertex] for vertex in found.vertices]
         assert set(names[:6]) == TIPS
         assert set(names[6:8]) == EARS
@@ -68,7 +74,7 @@ def test_extremities_of_the_fox() -> None:
 
 def test_distances_in_a_plane() -> None:
     mesh = grid(20, 20)
-    surface = CoarseSurface.of(mesh[0], topology_of(mesh))
+    surface = CoarseSurface.from_mesh(mesh[0], topology_of(mesh))
     straight = np.linalg.norm(surface.points[:, None] - surface.points, axis=2)
     along = surface.distances(np.arange(len(mesh[0])))
     assert (along >= straight - 1e-9).all()
@@ -77,7 +83,7 @@ def test_distances_in_a_plane() -> None:
 
 def test_distances_around_a_tube() -> None:
     mesh = tube(24, 30, closed=False)
-    surface = CoarseSurface.of(mesh[0], topology_of(mesh))
+    surface = CoarseSurface.from_mesh(mesh[0], topology_of(mesh))
     half = np.pi * 0.5 / surface.size  # radius 0.5
     across = surface.distances(np.array([0]))[0, 12]
     assert across == pytest.approx(half, rel=0.01)
@@ -85,8 +91,8 @@ def test_distances_around_a_tube() -> None:
 
 def test_its_unit_is_that_of_the_area() -> None:
     fox = short()
-    surface = CoarseSurface.of(fox.points, fox.topology)
-    moved = CoarseSurface.of(30 * fox.points @ rotation((1.0, 0.3, 0.2)).T + 7, fox.topology)
+    surface = CoarseSurface.from_mesh(fox.points, fox.topology)
+    moved = CoarseSurface.from_mesh(30 * fox.points @ rotation((1.0, 0.3, 0.2)).T + 7, fox.topology)
     assert surface.mesh.face_areas.sum() == pytest.approx(1)
     assert moved.size == pytest.approx(30 * surface.size)
     own, other = (each.distances(np.array([3])) for each in (surface, moved))
@@ -97,7 +103,7 @@ def test_its_unit_is_that_of_the_area() -> None:
 def test_the_largest_component_is_thinned_out() -> None:
     small, large = tube(6, 5), tube(12, 40, length=9.0, radius=1.0)
     mesh = joined(small, large)
-    surface = CoarseSurface.of(mesh[0], topology_of(mesh), 200)
+    surface = CoarseSurface.from_mesh(mesh[0], topology_of(mesh), 200)
     assert surface.vertices.min() >= len(small[0])
     assert 150 <= len(surface.vertices) <= 200
     assert np.isfinite(surface.distances(np.array([0]))).all()
@@ -106,4 +112,4 @@ def test_the_largest_component_is_thinned_out() -> None:
 def test_no_area() -> None:
     mesh = np.zeros((3, 3)), np.array([[0, 1, 2]])
     with pytest.raises(SettingsError, match="no triangle of the mesh has an area"):
-        CoarseSurface.of(mesh[0], topology_of(mesh))
+        CoarseSurface.from_mesh(mesh[0], topology_of(mesh))

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 
 from mixseq.mesh.topology import Topology
-from mixseq.retargeting.gradient_transfer import normalised
+from mixseq.retargeting.gradient_transfer import normalise_rows
 from mixseq.retargeting.markers import Correspondence
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float
@@ -54,7 +54,7 @@ def test_onto_itself_nothing_changes(name: str) -> None:
     sequence: MeshSequence = SEQUENCES[name]()
     mesh = sequence.points[0].astype(np.float64), sequence.faces.astype(np.int64)
     method = gradients(mesh, mesh)
-    moved = np.stack([method.frame(x) for x in sequence.points])
+    moved = np.stack([method.transfer_frame(x) for x in sequence.points])
     assert furthest(moved, sequence.points) <= 1e-9 * sequence.diagonal
 
 
@@ -68,11 +68,11 @@ def test_a_rigid_motion_of_the_source_is_one_of_the_target(motion: tuple[Float, 
     target = shaped(source[0]) @ lying.T, source[1]
     method = gradients(source, target)
     assert np.array_equal(method.alignment.rotation, lying.round())
-    moved = method.frame(source[0] @ turn.T + shift)
+    moved = method.transfer_frame(source[0] @ turn.T + shift)
     about = lying.round() @ turn @ lying.round().T
     root = np.arange(len(tube(6, 9)[0]))
     middle, way = target[0][root].mean(axis=0), (source[0] @ turn.T + shift - source[0])[root].mean(axis=0)
-    expected = (target[0] - middle) @ about.T + middle + method.alignment.shifted(way)
+    expected = (target[0] - middle) @ about.T + middle + method.alignment.map_vectors(way)
     np.testing.assert_allclose(moved[root], expected[root], atol=1e-9)
     # The other piece turns along; the gap between the two is as wide as the source's, turned.
     np.testing.assert_allclose(moved, expected, atol=1e-9)
@@ -85,7 +85,7 @@ def test_a_linear_map_of_the_source_is_applied_to_the_target() -> None:
     method = gradients(source, target)
     np.testing.assert_array_equal(method.alignment.rotation, np.eye(3))
     matrix = rotation((0.4, 1.0, -0.3)) @ [[1.3, 0.2, 0.1], [0.0, 0.8, -0.3], [0.0, 0.0, 1.1]]
-    moved, expected = method.frame(source[0] @ matrix.T), target[0] @ matrix.T
+    moved, expected = method.transfer_frame(source[0] @ matrix.T), target[0] @ matrix.T
     np.testing.assert_allclose(moved - moved.mean(axis=0), expected - expected.mean(axis=0), atol=1e-9)
     way = (source[0] @ matrix.T - source[0]).mean(axis=0)
     np.testing.assert_allclose(
@@ -100,7 +100,7 @@ def test_a_copy_of_any_size_moves_as_the_source(size: float) -> None:
     method = gradients(source, target)
     for x in bending(source):
         expected = size * x @ turn.T + [4.0, 5.0, 6.0]
-        assert furthest(method.frame(x), expected) <= 1e-9 * size * 4
+        assert furthest(method.transfer_frame(x), expected) <= 1e-9 * size * 4
 
 
 def test_gradients_of_a_coarse_mesh_move_its_subdivision() -> None:
@@ -108,7 +108,7 @@ def test_gradients_of_a_coarse_mesh_move_its_subdivision() -> None:
     source = tube(6, 9)
     method = gradients(source, subdivided(source), to_subdivided(source))
     for x in bending(source):
-        assert furthest(method.frame(x), subdivided((x, source[1]))[0]) <= 1e-9
+        assert furthest(method.transfer_frame(x), subdivided((x, source[1]))[0]) <= 1e-9
 
 
 def test_a_gap_that_opens_opens_as_much_for_the_size() -> None:
@@ -124,9 +124,11 @@ def test_a_gap_that_opens_opens_as_much_for_the_size() -> None:
     assert np.array_equal(method.alignment.rotation, turn)
     opened, away = source[0].copy(), np.array([0.3, -0.2, 0.9])
     opened[count:] += away
-    moved = method.frame(opened)
+    moved = method.transfer_frame(opened)
     np.testing.assert_allclose(moved[:count], target[0][:count], atol=1e-9)
-    np.testing.assert_allclose(moved[count:], target[0][count:] + method.alignment.shifted(away), atol=1e-9)
+    np.testing.assert_allclose(
+        moved[count:], target[0][count:] + method.alignment.map_vectors(away), atol=1e-9
+    )
 
 
 def test_what_is_held_turns_with_its_holder() -> None:
@@ -135,8 +137,8 @@ def test_what_is_held_turns_with_its_holder() -> None:
     source = joined(body, (0.2 * lid[0] + [0.0, 0.0, 4.5], lid[1]))
     target = source[0] * [1.0, 1.0, 1.4], source[1]
     method = gradients(source, target)
-    moved = method.frame(bent(source[0], 1.2))
-    (tip,), count = method.attachments.other, len(body[0])
+    moved = method.transfer_frame(bent(source[0], 1.2))
+    (tip,), count = method.attachments.holder_vertices, len(body[0])
     turn = rotation((1.2, 0.0, 0.0))
     expected = (target[0][count:] - target[0][tip]) @ turn.T + moved[tip]
     np.testing.assert_allclose(moved[count:], expected, atol=1e-9)
@@ -147,7 +149,7 @@ def test_followers_go_as_if_stuck_to_their_leaders() -> None:
     leader = 6 * 23 + 1  # near the upper end
     target = joined(body, hat)
     method = gradients(body, target, led(body, hat, leader))
-    moved = method.frame(bent(body[0], 1.2))
+    moved = method.transfer_frame(bent(body[0], 1.2))
     count = len(body[0])
     np.testing.assert_allclose(moved[:count], bent(body[0], 1.2), atol=1e-9)
     turn = rotation((1.2, 0.0, 0.0))
@@ -165,7 +167,7 @@ def test_a_patch_that_is_on_nothing_goes_along() -> None:
     corners[top], weights[top], leaders[top] = -1, 0.0, 8 * 22
     faces = np.where(np.isin(mesh[1], top).any(axis=1), -1, correspondence.faces)
     some = replace(correspondence, corners=corners, weights=weights, leaders=leaders, faces=faces)
-    moved = gradients(mesh, mesh, some).frame(bent(mesh[0], 1.2))
+    moved = gradients(mesh, mesh, some).transfer_frame(bent(mesh[0], 1.2))
     centred = bent(mesh[0], 1.2)
     np.testing.assert_allclose(moved - moved[0], centred - centred[0], atol=1e-9)
 
@@ -173,20 +175,22 @@ def test_a_patch_that_is_on_nothing_goes_along() -> None:
 def test_means_are_over_triangles_around_a_point() -> None:
     sheet = grid(1, 2)  # vertex 1 is in three triangles of equal area, 0 in two
     method = gradients(sheet, sheet)
-    weights = method.around(np.array([0, 1])).toarray()
+    weights = method.averaging_matrix(np.array([0, 1])).toarray()
     around = Topology(sheet[1], 6).faces
     np.testing.assert_allclose(weights, [np.any(around == v, axis=1) / np.sum(around == v) for v in (0, 1)])
 
 
 def test_rows_of_weights_add_to_one() -> None:
-    rows = normalised(gradients(grid(2, 2), grid(2, 2)).around(np.array([4])) * 3.0)
+    rows = normalise_rows(gradients(grid(2, 2), grid(2, 2)).averaging_matrix(np.array([4])) * 3.0)
     assert rows.sum() == pytest.approx(1.0)
-    assert normalised(rows * 0.0).sum() == 0.0
+    assert normalise_rows(rows * 0.0).sum() == 0.0
 
 
 def test_a_source_in_single_precision_is_computed_in_double() -> None:
     mesh = tube(6, 9)
     method = gradients(mesh, mesh)
     single = bending(mesh)[2].astype(np.float32)
-    np.testing.assert_array_equal(method.frame(single), method.frame(single.astype(np.float64)))
-    assert topology_of(mesh).vertex_count == len(method.frame(single))
+    np.testing.assert_array_equal(
+        method.transfer_frame(single), method.transfer_frame(single.astype(np.float64))
+    )
+    assert topology_of(mesh).vertex_count == len(method.transfer_frame(single))

@@ -12,7 +12,7 @@ from mixseq.retargeting.markers import Correspondence, Markers
 
 
 def test_pairs_become_columns() -> None:
-    markers = Markers.of(np.array([[1.0, 2], [3, 4], [5, 6]]))
+    markers = Markers.from_pairs(np.array([[1.0, 2], [3, 4], [5, 6]]))
     assert markers.source.tolist() == [1, 3, 5]
     assert markers.target.tolist() == [2, 4, 6]
     assert len(markers) == 3
@@ -20,7 +20,7 @@ def test_pairs_become_columns() -> None:
 
 
 def test_no_pairs_are_no_markers() -> None:
-    assert len(Markers.of([])) == 0
+    assert len(Markers.from_pairs([])) == 0
 
 
 @pytest.mark.parametrize(
@@ -28,7 +28,7 @@ def test_no_pairs_are_no_markers() -> None:
 )
 def test_what_is_no_pairs_is_refused(pairs: Any) -> None:
     with pytest.raises(SettingsError, match=r"\(n, 2\) whole numbers"):
-        Markers.of(pairs)
+        Markers.from_pairs(pairs)
 
 
 @pytest.mark.parametrize(
@@ -36,12 +36,12 @@ def test_what_is_no_pairs_is_refused(pairs: Any) -> None:
     [((), "2 (3 -> 4)"), (("nose", "tail"), "'tail' (3 -> 4)"), (("nose", ""), "2 (3 -> 4)")],
 )
 def test_messages_call_them_by_name_or_number(names: tuple[str, ...], called: str) -> None:
-    assert Markers.of([[1, 2], [3, 4]], names).name(1) == called
+    assert Markers.from_pairs([[1, 2], [3, 4]], names).name(1) == called
 
 
 def test_names_are_one_each_or_none() -> None:
     with pytest.raises(SettingsError, match="2 markers and 1 names"):
-        Markers.of([[1, 2], [3, 4]], ("nose",))
+        Markers.from_pairs([[1, 2], [3, 4]], ("nose",))
 
 
 # A dense correspondence carries values from a source to a target
@@ -62,7 +62,7 @@ def mixed() -> Correspondence:
 def test_identity_carries_everything_as_it_is() -> None:
     values = np.random.default_rng(0).normal(size=(4, 7, 2))
     same = Correspondence.identity(7, 5)
-    assert np.array_equal(same.carry(values), values)
+    assert np.array_equal(same.interpolate(values), values)
     assert same.matched.all()
     assert same.faces.tolist() == [0, 1, 2, 3, 4]
     same.check((7, 5), (7, 5))
@@ -70,7 +70,7 @@ def test_identity_carries_everything_as_it_is() -> None:
 
 def test_values_are_mixed_by_weights_and_followers_take_their_leaders() -> None:
     values = np.array([[[4.0], [8.0], [16.0]]])
-    assert mixed().carry(values)[0, :, 0].tolist() == [8.0, 16.0, 16.0]
+    assert mixed().interpolate(values)[0, :, 0].tolist() == [8.0, 16.0, 16.0]
     assert mixed().matched.tolist() == [True, True, False]
 
 

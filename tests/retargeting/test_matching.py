@@ -13,9 +13,9 @@ from mixseq.errors import SettingsError
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.markers import Correspondence, Markers, pair_components
 from mixseq.retargeting.matching import (
+    CorrespondenceQuality,
     Matches,
     MatchingSettings,
-    Quality,
     assess,
     from_barycentric,
     from_triangles,
@@ -34,7 +34,7 @@ def matched(
     source: Mesh, target: Mesh, pairs: list[tuple[int, int]], settings: MatchingSettings | None = None
 ) -> Matches:
     """Match meshes that lie on each other."""
-    markers = Markers.of(pairs)
+    markers = Markers.from_pairs(pairs)
     start, goal = surface(source), surface(target)
     return match(start, goal, pair_components(start.topology, goal.topology, markers), settings)
 
@@ -54,7 +54,7 @@ def test_a_subdivided_mesh_matches_the_triangles_it_was_cut_from() -> None:
     fine = subdivided(mesh)
     found = matched(mesh, fine, [(0, 0)]).correspondence
     assert np.array_equal(found.faces, np.repeat(np.arange(len(mesh[1])), 4))
-    np.testing.assert_allclose(found.carry(mesh[0][None])[0], fine[0], atol=1e-12)
+    np.testing.assert_allclose(found.interpolate(mesh[0][None])[0], fine[0], atol=1e-12)
 
 
 def test_sides_that_touch_are_told_apart_by_their_normals() -> None:
@@ -71,7 +71,7 @@ def test_sides_that_touch_are_told_apart_by_their_normals() -> None:
     target = folded(0.05)
     found = matched((folded(0.05)[0] - [0, 0, 0.06], faces), target, [(0, 0)]).correspondence
     before = np.tile(y[:, None], (1, 3))
-    carried = found.carry(before[None])[0, :, 0]
+    carried = found.interpolate(before[None])[0, :, 0]
     straight = (y < 7) | (y > 13)
     np.testing.assert_allclose(carried[straight], y[straight], atol=0.5)
 
@@ -84,11 +84,11 @@ def test_what_finds_nothing_is_filled_along_the_surface() -> None:
     points[middle, 2] = 5.0
     result = matched(source, (points, source[1]), [(0, 0)])
     found = result.correspondence
-    assert np.array_equal(result.found_vertices, ~middle)
+    assert np.array_equal(result.has_vertex_match, ~middle)
     assert found.matched.all()
     assert (found.faces >= 0).all()
     assert np.array_equal(found.leaders, np.arange(len(points)))
-    carried = found.carry(source[0][None])[0]
+    carried = found.interpolate(source[0][None])[0]
     assert np.abs(carried - source[0])[:, :2].max() <= 2.0 + 1e-9
     assert np.isinf(result.distances[middle]).all()
 
@@ -102,7 +102,9 @@ def test_a_component_without_a_marker_follows_one_vertex() -> None:
     assert set(found.leaders[own]) == {97}  # the cap's middle
     assert (found.faces[len(body[1]) :] == -1).all()
     assert (found.faces[: len(body[1])] >= 0).all()
-    np.testing.assert_array_equal(found.carry(body[0][None])[0, own], np.tile(body[0][97], (len(own), 1)))
+    np.testing.assert_array_equal(
+        found.interpolate(body[0][None])[0, own], np.tile(body[0][97], (len(own), 1))
+    )
 
 
 def test_unused_vertices_follow() -> None:
@@ -126,7 +128,7 @@ def test_a_component_of_which_nothing_is_near_matches_all_the_same() -> None:
     mesh = tube(8, 12)
     away = mesh[0] + [50.0, 0, 0]
     result = matched(mesh, (away, mesh[1]), [(0, 0)])
-    assert not result.found_vertices.any()
+    assert not result.has_vertex_match.any()
     assert result.correspondence.matched.all()
     assert (result.correspondence.faces >= 0).all()
 
@@ -148,7 +150,7 @@ def test_settings_are_checked(bad: dict[str, float]) -> None:
 # Quality --------------------------------------------------------------------------------------------------
 
 
-def quality(source: Mesh, target: Mesh, markers: Markers) -> Quality:
+def quality(source: Mesh, target: Mesh, markers: Markers) -> CorrespondenceQuality:
     """Of meshes that lie on each other."""
     settings = MatchingSettings()
     start, goal = (TriangleMesh(mesh[0], topology_of(mesh)) for mesh in (source, target))
@@ -158,19 +160,26 @@ def quality(source: Mesh, target: Mesh, markers: Markers) -> Quality:
 
 def test_of_a_mesh_on_itself_nothing_is_missing() -> None:
     mesh = tube(8, 12)
-    found = quality(mesh, mesh, Markers.of([(0, 0), (50, 50)]))
+    found = quality(mesh, mesh, Markers.from_pairs([(0, 0), (50, 50)]))
     assert found.source_coverage == pytest.approx(1.0)
     assert found.target_coverage == pytest.approx(1.0)
-    assert found.largest < 1e-12
-    assert (found.flipped, found.filled_vertices, found.filled_faces, found.followers) == (0, 0, 0, 0)
+    assert found.largest_distance < 1e-12
+    assert (
+        found.flipped_count,
+        found.filled_vertex_count,
+        found.filled_face_count,
+        found.follower_count,
+    ) == (0, 0, 0, 0)
     assert found.marker_distances.max() == 0
 
 
 def test_distances_are_in_diagonals_of_the_target() -> None:
     sheet = grid(3, 4)
     lifted = sheet[0] + [0, 0, 0.1]
-    found = quality((lifted, sheet[1]), sheet, Markers.of([(0, 0)]))
-    assert (found.mean, found.p99, found.largest) == pytest.approx((0.02, 0.02, 0.02))
+    found = quality((lifted, sheet[1]), sheet, Markers.from_pairs([(0, 0)]))
+    assert (found.mean_distance, found.p99_distance, found.largest_distance) == pytest.approx(
+        (0.02, 0.02, 0.02)
+    )
     assert found.marker_distances == pytest.approx([0.02])
 
 
@@ -179,18 +188,18 @@ def test_half_a_source_covers_half() -> None:
     half = sheet[0][:, 0].max() / 2
     left = sheet[1][(sheet[0][sheet[1]][:, :, 0] <= half + 1e-9).all(axis=1)]
     far = sheet[0] * [3.0, 1.0, 1.0]  # so that a third of the target's area, and a little more, is reached
-    assert quality(sheet, (sheet[0], left), Markers.of([(0, 0)])).source_coverage == pytest.approx(
+    assert quality(sheet, (sheet[0], left), Markers.from_pairs([(0, 0)])).source_coverage == pytest.approx(
         0.5, abs=0.11
     )
-    assert quality(sheet, (far, sheet[1]), Markers.of([(0, 0)])).target_coverage == pytest.approx(
+    assert quality(sheet, (far, sheet[1]), Markers.from_pairs([(0, 0)])).target_coverage == pytest.approx(
         1 / 3, abs=0.1
     )
 
 
 def test_followers_are_counted_and_lower_the_coverage() -> None:
     body, hat = tube(8, 12), tube(8, 12)
-    found = quality(body, joined(body, (hat[0] + [3.0, 0, 0], hat[1])), Markers.of([(0, 0)]))
-    assert found.followers == 1
+    found = quality(body, joined(body, (hat[0] + [3.0, 0, 0], hat[1])), Markers.from_pairs([(0, 0)]))
+    assert found.follower_count == 1
     assert found.target_coverage == pytest.approx(0.5)
     assert found.source_coverage == pytest.approx(1.0)
 
@@ -198,21 +207,21 @@ def test_followers_are_counted_and_lower_the_coverage() -> None:
 def test_vertices_in_no_triangle_are_no_followers() -> None:
     points, faces = tube(8, 12)
     stray = np.concatenate([points, [[9.0, 0, 0]]])
-    assert quality((points, faces), (stray, faces), Markers.of([(0, 0)])).followers == 0
+    assert quality((points, faces), (stray, faces), Markers.from_pairs([(0, 0)])).follower_count == 0
 
 
 def test_flipped_faces_are_counted() -> None:
     sheet = grid(6, 6)
     faces = sheet[1].copy()
     faces[0] = faces[0, ::-1]
-    found = quality(sheet, (sheet[0], faces), Markers.of([(0, 0)]))
-    assert found.flipped == 1
-    assert found.filled_faces == 1
+    found = quality(sheet, (sheet[0], faces), Markers.from_pairs([(0, 0)]))
+    assert found.flipped_count == 1
+    assert found.filled_face_count == 1
 
 
 def test_the_worst_markers_are_named() -> None:
     mesh = tube(8, 12)
-    markers = Markers.of([(0, 0), (1, 3), (2, 2)], ("nose", "left ear", "tail"))
+    markers = Markers.from_pairs([(0, 0), (1, 3), (2, 2)], ("nose", "left ear", "tail"))
     found = quality(mesh, mesh, markers)
     (name, distance), second = found.worst_markers(2)
     assert name == "'left ear' (1 -> 3)"
@@ -245,7 +254,7 @@ def test_identical_meshes_give_the_identity(name: str) -> None:
         from_triangles(np.arange(faces), mesh, mesh),
         from_barycentric(*_corners(mesh), mesh, mesh),
     ):
-        assert np.array_equal(found.carry(mesh[0]), mesh[0])
+        assert np.array_equal(found.interpolate(mesh[0]), mesh[0])
         assert found.faces.tolist() == list(range(faces))
         assert found.leaders.tolist() == list(range(vertices))
         found.check((vertices, faces), (vertices, faces))
@@ -273,8 +282,8 @@ def test_other_numbers_of_the_same_mesh_are_followed(name: str) -> None:
     inner = from_triangles(triangles, (points, faces), target)
     # Two triangles around a vertex share two, and so do all three that meet in the end of a spine.
     shared = np.bincount(target[1].reshape(-1), minlength=len(points)) > (3 if name == "pages" else 2)
-    assert np.array_equal(inner.carry(points)[shared], target[0][shared])
-    assert np.linalg.norm(inner.carry(points) - target[0], axis=1).max() < 1.5
+    assert np.array_equal(inner.interpolate(points)[shared], target[0][shared])
+    assert np.linalg.norm(inner.interpolate(points) - target[0], axis=1).max() < 1.5
 
 
 def test_a_finer_mesh_is_moved_by_the_triangles_that_it_is_on() -> None:
@@ -284,7 +293,7 @@ def test_a_finer_mesh_is_moved_by_the_triangles_that_it_is_on() -> None:
     x, y = target[0][:, 0] / 2, target[0][:, 1] / 2
     weights = np.stack([1 - x - y, x, y], axis=1)
     found = from_barycentric(corners, weights, source, target)
-    assert np.allclose(found.carry(source[0]), target[0], atol=1e-12)
+    assert np.allclose(found.interpolate(source[0]), target[0], atol=1e-12)
     beyond = target[0][target[1]].mean(axis=1)[:, :2].sum(axis=1) - 2
     clear = np.abs(beyond) > 1e-9  # two triangles have their centres on the diagonal
     assert np.array_equal(found.faces[clear], (beyond > 0).astype(int)[clear])
@@ -343,7 +352,7 @@ CORNERS, WEIGHTS = np.array([[0, 1, 2]] * 4), np.full((4, 3), 1 / 3)
     ("make", "given", "message"),
     [
         (from_vertices, (MAP[:3],), r"shape \(3,\).*the target has 4 vertices"),
-        (from_vertices, (MAP * 1.0,), "whole numbers are expected"),
+        (from_vertices, (MAP * 1.0,), "whole number for each is expected"),
         (from_vertices, (MAP + 1,), "entry 3 of the map is 4, but the source has 4.*count from 1"),
         (from_vertices, (MAP - 2,), "entry 0 of the map is -2"),
         (from_vertices, (np.full(4, -1),), "the map leaves out all vertices"),

@@ -18,18 +18,21 @@ PAIRED = ("ear", "cheek", "forepaw", "forearm", "shank", "hindpaw")
 
 def test_a_walking_fox() -> None:
     for fox in (short(), tall()):
-        mirror = Mirror.of(fox.points, fox.topology)
+        mirror = Mirror.from_mesh(fox.points, fox.topology)
         assert mirror is not None
         for side, other in ("lr", "rl"):
             for bone, vertex in zip(
                 PAIRED, on_bones(fox, *(f"{each}.{side}" for each in PAIRED)), strict=True
             ):
-                partner = mirror.partner(int(vertex))
+                partner = mirror.find_partner(int(vertex))
                 if partner is not None:
                     assert fox.bones[partner].endswith(f".{other}"), bone
                     assert fox.bones[partner].split(".")[0] in (bone, *neighbours(bone))
         assert (
-            sum(mirror.partner(int(v)) is not None for v in on_bones(fox, "ear.l", "forepaw.l", "hindpaw.l"))
+            sum(
+                mirror.find_partner(int(v)) is not None
+                for v in on_bones(fox, "ear.l", "forepaw.l", "hindpaw.l")
+            )
             == 3
         )
 
@@ -46,19 +49,22 @@ def neighbours(bone: str) -> tuple[str, ...]:
 
 def test_the_middle_has_no_partner() -> None:
     fox = short()
-    mirror = Mirror.of(fox.points, fox.topology)
+    mirror = Mirror.from_mesh(fox.points, fox.topology)
     assert mirror is not None
-    assert mirror.partner(int(on_bones(fox, "nose")[0])) is None
-    assert mirror.partner(int(on_bones(fox, "tail4")[0])) is None
+    assert mirror.find_partner(int(on_bones(fox, "nose")[0])) is None
+    assert mirror.find_partner(int(on_bones(fox, "tail4")[0])) is None
 
 
 def test_partners_do_not_depend_on_place_and_unit() -> None:
     fox = short()
-    one, other = Mirror.of(fox.points, fox.topology), Mirror.of(50 * fox.points + 3, fox.topology)
+    one, other = (
+        Mirror.from_mesh(fox.points, fox.topology),
+        Mirror.from_mesh(50 * fox.points + 3, fox.topology),
+    )
     assert one is not None
     assert other is not None
     vertices = range(0, len(fox.points), 40)
-    assert [one.partner(v) for v in vertices] == [other.partner(v) for v in vertices]
+    assert [one.find_partner(v) for v in vertices] == [other.find_partner(v) for v in vertices]
 
 
 def test_other_components_have_none() -> None:
@@ -66,12 +72,12 @@ def test_other_components_have_none() -> None:
     points, faces = joined(
         (fox.points, fox.mesh.faces.astype(np.int64)), (0.05 * hat[0] + [0.3, 1.1, 0], hat[1])
     )
-    mirror = Mirror.of(points, Topology(faces, len(points)))
+    mirror = Mirror.from_mesh(points, Topology(faces, len(points)))
     assert mirror is not None
-    assert mirror.partner(len(fox.points) + 3) is None
+    assert mirror.find_partner(len(fox.points) + 3) is None
 
 
 @pytest.mark.parametrize("mesh", [torus(20, 12), tube(12, 30)])
 def test_bodies_without_limbs_have_no_sides(mesh: tuple[np.ndarray, np.ndarray]) -> None:
-    mirror = Mirror.of(mesh[0], topology_of(mesh))
+    mirror = Mirror.from_mesh(mesh[0], topology_of(mesh))
     assert mirror is None

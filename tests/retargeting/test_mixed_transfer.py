@@ -40,7 +40,7 @@ def moving(
 
 
 def placed(method: MixedTransfer, x: Float) -> PartPoses:
-    return method.poses(x, method.shapes.register(method.by_gradients(x))[1])
+    return method.transfer_poses(x, method.rest_shapes.register(method.deform_by_gradients(x))[1])
 
 
 @pytest.mark.parametrize("finer", [False, True], ids=["same triangles", "finer"])
@@ -51,7 +51,7 @@ def test_bones_keep_their_lengths_and_take_the_angle(finer: bool, thicker: float
     if finer:
         target, correspondence = subdivided(target), to_subdivided(TUBE)
     method = moving(TUBE, target, np.stack([TUBE[0], x]), correspondence)
-    moved, rest = method.frame(x), target[0]
+    moved, rest = method.transfer_frame(x), target[0]
     bones = np.flatnonzero(rest[:, 2] < 2.4), np.flatnonzero(rest[:, 2] > 3.4)
     turns, shifts = zip(*(kabsch(rest[bone], moved[bone]) for bone in bones), strict=True)
     between = turns[0].T @ turns[1]
@@ -83,9 +83,9 @@ def test_a_part_that_slides_out_slides_out_for_the_size() -> None:
 def test_the_root_goes_as_far_as_its_stride() -> None:
     method = moving(TUBE, (lengthened(TUBE[0]), TUBE[1]), TUBE[0][None])
     way = np.array([0.3, 1.0, -2.0])
-    rest = method.shapes.centres
+    rest = method.rest_shapes.centres
     for stride in (1.0, 1.7):
-        centres = placed(replace(method, stride=stride), TUBE[0] + way).centres
+        centres = placed(replace(method, stride_ratio=stride), TUBE[0] + way).centres
         expected = stride * method.gradients.alignment.scale * way / method.gradients.target.scale
         np.testing.assert_allclose(centres - rest, np.tile(expected, (2, 1)), atol=1e-9)
 
@@ -96,11 +96,11 @@ def test_parts_go_where_they_are_told() -> None:
     x = bent(TUBE[0], ELBOW, blend=0.3)
     method = moving(TUBE, target, np.stack([TUBE[0], x]))
     own = placed(method, x)
-    np.testing.assert_array_equal(method.frame(x, own), method.frame(x))
+    np.testing.assert_array_equal(method.transfer_frame(x, own), method.transfer_frame(x))
     turn, shift = rotation((0.3, 2.0, -0.5)), np.array([1.0, 2.0, 3.0])
     told = PartPoses(turn @ own.rotations, own.centres @ turn.T + shift)
-    expected = method.frame(x) @ turn.T + shift * method.gradients.target.scale
-    assert furthest(method.frame(x, told), expected) < 1e-7
+    expected = method.transfer_frame(x) @ turn.T + shift * method.gradients.target.scale
+    assert furthest(method.transfer_frame(x, told), expected) < 1e-7
 
 
 def test_pieces_that_no_edge_joins_are_linked() -> None:
@@ -113,7 +113,7 @@ def test_pieces_that_no_edge_joins_are_linked() -> None:
     assert method.body.pairs.tolist()[0] == [0, 1]
     assert len(method.body.pairs) == 2
     assert 2 in method.body.pairs[1]
-    moved = method.frame(x)
+    moved = method.transfer_frame(x)
     upper = np.flatnonzero(target[0][:, 2] > 3.6)
     turn, shift = kabsch(target[0][upper], moved[upper])
     assert furthest(target[0][upper] @ turn.T + shift, moved[upper]) < 5e-3
@@ -125,13 +125,13 @@ def test_a_mesh_of_one_part_moves_as_gradients_move_it() -> None:
     made = gradients(TUBE, target)
     alone = np.zeros(len(TUBE[1]), dtype=np.int64)
     method = mixed_transfer(made, x[None], alone, 3, ShellSettings())
-    moved, other = method.frame(x), made.frame(x)
+    moved, other = method.transfer_frame(x), made.transfer_frame(x)
     np.testing.assert_allclose(moved - moved.mean(axis=0), other - other.mean(axis=0), atol=1e-9)
 
 
 def test_parts_are_registered_to_their_shapes() -> None:
     labels = (TUBE[0][TUBE[1]].mean(axis=1)[:, 2] > 2).astype(np.int64)
-    parts = RestShapes.of(decompose(topology_of(TUBE), labels, 3), TUBE[0])
+    parts = RestShapes.from_decomposition(decompose(topology_of(TUBE), labels, 3), TUBE[0])
     turn, shift = rotation((1.0, 2.0, -0.5)), np.array([3.0, 1.0, 0.0])
     aligned, poses = parts.register(TUBE[0] @ turn.T + shift)
     np.testing.assert_allclose(aligned, parts.shapes, atol=1e-9)
@@ -144,5 +144,5 @@ def test_the_same_frame_is_the_same_whatever_was_asked_before() -> None:
     x = bent(TUBE[0], ELBOW, blend=0.3)
     first = moving(TUBE, target, np.stack([TUBE[0], x]), to_subdivided(TUBE))
     second = moving(TUBE, target, np.stack([TUBE[0], x]), to_subdivided(TUBE))
-    second.frame(TUBE[0])
-    np.testing.assert_array_equal(first.frame(x), second.frame(x))
+    second.transfer_frame(TUBE[0])
+    np.testing.assert_array_equal(first.transfer_frame(x), second.transfer_frame(x))

@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from mixseq.creature import DUTY, STEP, part_of_vertex, walk_cycle
+from mixseq.creature import STANCE_FRACTION, STANCE_TRAVEL_METRES, part_of_vertex, walk_cycle
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.retargeting.contacts import ContactReport
 from mixseq.retargeting.limbs import ArticulatedBody, Contact
 from mixseq.retargeting.mixed_transfer import MixedTransfer
-from mixseq.retargeting.sources import source_motion
-from mixseq.retargeting.transfer import plan
+from mixseq.retargeting.sources import prepare_source
+from mixseq.retargeting.transfer import TransferSettings, plan_transfer
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float, Index
 from tests.meshes import rotation
@@ -46,7 +46,7 @@ def taller(points: Float) -> Float:
 
 def over_the_ground(walk: MeshSequence) -> MeshSequence:
     """The walk as fast as the ground moves past."""
-    way = STEP / DUTY * np.arange(walk.frame_count) / walk.frame_count
+    way = STANCE_TRAVEL_METRES / STANCE_FRACTION * np.arange(walk.frame_count) / walk.frame_count
     return walk.with_points(walk.points + way[:, None, None] * [1.0, 0.0, 0.0])
 
 
@@ -63,9 +63,9 @@ def walk() -> Walk:
     rest = source.points[0]
     target = MeshSequence.from_arrays(taller(rest)[None], source.faces, up_axis="Y")
     soles = soles_of(rest)
-    motion = source_motion(source, parts=source_motion(source).part_of_face())
-    with_contacts = plan(motion, target, contacts=soles)
-    free = np.concatenate(list(plan(motion, target).blocks()))
+    motion = prepare_source(source, parts=prepare_source(source).part_of_face())
+    with_contacts = plan_transfer(motion, target, TransferSettings(contacts=soles))
+    free = np.concatenate(list(plan_transfer(motion, target).blocks()))
     planted = np.concatenate(list(with_contacts.blocks()))
     assert isinstance(with_contacts.method, MixedTransfer)
     return Walk(source, target, soles, free, planted, with_contacts.contacts, with_contacts.method)
@@ -88,7 +88,7 @@ def test_paws_rest_as_long_as_those_of_the_source(walk: Walk) -> None:
     assert [group.name for group in walk.report.groups] == list(PAWS)
     for group in walk.report.groups:
         frames = sum(some.stop - some.start for some in group.stances)
-        assert frames / FRAMES == pytest.approx(DUTY, abs=0.1)
+        assert frames / FRAMES == pytest.approx(STANCE_FRACTION, abs=0.1)
 
 
 def test_paws_do_not_slide(walk: Walk) -> None:
@@ -133,7 +133,7 @@ def test_the_body_travels_as_its_legs_are_long(walk: Walk) -> None:
     own = walk.source.points[-1].mean(axis=0) - walk.source.points[0].mean(axis=0)
     assert 1.1 < way[0] / own[0] < LONGER
     assert way[0] / own[0] == pytest.approx(
-        walk.method.stride * walk.method.gradients.alignment.scale, rel=0.03
+        walk.method.stride_ratio * walk.method.gradients.alignment.scale, rel=0.03
     )
 
 
@@ -142,7 +142,7 @@ def test_a_walk_on_the_spot_never_rests() -> None:
     sole = soles_of(source.points[0])["forepaw.l"]
     target = MeshSequence.from_arrays(source.points[:1], source.faces)
     with pytest.warns(MixseqWarning, match=r"contact 'sole' never rests.*on the spot"):
-        plan(source, target, contacts={"sole": sole}, parts=6)
+        plan_transfer(source, target, TransferSettings(contacts={"sole": sole}, parts=6))
 
 
 def test_one_contact_is_on_one_leg(walk: Walk) -> None:
@@ -150,7 +150,7 @@ def test_one_contact_is_on_one_leg(walk: Walk) -> None:
     with pytest.raises(
         SettingsError, match=r"contact 'paws' are on several limbs.*one contact for each foot"
     ):
-        plan(walk.source, walk.target, contacts={"paws": both})
+        plan_transfer(walk.source, walk.target, TransferSettings(contacts={"paws": both}))
 
 
 def test_a_contact_may_bend_within_its_part() -> None:
@@ -165,11 +165,14 @@ def test_a_contact_may_bend_within_its_part() -> None:
     seen = points + np.arange(4)[:, None, None] * [0.0, 0.0, 0.1]
     soft = Contact("foot", points, np.array([1, 1]), seen)
     np.testing.assert_allclose(
-        walker.path(soft, turns, centres)[0], walker.path(stiff, turns, centres)[0], atol=1e-12
+        walker.contact_path(soft, turns, centres)[0],
+        walker.contact_path(stiff, turns, centres)[0],
+        atol=1e-12,
     )
-    up = walker.path(soft, turns, centres) - walker.path(stiff, turns, centres)
+    up = walker.contact_path(soft, turns, centres) - walker.contact_path(stiff, turns, centres)
     np.testing.assert_allclose(up, seen - points, atol=1e-12)  # z is not turned
     some = np.array([1, 3])
     np.testing.assert_array_equal(
-        walker.path(soft, turns[some], centres[some], some), walker.path(soft, turns, centres)[some]
+        walker.contact_path(soft, turns[some], centres[some], some),
+        walker.contact_path(soft, turns, centres)[some],
     )

@@ -9,7 +9,7 @@ import pytest
 
 import mixseq
 from mixseq.choices import TRANSFERS, TransferName
-from mixseq.retargeting.transfer import plan
+from mixseq.retargeting.transfer import TransferSettings, plan_transfer
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import FloatArray
 from mixseq_io.text.markers import read_markers
@@ -57,7 +57,7 @@ def test_a_horse_on_a_camel_is_the_camel_of_sumner_and_popovic(data: Path) -> No
     horses, camels = (mixseq.read(data / "npz" / f"{name}_poses.npz") for name in ("horse", "camel"))
     some = MeshSequence.from_header(horses.header.with_times(horses.times[:3]), horses.points[:3])
     markers = read_markers(data / "markers" / "golevka_horse_camel.cons")
-    planned = plan(some, still(camels.points[0], camels), markers)
+    planned = plan_transfer(some, still(camels.points[0], camels), TransferSettings(markers))
     assert planned.quality is not None
     moved = np.concatenate(list(planned.blocks()))
     away = moved - camels.points[:3]

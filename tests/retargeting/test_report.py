@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mixseq.choices import TRANSFERS
 from mixseq.errors import InvalidSequenceError
 from mixseq.mesh.surface import MeshObject, Surface
 from mixseq.mesh.topology import Topology
@@ -14,14 +15,14 @@ from mixseq.metrics import compare
 from mixseq.retargeting.markers import Correspondence
 from mixseq.retargeting.report import (
     Acceleration,
-    Counts,
-    Meter,
+    FrameCounts,
+    TransferMeter,
     TransferReport,
-    component_names,
-    coverage,
-    measure,
+    measure_coverage,
+    measure_transfer,
+    name_components,
 )
-from mixseq.retargeting.transfer import Transfer, plan
+from mixseq.retargeting.transfer import Transfer, TransferSettings, plan_transfer
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import FloatArray
 from tests.meshes import bar, bent, grid, joined, rotation, tetrahedron, tube
@@ -33,12 +34,12 @@ def at_rest(sequence: MeshSequence, points: FloatArray | None = None) -> MeshSeq
 
 
 def planned(source: MeshSequence, target: MeshSequence, mapping: Correspondence | None = None) -> Transfer:
-    return plan(source, target, mapping=mapping, method="gradients")
+    return plan_transfer(source, target, TransferSettings(mapping=mapping, method="gradients"))
 
 
 def reported(source: MeshSequence, points: FloatArray) -> TransferReport:
     """What is said of frames as if they were the source's own motion on its own mesh."""
-    return measure(planned(source, at_rest(source)), [points])
+    return measure_transfer(planned(source, at_rest(source)), [points])
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +67,7 @@ def test_strain_is_that_of_compare(body: MeshSequence) -> None:
 def test_a_turned_and_scaled_target_is_no_worse(body: MeshSequence) -> None:
     turn = rotation((0.4, 1.1, -0.3))
     target = at_rest(body, 2.5 * body.points[0] @ turn.T + [3, 0, 1])
-    report = measure(planned(body, target), [2.5 * body.points @ turn.T + [3, 0, 1]])
+    report = measure_transfer(planned(body, target), [2.5 * body.points @ turn.T + [3, 0, 1]])
     assert report.excess.max < 1e-10
     assert report.smoothness is not None
     assert report.smoothness.ratio == pytest.approx(1.0)
@@ -84,7 +85,9 @@ def test_the_source_strain_is_expected_of_the_target() -> None:
     points, faces = grid(2, 2)
     growing = MeshSequence.from_arrays(points * np.array([1.0, 1.2])[:, None, None], faces)
     target = at_rest(growing, points * [3, 1, 1])
-    report = measure(planned(growing, target), [np.stack([target.points[0], 1.2 * target.points[0]])])
+    report = measure_transfer(
+        planned(growing, target), [np.stack([target.points[0], 1.2 * target.points[0]])]
+    )
     assert report.excess.max < 1e-12
     assert report.strain.max == pytest.approx(0.2)
 
@@ -108,7 +111,7 @@ def test_flat_triangles_count_if_they_were_not_flat_at_rest() -> None:
     flat = still.points.copy()
     flat[1, 3] = (points[0] + points[1]) / 2
     report = reported(still, flat)
-    assert report.flat == Counts(1, (0, 1), (0, 1))
+    assert report.flat == FrameCounts(1, (0, 1), (0, 1))
 
 
 def test_self_intersections_at_rest_and_after() -> None:
@@ -156,25 +159,27 @@ def test_blocks_make_no_difference(body: MeshSequence, sizes: list[int]) -> None
     made = planned(body, at_rest(body, body.points[0] * [1, 1, 1.3]))
     frames = np.concatenate(list(made.blocks()))
     blocks = np.split(frames, np.cumsum(sizes)[:-1])
-    meter = Meter(made)
-    passed = list(meter.passing(blocks))
+    meter = TransferMeter(made)
+    passed = list(meter.measure_blocks(blocks))
     assert all(a is b for a, b in zip(passed, blocks, strict=True))
-    assert meter.report() == measure(made)
+    assert meter.report() == measure_transfer(made)
 
 
 def test_other_meshes_and_numbers_of_frames_are_refused(body: MeshSequence) -> None:
     made = planned(body, at_rest(body))
     with pytest.raises(InvalidSequenceError, match="frame 0 has 7 vertices"):
-        measure(made, [body.points[:, :7]])
-    with pytest.raises(InvalidSequenceError, match="more than the 5 frames of the source"):
-        measure(made, [body.points, body.points[:1]])
+        measure_transfer(made, [body.points[:, :7]])
+    with pytest.raises(InvalidSequenceError, match="more frames than the 5 of the source"):
+        measure_transfer(made, [body.points, body.points[:1]])
     with pytest.raises(InvalidSequenceError, match="4 frames were measured, the source has 5"):
-        measure(made, [body.points[:4]])
+        measure_transfer(made, [body.points[:4]])
 
 
 def test_both_methods_can_be_compared(body: MeshSequence) -> None:
     target = at_rest(body, bent(body.points[0], 0.2) * [1, 1, 1.2])
-    mixed, gradients = (measure(plan(body, target, method=how)) for how in ("mixed", "gradients"))
+    mixed, gradients = (
+        measure_transfer(plan_transfer(body, target, TransferSettings(method=method))) for method in TRANSFERS
+    )
     assert mixed.source_strain == gradients.source_strain
     assert mixed.excess.rms < 0.2 and gradients.excess.rms < 0.2
     assert mixed.as_dict().keys() == gradients.as_dict().keys()
@@ -194,13 +199,13 @@ def test_what_follows_is_named(body: MeshSequence) -> None:
         faces=np.concatenate([same.faces, led[:, 0]]),
         leaders=np.concatenate([same.leaders, np.full(4, 11)]),
     )
-    found = coverage(planned(body, target, mapping))
+    found = measure_coverage(planned(body, target, mapping))
     assert found.source_area == 1.0
     assert 0 < found.area < 1
     assert found.vertices == pytest.approx(body.vertex_count / len(points))
     (follower,) = found.followers
     assert vars(follower) == {"name": "component 2", "vertices": 4, "leader": 11, "leads": "component 1"}
-    report = measure(planned(body, target, mapping))
+    report = measure_transfer(planned(body, target, mapping))
     assert report.as_dict()["coverage"]["followers"] == [vars(follower)]
 
 
@@ -210,8 +215,8 @@ def test_components_have_the_names_of_objects() -> None:
     objects = MeshObject("body", "", 8, 8), MeshObject("hat", "", 4, 4)
     named = replace(sequence.header, surface=Surface(objects=objects))
     topology = Topology(faces, len(points))
-    assert component_names(named, topology) == ["component 1 of body", "component 2 of body", "hat"]
-    assert component_names(sequence.header, topology) == ["component 1", "component 2", "component 3"]
+    assert name_components(named, topology) == ["component 1 of body", "component 2 of body", "hat"]
+    assert name_components(sequence.header, topology) == ["component 1", "component 2", "component 3"]
 
 
 def test_accelerations_of_no_frames() -> None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import mixseq
 from mixseq.errors import InvalidSequenceError, SegmentationError, SettingsError
 from mixseq.mesh.rigid import kabsch
-from mixseq.retargeting.sources import Alignment, _quarter_turns, align, source_motion
+from mixseq.retargeting.sources import Alignment, _quarter_turns, fit_alignment, prepare_source
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.spaces.mixed.mixed_space import MixedSpace
 from mixseq.types import Float, FloatArray
@@ -26,7 +26,7 @@ def still(points: FloatArray) -> MeshSequence:
 
 def test_the_rest_is_a_frame() -> None:
     for rest, frame in ((0, 0), (4, 4), (-1, 5), (np.int64(2), 2)):
-        motion = source_motion(WALK, rest)  # type: ignore[arg-type]
+        motion = prepare_source(WALK, rest)  # type: ignore[arg-type]
         np.testing.assert_array_equal(motion.rest, WALK.points[frame])
     assert motion.rest.dtype == np.float64
     assert motion.header.frame_count == len(motion.points) == 6
@@ -34,8 +34,8 @@ def test_the_rest_is_a_frame() -> None:
 
 def test_the_rest_is_a_mesh_of_any_size() -> None:
     straight = WALK.points[0]
-    assert np.array_equal(source_motion(WALK, still(straight)).rest, straight)
-    larger = source_motion(WALK, still(7.0 * straight + 1.0)).rest
+    assert np.array_equal(prepare_source(WALK, still(straight)).rest, straight)
+    larger = prepare_source(WALK, still(7.0 * straight + 1.0)).rest
     # As large as in the motion, but for the little that edges stretch there.
     ratio = np.linalg.norm(np.ptp(larger, axis=0)) / np.linalg.norm(np.ptp(straight, axis=0))
     assert ratio == pytest.approx(1.0, abs=0.02)
@@ -43,18 +43,18 @@ def test_the_rest_is_a_mesh_of_any_size() -> None:
 
 def test_a_mesh_of_nearly_the_same_size_is_left_as_it_is() -> None:
     slightly = 1.03 * WALK.points[0]
-    assert np.array_equal(source_motion(WALK, still(slightly)).rest, slightly)
+    assert np.array_equal(prepare_source(WALK, still(slightly)).rest, slightly)
 
 
 def test_of_a_rest_with_many_frames_the_first_counts() -> None:
     rest = MeshSequence.from_arrays(WALK.points[2:4], WALK.faces)
-    np.testing.assert_array_equal(source_motion(WALK, rest).rest, WALK.points[2])
+    np.testing.assert_array_equal(prepare_source(WALK, rest).rest, WALK.points[2])
 
 
 def test_edges_without_a_length_do_not_tell_a_size() -> None:
     collapsed = 4.0 * WALK.points[0]
     collapsed[1] = collapsed[0]
-    motion = source_motion(WALK, still(collapsed))
+    motion = prepare_source(WALK, still(collapsed))
     assert np.isfinite(motion.rest).all()
     assert furthest(motion.rest, collapsed / 4) < 0.02 * WALK.diagonal
 
@@ -63,26 +63,28 @@ def test_parts_of_a_mixed_model_are_used() -> None:
     height = WALK.points[0][WALK.faces].mean(axis=1)[:, 2]
     model = mixseq.fit(WALK, parts=np.searchsorted([1.0, 1.7, 3.1], height), exact=True)
     assert isinstance(model.space, MixedSpace)
-    motion = source_motion(model)
+    motion = prepare_source(model)
     own = model.space.decomposition.part_of_face
     assert own.max() == 3
     np.testing.assert_array_equal(motion.part_of_face(), own)
     np.testing.assert_allclose(motion.points[:], model.sample().points, atol=1e-12)
     # Unless others are given.
-    assert source_motion(model, parts=np.zeros_like(own)).part_of_face().max() == 0
+    assert prepare_source(model, parts=np.zeros_like(own)).part_of_face().max() == 0
 
 
 def test_a_model_of_another_space_has_no_parts() -> None:
     model = mixseq.fit(WALK, space="vertex", exact=True)
-    assert source_motion(model).parts is None
+    assert prepare_source(model).parts is None
 
 
 def test_parts_are_found_counted_or_given() -> None:
     middle = WALK.points[0][WALK.faces].mean(axis=1)[:, 2]
-    assert source_motion(WALK).part_of_face().max() >= 1
-    assert source_motion(WALK, parts=3).part_of_face().max() == 2
+    assert prepare_source(WALK).part_of_face().max() >= 1
+    assert prepare_source(WALK, parts=3).part_of_face().max() == 2
     given = np.where(middle > 2, 7, 3)
-    np.testing.assert_array_equal(source_motion(WALK, parts=given).part_of_face(), np.where(middle > 2, 1, 0))
+    np.testing.assert_array_equal(
+        prepare_source(WALK, parts=given).part_of_face(), np.where(middle > 2, 1, 0)
+    )
 
 
 @pytest.mark.parametrize("rest", [6, -7, 1.0, "0", None, True])
@@ -90,7 +92,7 @@ def test_a_frame_that_is_none_is_refused(rest: object) -> None:
     with pytest.raises(
         SettingsError, match=r"rest is .*; a frame from 0 to 5 is expected, or a mesh at rest"
     ):
-        source_motion(WALK, rest)  # type: ignore[arg-type]
+        prepare_source(WALK, rest)  # type: ignore[arg-type]
 
 
 def test_a_rest_of_another_mesh_is_refused() -> None:
@@ -98,35 +100,35 @@ def test_a_rest_of_another_mesh_is_refused() -> None:
     with pytest.raises(
         InvalidSequenceError, match="the mesh at rest has 152 vertices, the motion 202; give the same mesh"
     ):
-        source_motion(WALK, other)
+        prepare_source(WALK, other)
     mirrored = MeshSequence.from_arrays(WALK.points, WALK.faces[:, ::-1])
     with pytest.raises(
         InvalidSequenceError,
         match=r"polygon 0 of the motion \(vertices .*\) is the other way round in the mesh",
     ):
-        source_motion(WALK, mirrored)
+        prepare_source(WALK, mirrored)
 
 
 def test_a_rest_may_list_its_faces_in_another_order() -> None:
     """As Blender does, which groups the faces of OBJ files by material."""
     shuffled = MeshSequence.from_arrays(WALK.points[2:3], np.roll(WALK.faces[::-1], 1, axis=1))
-    np.testing.assert_array_equal(source_motion(WALK, shuffled).rest, WALK.points[2])
+    np.testing.assert_array_equal(prepare_source(WALK, shuffled).rest, WALK.points[2])
 
 
 def test_parts_of_another_mesh_are_refused() -> None:
     with pytest.raises(SegmentationError, match="each of the 400 triangles"):
-        source_motion(WALK, parts=[0, 1, 2]).part_of_face()
+        prepare_source(WALK, parts=[0, 1, 2]).part_of_face()
 
 
 @pytest.mark.parametrize("count", [0, -3])
 def test_a_number_of_parts_that_is_none_is_refused(count: int) -> None:
     with pytest.raises(SettingsError, match="part"):
-        source_motion(WALK, parts=count).part_of_face()
+        prepare_source(WALK, parts=count).part_of_face()
 
 
 def test_what_is_no_sequence_is_refused() -> None:
     with pytest.raises(InvalidSequenceError):
-        source_motion(WALK.points)  # type: ignore[arg-type]
+        prepare_source(WALK.points)  # type: ignore[arg-type]
 
 
 # How a target stands to its source
@@ -151,7 +153,7 @@ def test_a_copy_tells_its_rotation_and_its_scale(
     turn, shift = motion
     source = cloud(seed)
     weights = np.random.default_rng(seed).uniform(0.1, 1.0, len(source))
-    found = align(source, scale * source @ turn.T + shift, weights)
+    found = fit_alignment(source, scale * source @ turn.T + shift, weights)
     np.testing.assert_allclose(found.rotation, turn, atol=1e-9)
     assert found.scale == pytest.approx(scale, rel=1e-12)
 
@@ -164,21 +166,21 @@ def test_another_body_a_little_askew_stands_as_its_source(number: int) -> None:
     other = source * [1.0, 1.4, 0.7] + 0.25 * source[:, [1]] * [1.0, 0.0, 0.0]
     best = kabsch(source, other)[0]
     assert 2.0 < angle(best, np.eye(3)) < 20.0
-    assert np.array_equal(align(source, other @ turn.T, np.ones(200)).rotation, turn)
+    assert np.array_equal(fit_alignment(source, other @ turn.T, np.ones(200)).rotation, turn)
 
 
 def test_a_body_that_is_clearly_turned_is_not_straightened() -> None:
     turn = rotation((0.0, np.radians(35.0), 0.0))
     source = cloud(1, 200)
     other = (source * [1.0, 1.1, 0.9]) @ turn.T
-    assert angle(align(source, other, np.ones(200)).rotation, turn) < 5.0
+    assert angle(fit_alignment(source, other, np.ones(200)).rotation, turn) < 5.0
 
 
 @given(seeds)
 @settings(max_examples=30, deadline=None)
 def test_a_mirrored_body_is_turned_and_not_mirrored(seed: int) -> None:
     source = cloud(seed)
-    found = align(source, source * [-1.0, 1.0, 1.0], np.ones(len(source)))
+    found = fit_alignment(source, source * [-1.0, 1.0, 1.0], np.ones(len(source)))
     assert np.linalg.det(found.rotation) == pytest.approx(1.0)
     np.testing.assert_allclose(found.rotation @ found.rotation.T, np.eye(3), atol=1e-12)
 
@@ -188,7 +190,7 @@ def test_a_mirrored_body_is_turned_and_not_mirrored(seed: int) -> None:
 def test_exchanged_the_scale_is_the_inverse(seed: int) -> None:
     source, target = cloud(seed), 2.5 * cloud(seed + 1) + 7.0
     weights = np.random.default_rng(seed).uniform(size=len(source))
-    there, back = align(source, target, weights), align(target, source, weights)
+    there, back = fit_alignment(source, target, weights), fit_alignment(target, source, weights)
     assert there.scale * back.scale == pytest.approx(1.0, rel=1e-12)
 
 
@@ -196,7 +198,7 @@ def test_points_of_no_weight_do_not_count() -> None:
     source = cloud(5)
     target = 2.0 * source @ QUARTER.T
     target[::2] += 50.0
-    found = align(source, target, np.arange(len(source)) % 2 * np.float64(1.0))
+    found = fit_alignment(source, target, np.arange(len(source)) % 2 * np.float64(1.0))
     np.testing.assert_allclose(found.rotation, QUARTER, atol=1e-12)
     assert found.scale == pytest.approx(2.0)
 
@@ -204,7 +206,7 @@ def test_points_of_no_weight_do_not_count() -> None:
 @pytest.mark.parametrize("points", [grid(3, 4)[0], tube(6, 5)[0], np.outer([0.0, 1, 3], [1.0, 2, 2])])
 def test_sheets_tubes_and_lines_stand_as_they_are(points: Float) -> None:
     """Whatever the points leave free is not turned."""
-    found = align(points, 3.0 * points, np.ones(len(points)))
+    found = fit_alignment(points, 3.0 * points, np.ones(len(points)))
     np.testing.assert_allclose(found.rotation, np.eye(3), atol=1e-7)
     assert found.scale == pytest.approx(3.0)
 
@@ -218,19 +220,19 @@ def test_the_quarter_turns_are_24_rotations() -> None:
 
 def test_shifts_points_and_matrices_are_carried() -> None:
     alignment = Alignment(QUARTER, 2.0)
-    np.testing.assert_allclose(alignment.shifted(np.array([[1.0, 2, 3]])), [[2.0, -6, 4]], atol=1e-12)
-    np.testing.assert_allclose(alignment.turned_points(np.array([1.0, 2, 3])), [1.0, -3, 2], atol=1e-12)
+    np.testing.assert_allclose(alignment.map_vectors(np.array([[1.0, 2, 3]])), [[2.0, -6, 4]], atol=1e-12)
+    np.testing.assert_allclose(alignment.rotate_points(np.array([1.0, 2, 3])), [1.0, -3, 2], atol=1e-12)
     # A turn about y is one about z, where y points there.
     np.testing.assert_allclose(
-        alignment.turned(rotation((0, 0.3, 0))[None]), [rotation((0, 0, 0.3))], atol=1e-12
+        alignment.rotate_matrices(rotation((0, 0.3, 0))[None]), [rotation((0, 0, 0.3))], atol=1e-12
     )
 
 
 def test_points_in_one_place_are_refused() -> None:
     points, place = cloud(2), np.ones((40, 3))
-    with pytest.raises(InvalidSequenceError, match="of the source is in one place"):
-        align(place, points, np.ones(40))
-    with pytest.raises(InvalidSequenceError, match="of the target is in one place"):
-        align(points, place, np.ones(40))
+    with pytest.raises(InvalidSequenceError, match="of the source are in one place"):
+        fit_alignment(place, points, np.ones(40))
+    with pytest.raises(InvalidSequenceError, match="of the target are in one place"):
+        fit_alignment(points, place, np.ones(40))
     with pytest.raises(InvalidSequenceError, match="no area at rest"):
-        align(points, points, np.zeros(40))
+        fit_alignment(points, points, np.zeros(40))

@@ -49,7 +49,10 @@ def test_a_mesh_and_itself_elsewhere() -> None:
 
 
 def test_the_surest_come_first() -> None:
-    source, target = (Extremities.of(CoarseSurface.of(fox.points, fox.topology)) for fox in (short(), tall()))
+    source, target = (
+        Extremities.from_surface(CoarseSurface.from_mesh(fox.points, fox.topology))
+        for fox in (short(), tall())
+    )
     margins = [each.margin for each in match_extremities(source, target)]
     assert margins[:6] == sorted(margins[:6], reverse=True)
     assert margins[6:] == sorted(margins[6:], reverse=True)

@@ -17,9 +17,9 @@ from mixseq.errors import InvalidSequenceError, MixseqWarning, SegmentationError
 from mixseq.retargeting.gradient_transfer import GradientTransfer
 from mixseq.retargeting.markers import Correspondence, Markers
 from mixseq.retargeting.mixed_transfer import MixedTransfer
-from mixseq.retargeting.sources import source_motion
-from mixseq.retargeting.transfer import plan
-from mixseq.runtime.parallel import on_threads, serially
+from mixseq.retargeting.sources import prepare_source
+from mixseq.retargeting.transfer import TransferSettings, plan_transfer
+from mixseq.runtime.parallel import serial_executor, thread_executor
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.model import Model
 from mixseq.spaces.mixed.mixed_space import MixedSpace
@@ -74,10 +74,12 @@ def test_a_rigid_motion_of_all_frames_is_one_of_the_result(
     turn, shift = motion
     source = bar(sides=5, rings=15, frames=3)
     rest, target = first(source), one(shaped(source.points[0]), source)
-    mover = plan(source, target, method=method, rest=rest, workers=serially).method
-    still = mixseq.transfer(source, target, method=method, rest=rest, workers=serially).points
+    mover = plan_transfer(
+        source, target, TransferSettings(method=method, rest=rest), workers=serial_executor
+    ).method
+    still = mixseq.transfer(source, target, method=method, rest=rest, workers=serial_executor).points
     away = source.with_points(source.points @ turn.T + shift)
-    moved = mixseq.transfer(away, target, method=method, rest=rest, workers=serially).points
+    moved = mixseq.transfer(away, target, method=method, rest=rest, workers=serial_executor).points
     # The root starts from the target's place at rest, and goes as far from there as the source's for its size.
     own, theirs = target.points[0].mean(axis=0), source.points[0].mean(axis=0)
     made = mover.gradients if isinstance(mover, MixedTransfer) else mover
@@ -161,7 +163,7 @@ def test_a_model_moves_as_its_frames_do_with_its_own_parts(bent_bar: MeshSequenc
     moved = mixseq.transfer(bar_model, target)
     expected = mixseq.transfer(bent_bar, target, parts=parts)
     assert furthest(moved.points, expected.points) <= 1e-6 * bent_bar.diagonal
-    planned = plan(bar_model, target)
+    planned = plan_transfer(bar_model, target)
     assert planned.method.parts is not None
     np.testing.assert_array_equal(planned.method.parts.source.part_of_face, parts)
 
@@ -208,7 +210,7 @@ def test_blocks_are_the_whole(method: TransferName) -> None:
     source = bar(sides=5, rings=15, frames=21)
     target = one(shaped(source.points[0]), source)
     told: list[tuple[int, int, str]] = []
-    planned = plan(source, target, method=method)
+    planned = plan_transfer(source, target, TransferSettings(method=method))
     blocks = list(planned.blocks(lambda *what: told.append(what)))
     assert len(blocks) > 1
     assert planned.header.frame_count == 21
@@ -224,7 +226,9 @@ def test_threads_do_not_change_a_bit(method: TransferName) -> None:
     mesh = source.points[0], source.faces.astype(np.int64)
     fine = MeshSequence.from_arrays(shaped(subdivided(mesh)[0])[None], subdivided(mesh)[1])
     results = [
-        mixseq.transfer(source, fine, mapping=to_subdivided(mesh), method=method, workers=on_threads(count))
+        mixseq.transfer(
+            source, fine, mapping=to_subdivided(mesh), method=method, workers=thread_executor(count)
+        )
         for count in (1, 2)
     ]
     assert np.array_equal(results[0].points, results[1].points)
@@ -232,9 +236,9 @@ def test_threads_do_not_change_a_bit(method: TransferName) -> None:
 
 def test_a_source_that_was_looked_at_may_be_used_again() -> None:
     source = bar(frames=3)
-    motion = source_motion(source, parts=2)
+    motion = prepare_source(source, parts=2)
     target = one(shaped(source.points[0]), source)
-    planned = plan(motion, target)
+    planned = plan_transfer(motion, target)
     moved = np.concatenate(list(planned.blocks()))
     np.testing.assert_array_equal(moved, mixseq.transfer(source, target, parts=2).points)
 
@@ -261,7 +265,7 @@ def test_a_map_of_the_same_triangles_may_exchange_them() -> None:
         faces=triangles,
     )
     parts = lower((source.points[0], source.faces.astype(np.int64)), 1.0)
-    mover = plan(source, first(source), mapping=mapping, parts=parts).method
+    mover = plan_transfer(source, first(source), TransferSettings(mapping=mapping, parts=parts)).method
     assert isinstance(mover, MixedTransfer)
     own, carried = mover.parts.part_of_face
     np.testing.assert_array_equal(carried, own[mapping.faces])
@@ -275,19 +279,20 @@ def test_what_was_used_goes_to_other_processes(method: TransferName) -> None:
     contacts = {"end": [0]} if method == "mixed" else None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", MixseqWarning)  # never at rest
-        planned = plan(source, one(shaped(source.points[0]), source), method=method, contacts=contacts)
-    own = planned.method.frame(source.points[2])
+        target = one(shaped(source.points[0]), source)
+        planned = plan_transfer(source, target, TransferSettings(method=method, contacts=contacts))
+    own = planned.method.transfer_frame(source.points[2])
     again = pickle.loads(pickle.dumps(planned.method))
-    np.testing.assert_array_equal(again.frame(source.points[2]), own)
+    np.testing.assert_array_equal(again.transfer_frame(source.points[2]), own)
 
 
 def test_a_fine_target_comes_in_smaller_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     source = bar(sides=5, rings=15, frames=4)
     mesh = source.points[0], source.faces.astype(np.int64)
     fine = MeshSequence.from_arrays(subdivided(mesh)[0][None], subdivided(mesh)[1])
-    planned = plan(source, fine, mapping=to_subdivided(mesh), method="gradients")
+    planned = plan_transfer(source, fine, TransferSettings(mapping=to_subdivided(mesh), method="gradients"))
     whole = np.concatenate(list(planned.blocks()))
-    monkeypatch.setattr("mixseq.sequence.sequence._AT_ONCE", (8, 2 * fine.vertex_count))
+    monkeypatch.setattr("mixseq.sequence.sequence.MAX_BLOCK_VERTICES", 2 * fine.vertex_count)
     blocks = list(planned.blocks())
     assert [len(block) for block in blocks] == [2, 2]
     np.testing.assert_array_equal(np.concatenate(blocks), whole)
@@ -300,11 +305,11 @@ def test_markers_take_the_place_of_a_map() -> None:
     rings = ((0, 0), (6, 9), (14, 21), (20, 30))
     pairs = [(8 * a + side, 8 * b + side) for a, b in rings for side in (0, 2, 4, 6)]
     pairs += [(168, 248), (169, 249)]
-    planned = plan(source, first(other), markers=pairs)
+    planned = plan_transfer(source, first(other), TransferSettings(markers=pairs))
     assert planned.quality is not None
     moved = np.concatenate(list(planned.blocks()))
     assert furthest(moved, other.points) <= 0.06 * source.diagonal
-    same = mixseq.transfer(source, first(other), markers=Markers.of(pairs))
+    same = mixseq.transfer(source, first(other), markers=Markers.from_pairs(pairs))
     np.testing.assert_array_equal(same.points, moved)
 
 
@@ -333,9 +338,9 @@ OTHER = first(bar(sides=6, rings=15, frames=2))
         ({"contacts": {"left": [0]}, "method": "gradients"}, "contacts.*the method 'mixed'"),
         (
             {"contacts": {"left": [0, 77]}},
-            "contact 'left' names vertex 77, but those of the target are 0 to 76",
+            "contact 'left' has vertex 77, but vertices of the target are 0 to 76",
         ),
-        ({"contacts": {"left": [0], "right": [-1]}}, "contact 'right' names vertex -1"),
+        ({"contacts": {"left": [0], "right": [-1]}}, "contact 'right' has vertex -1"),
         ({"contacts": {"left": []}}, "contact 'left' is no list of vertices"),
         ({"contacts": {"left": [0.5]}}, "contact 'left' is no list of vertices"),
         ({"contacts": {"left": 3}}, "contact 'left' is no list of vertices"),
@@ -357,7 +362,7 @@ def test_a_target_without_area_is_refused(method: TransferName, across: float) -
 
 @both
 def test_a_source_without_size_is_refused(method: TransferName) -> None:
-    with pytest.raises(InvalidSequenceError, match="of the source is in one place at rest"):
+    with pytest.raises(InvalidSequenceError, match="points of the source are in one place at rest"):
         mixseq.transfer(SOURCE.with_points(0 * SOURCE.points), TARGET, method=method)
 
 

@@ -327,7 +327,7 @@ def test_the_first_frame_is_the_bind_pose_if_there_is_no_other() -> None:
 
 def test_bones_keep_their_lengths() -> None:
     true = hinge(5)
-    local = fit_skin(played(true), skeleton=true.skeleton, bind_pose=bound(true)).local()
+    local = fit_skin(played(true), skeleton=true.skeleton, bind_pose=bound(true)).local_motion()
     np.testing.assert_allclose(local.translations[:, 1], np.tile([0.0, 0, 2], (5, 1)), atol=1e-9)
 
 
@@ -348,7 +348,7 @@ def test_bones_that_move_nothing_keep_their_names_and_stay_to_their_parents() ->
     )
     assert skin.skeleton.names == names
     assert not np.isin(skin.influences[skin.weights > 0], [2, 3]).any()
-    local, rest = skin.local(), skin.skeleton.local_rest()
+    local, rest = skin.local_motion(), skin.skeleton.local_rest()
     for bone in (2, 3):
         np.testing.assert_allclose(
             rotation_matrices(local.rotations[:, bone]),

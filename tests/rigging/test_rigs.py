@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import mixseq
 from mixseq.errors import InvalidSequenceError, SettingsError
-from mixseq.rigging.rigs import Morph, Skeleton, Skin, rotation_matrices, without_sign_jumps
+from mixseq.rigging.rigs import Morph, Skeleton, Skin, remove_sign_flips, rotation_matrices
 from mixseq.sequence.sequence import MeshSequence
 from tests.meshes import rotation, tetrahedron
 
@@ -34,7 +34,7 @@ def a_skin() -> Skin:
     return Skin(
         header=HEADER,
         rest=POINTS,
-        skeleton=Skeleton.flat(np.array([[0.0, 0, 0], [1, -1, -1]])),
+        skeleton=Skeleton.from_pivots(np.array([[0.0, 0, 0], [1, -1, -1]])),
         rotations=np.array([[[0, 0, 0, 1], quaternion((0, 0, t * np.pi / 2))] for t in range(3)]),
         translations=np.array([[[0.0, 0, 0], [1, -1, -1 + t]] for t in range(3)]),
         influences=np.array([[0, 0, 0, 0], [1, 0, 0, 0], [0, 1, 0, 0], [1, 0, 0, 0]]),
@@ -139,7 +139,7 @@ def test_signs_do_not_jump() -> None:
     """A body that turns twice: after one turn its quaternion is the negative of the first."""
     path = np.array([quaternion((0, 0, angle)) for angle in np.linspace(0, 4 * np.pi, 33)])
     shuffled = path * np.where(np.arange(33) % 3, 1, -1)[:, None]
-    np.testing.assert_allclose(without_sign_jumps(shuffled), path, atol=1e-14)
+    np.testing.assert_allclose(remove_sign_flips(shuffled), path, atol=1e-14)
 
 
 def test_arrays_are_read_only() -> None:
@@ -226,7 +226,7 @@ def test_world_and_local_are_one_motion(seed: int, count: int) -> None:
 
 
 def test_flat_bones_move_in_the_world() -> None:
-    flat = Skeleton.flat(np.eye(3))
+    flat = Skeleton.from_pivots(np.eye(3))
     assert (flat.names, flat.parents.tolist()) == (("bone_000", "bone_001", "bone_002"), [-1, -1, -1])
     turns = np.tile([0.5, 0.5, 0.5, 0.5], (2, 3, 1))
     local = flat.to_local(turns, np.ones((2, 3, 3)))
@@ -255,4 +255,4 @@ def test_what_is_no_skeleton(changes: dict[str, Any], message: str) -> None:
 
 def test_a_skeleton_has_bones() -> None:
     with pytest.raises(InvalidSequenceError, match="a skeleton has no bones"):
-        Skeleton.flat(np.zeros((0, 3)))
+        Skeleton.from_pivots(np.zeros((0, 3)))

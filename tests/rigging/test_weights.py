@@ -10,7 +10,7 @@ from scipy.optimize import nnls
 
 import mixseq
 from mixseq.rigging.bone_tree import Joints, bone_tree, move
-from mixseq.rigging.bones import Binding, bind, merged, motion_of, seeded, transposed, vertex_labels
+from mixseq.rigging.bones import Binding, bind, label_vertices, merged, motion_of, seeded, transposed
 from mixseq.rigging.fitting import fit_skin, principal_shapes
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float, Index
@@ -148,7 +148,7 @@ def test_bones_are_seeded_where_vertices_are_worst_explained() -> None:
 
 def test_labels_of_vertices_are_those_of_most_faces() -> None:
     faces = np.array([[0, 1, 2], [2, 1, 3], [2, 3, 4]])
-    assert vertex_labels(faces, np.array([1, 0, 0]), 6).tolist() == [1, 0, 0, 0, 0, 0]
+    assert label_vertices(faces, np.array([1, 0, 0]), 6).tolist() == [1, 0, 0, 0, 0, 0]
 
 
 @pytest.mark.parametrize("rank", [0, 1, 3])
@@ -250,6 +250,6 @@ def test_a_skin_hangs_in_the_tree_and_its_joints_hold() -> None:
     height = binding.rest[faces, 2].mean(axis=1)
     skin = fit_skin(sequence, np.searchsorted(HEIGHTS, height), rounds=200)
     assert (skin.skeleton.parents < 0).sum() == 1
-    spread = np.ptp(skin.local().translations, axis=0).max(axis=1) / sequence.diagonal
+    spread = np.ptp(skin.local_motion().translations, axis=0).max(axis=1) / sequence.diagonal
     assert (spread[1:] < 1e-9).all()  # rotations only
     assert mixseq.compare(sequence, skin).kg_percent < 0.05

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixseq.mesh.measures import dihedral_angles, edge_lengths
-from mixseq.mesh.rigid import kabsch, transform
+from mixseq.mesh.rigid import kabsch, transform_points
 from mixseq.segmentation.joints import make_joint
 from mixseq.shells.fitting import Patch, linear_initialisation
 from mixseq.types import Float
@@ -48,12 +48,12 @@ def patch_of(mesh: Mesh, fixed: Float | None = None) -> Patch:
     every = np.ones(len(mesh[1]), dtype=bool)
     nothing = np.zeros(len(mesh[0]), dtype=bool)
     joint = make_joint(topology, every, nothing)
-    return Patch.of_joint(topology, joint, nothing if fixed is None else fixed.astype(bool))
+    return Patch.from_joint(topology, joint, nothing if fixed is None else fixed.astype(bool))
 
 
 def rebuilt(mesh: Mesh, patch: Patch) -> Float:
     points = mesh[0]
-    given_points = np.where(patch.fixed[:, None], points, np.nan)  # free positions are not looked at
+    given_points = np.where(patch.fixed_mask[:, None], points, np.nan)  # free positions are not looked at
     return linear_initialisation(
         patch, edge_lengths(points, patch.edges), dihedral_angles(points, patch.hinges), given_points
     )
@@ -64,7 +64,7 @@ def test_exact_up_to_a_rigid_motion(name: str) -> None:
     mesh = MESHES[name]
     result = rebuilt(mesh, patch_of(mesh))
     turn, shift = kabsch(result, mesh[0])
-    np.testing.assert_allclose(transform(result, turn, shift), mesh[0], atol=1e-9)
+    np.testing.assert_allclose(transform_points(result, turn, shift), mesh[0], atol=1e-9)
     assert np.linalg.det(turn) == pytest.approx(1)
 
 
@@ -95,7 +95,7 @@ def test_exact_on_crumpled_meshes_anywhere(
     fixed = None if free else np.isin(np.arange(len(points)), faces[: 1 + len(faces) // 3])
     result = rebuilt(moved, patch_of(moved, None if fixed is None else fixed.astype(float)))
     if free:
-        result = transform(result, *kabsch(result, moved[0]))
+        result = transform_points(result, *kabsch(result, moved[0]))
     np.testing.assert_allclose(result, moved[0], atol=1e-8)
 
 
@@ -111,7 +111,7 @@ def test_fixed_vertices_take_the_patch_along(seed: int, motion: tuple[Float, Flo
     here = linear_initialisation(patch, lengths, angles, points)
     there = linear_initialisation(patch, lengths, angles, points @ motion[0].T + motion[1])
     np.testing.assert_allclose(there, here @ motion[0].T + motion[1], atol=1e-8)
-    np.testing.assert_array_equal(here[patch.fixed], points[patch.fixed])
+    np.testing.assert_array_equal(here[patch.fixed_mask], points[patch.fixed_mask])
 
 
 def test_twice_the_lengths_give_twice_the_mesh() -> None:

@@ -12,7 +12,7 @@ import mixseq
 from mixseq.rigging.rigs import Morph, Skin
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float
-from mixseq_io.rig_measuring import measure
+from mixseq_io.rig_measuring import measure_rig_file
 from tests.formats.conftest import lossy
 from tests.formats.gltf_files import validate
 from tests.formats.rig_maker import carried, hinge, swelling
@@ -107,7 +107,7 @@ def test_a_real_rig_is_as_far_off_as_is_told(page: Page, tmp_path: Path, data: P
     mixseq.write_rig(tmp_path / "rig.glb", mixseq.fit_skin(wolf, bones=20))
     shown, _ = played(page, tmp_path / "rig.glb", wolf.times - wolf.times[0])
     there = MeshSequence.from_header(wolf.header, shown)
-    told = measure(tmp_path / "rig.glb", wolf)
+    told = measure_rig_file(tmp_path / "rig.glb", wolf)
     found = mixseq.compare(wolf, there)
     assert found.max_error == pytest.approx(told.max_error, rel=1e-3)
     assert found.kg_percent == pytest.approx(told.kg_percent, rel=1e-3)
@@ -128,7 +128,7 @@ def test_a_character_on_its_own_skeleton(
     shown, joints = played(page, tmp_path / "rig.glb", there.times, kind)
     assert near(skin, shown, there.times) < NEAR
     found = mixseq.compare(there, MeshSequence.from_header(there.header, shown))
-    assert found.max_error == pytest.approx(measure(tmp_path / "rig.glb", there).max_error, rel=1e-3)
+    assert found.max_error == pytest.approx(measure_rig_file(tmp_path / "rig.glb", there).max_error, rel=1e-3)
     above = [skeleton.names[parent] if parent >= 0 else "skeleton" for parent in skeleton.parents]
     assert dict(joints) == dict(zip(skeleton.names, above, strict=True))
     validate(tmp_path / "rig.glb")

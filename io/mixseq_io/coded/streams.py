@@ -49,11 +49,11 @@ from mixseq.compression.bitstream.connectivity import decode_polygons
 from mixseq.compression.bitstream.corner_values import decode_hard_edges, decode_uvs, encode_hard_edges
 from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
 from mixseq.mesh.polygons import Polygons
-from mixseq.mesh.surface import WHITE, CornerValues, Surface
+from mixseq.mesh.surface import DEFAULT_COLOUR, CornerValues, Surface
 from mixseq.sequence.header import SequenceHeader
 from mixseq.signals.model import Model
 from mixseq.types import Float, Index
-from mixseq_io.files import check_memory, gigabytes, max_memory
+from mixseq_io.files import check_memory, format_gigabytes, max_memory
 from mixseq_io.surfaces import surface_from_arrays, surface_to_arrays
 
 COMPRESSED_VERSION = 1
@@ -280,7 +280,7 @@ def _compact_arrays(surface: Surface, mesh: Mesh) -> dict[str, NDArray[Any]]:
     corners, colours = polygons.indices, surface.colours
     is_per_vertex = colours is not None and colours.one_per_vertex(corners)
     if colours is not None and is_per_vertex:
-        values = colours.at_vertices(corners, vertex_count, WHITE)
+        values = colours.at_vertices(corners, vertex_count, DEFAULT_COLOUR)
         surface = replace(surface, colours=CornerValues(values, corners))
     arrays = surface_to_arrays(surface)
     if is_per_vertex:
@@ -301,7 +301,7 @@ def unpack_surface(packed: bytes, folder: Path, mesh: Mesh) -> Surface:
         unpacked = _decompress(packed, limit, "the surface is")
         if len(unpacked) == limit:  # it continues to an unknown length
             raise FormatError(
-                f"the surface takes more than {gigabytes(limit)} of memory, the limit (--max-memory)"
+                f"the surface takes more than {format_gigabytes(limit)} of memory, the limit (--max-memory)"
             )
         text, _, data = unpacked.partition(b"\0")
         arrays = _split_arrays(json.loads(text), data)

@@ -20,11 +20,18 @@ import numpy as np
 from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, OutputError, SettingsError
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import CornerValues, Surface
-from mixseq.sequence.frame_rates import number_at
+from mixseq.sequence.frame_rates import time_to_number
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import FloatArray
-from mixseq_io.files import replacing_many
-from mixseq_io.reader import SequenceReader, checked, naming, read_whole, reading, warn
+from mixseq_io.files import atomic_files
+from mixseq_io.reader import (
+    SequenceReader,
+    prefix_errors,
+    read_bytes,
+    translate_read_errors,
+    validate_blocks,
+    warn,
+)
 from mixseq_io.surfaces import lost_scale, lost_times, scale_text_colours, warn_of_losses
 
 _PLACEHOLDER = re.compile(r"#+|%0?(\d*)d")
@@ -156,7 +163,7 @@ class FrameFormat:
         if not (np.isfinite(fps) and fps > 0):
             raise SettingsError(f"fps is {fps}; a positive number is expected")
         files, numbers = find_frames(path, allow_gaps, f".{self.name.lower()}")
-        with naming(files[0]):
+        with prefix_errors(files[0]):
             first = self.read(files[0])
             header = SequenceHeader(
                 polygons=first.polygons,
@@ -170,8 +177,8 @@ class FrameFormat:
 
     def read(self, file: Path, like: MeshFile | None = None) -> MeshFile:
         """Read a file, given the first frame's mesh for later frames."""
-        with reading(file, with_article(self.name), *self.damage):
-            return self.parse(file, read_whole(file, self.is_text), like)
+        with translate_read_errors(file, with_article(self.name), *self.damage):
+            return self.parse(file, read_bytes(file, self.is_text), like)
 
     def write(
         self,
@@ -193,15 +200,15 @@ class FrameFormat:
                 f"{path}: {with_article(self.name)} holds one frame, this sequence has {header.frame_count}; give a "
                 f"pattern such as {path.stem.rstrip('*')}_####{path.suffix}"
             )
-        own = number_at(header.times[0], header.fps)
+        own = time_to_number(header.times[0], header.fps)
         first = start if start is not None else int(own) if own >= 0 and own.is_integer() else 1
         lost = lost_times(header, first if start is None else own)
         lost += lost_scale(header, velocities is not None) + self.lost(header)
         warn_of_losses(path, f"{self.name} files", lost)
         names = [frame_file_name(path, number) for number in range(first, first + header.frame_count)]
         encode = self.encoder(path, header)
-        with replacing_many(path) as folder:
-            _, numbered = checked(header, blocks, velocities)
+        with atomic_files(path) as folder:
+            _, numbered = validate_blocks(header, blocks, velocities)
             for done, block, _ in numbered:
                 for frame, points in enumerate(block, start=done):
                     with (folder / names[frame]).open("wb") as file:
@@ -227,7 +234,7 @@ class _FilesReader(SequenceReader):
     def _points(self, frame: int) -> FloatArray:
         first = self._files[0]
         where = f"{self._files[frame]} (frame {self.header.frame_number(frame)})"
-        with naming(where):
+        with prefix_errors(where):
             mesh = self._form.read(self._files[frame], self._first)
         if len(mesh.points) != self.header.vertex_count:
             raise InvalidSequenceError(

@@ -35,7 +35,7 @@ from mixseq.mesh.surface import FaceSet
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames, MeshSequence
 from mixseq.types import FloatArray, Index, IntArray, PathLike
-from mixseq_io.files import replacing
+from mixseq_io.files import atomic_file
 from mixseq_io.npz import open_archive
 from mixseq_io.reader import SequenceReader, warn
 from mixseq_io.registry import FORMATS, open_sequence, write_blocks
@@ -298,7 +298,7 @@ def check_label_target(path: PathLike) -> str:
 
 
 def _write_arrays(file: Path, header: SequenceHeader, labels: Labels) -> None:
-    with replacing(file) as temporary:
+    with atomic_file(file) as temporary:
         np.savez(
             temporary,
             part_of_face=labels.part_of_face,

@@ -37,9 +37,9 @@ from numpy.typing import NDArray
 
 from mixseq.errors import FormatError, OutputError, SettingsError
 from mixseq.retargeting.markers import Correspondence
-from mixseq.retargeting.matching import Mesh, from_barycentric, from_triangles, from_vertices
+from mixseq.retargeting.matching import RestMesh, from_barycentric, from_triangles, from_vertices
 from mixseq.types import Float, IntArray, PathLike
-from mixseq_io.files import replacing
+from mixseq_io.files import atomic_file
 from mixseq_io.npz import open_archive
 from mixseq_io.text.markers import parse_json, read_text
 
@@ -80,7 +80,7 @@ def read_map(path: PathLike, kind: Kind | None = None) -> MapFile:
     return MapFile(file, *_read_rows(file, kind), {})
 
 
-def to_correspondence(given: MapFile, source: Mesh, target: Mesh) -> Correspondence:
+def to_correspondence(given: MapFile, source: RestMesh, target: RestMesh) -> Correspondence:
     """Return a map's correspondence of two meshes: source, target ``(V, 3)``."""
     try:
         if given.kind == "stored":
@@ -131,7 +131,7 @@ def write_map(
         "source": np.array(mesh_checksum(sizes[0][0], source_faces)),
         "target": np.array(mesh_checksum(sizes[1][0], target_faces)),
     }
-    with replacing(file) as temporary, temporary.open("wb") as stream:
+    with atomic_file(file) as temporary, temporary.open("wb") as stream:
         np.savez_compressed(stream, allow_pickle=False, **arrays)
 
 
@@ -166,7 +166,7 @@ def _read_npz(file: Path) -> MapFile:
     )
 
 
-def _stored(arrays: dict[str, NDArray[Any]], source: Mesh, target: Mesh) -> Correspondence:
+def _stored(arrays: dict[str, NDArray[Any]], source: RestMesh, target: RestMesh) -> Correspondence:
     """Return the correspondence written by `write_map`; raise an error for other meshes or damage."""
     sizes = [(len(points), len(faces)) for points, faces in (source, target)]
     for name, mesh in (("source", source), ("target", target)):

@@ -31,14 +31,14 @@ from mixseq.errors import FormatError, MissingExtraError
 from mixseq.retargeting.markers import Markers
 from mixseq.runtime.public import public
 from mixseq.types import PathLike
-from mixseq_io.files import replacing
-from mixseq_io.reader import brief, read_whole, reading
+from mixseq_io.files import atomic_file
+from mixseq_io.reader import read_bytes, summarize_error, translate_read_errors
 
 
 def read_text(file: Path, what: str) -> str:
     """Read a UTF-8 file, with or without a byte order mark; `what` names its expected contents in messages."""
-    with reading(file, what, UnicodeDecodeError):
-        return read_whole(file, text=True).decode("utf-8-sig")
+    with translate_read_errors(file, what, UnicodeDecodeError):
+        return read_bytes(file, text=True).decode("utf-8-sig")
 
 
 def parse_json(file: Path, text: str) -> Any:
@@ -46,7 +46,7 @@ def parse_json(file: Path, text: str) -> Any:
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as error:  # numbers of thousands of digits are a ValueError, too
-        raise FormatError(f"{file} cannot be read as JSON: {brief(error)}") from None
+        raise FormatError(f"{file} cannot be read as JSON: {summarize_error(error)}") from None
 
 
 def read_contacts(path: PathLike) -> dict[str, list[int]]:
@@ -140,7 +140,7 @@ def read_markers(path: PathLike, *, reverse: bool = False) -> Markers:
     found = [_marker(f"{file}, {entry.where}", entry) for entry in entries]
     pairs = [(target, source) if reverse else (source, target) for source, target, _ in found]
     names = tuple(name for _, _, name in found)
-    return Markers.of(pairs, names if any(names) else ())
+    return Markers.from_pairs(pairs, names if any(names) else ())
 
 
 def write_markers(path: PathLike, markers: Markers) -> None:
@@ -159,7 +159,7 @@ def write_markers(path: PathLike, markers: Markers) -> None:
     else:
         lines = (f"{s} {t}{comment}\n" for (s, t, _), comment in zip(rows, comments, strict=True))
         text = "# source target\n" + "".join(lines)
-    with replacing(file) as temporary:
+    with atomic_file(file) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
@@ -211,7 +211,7 @@ def _yaml(file: Path, text: str) -> list[_Entry]:
         values = _listed(file, _plain(root))
     except (yaml.YAMLError, RecursionError) as error:
         where = getattr(error, "problem_mark", None)
-        what = getattr(error, "problem", None) or brief(error)
+        what = getattr(error, "problem", None) or summarize_error(error)
         line = f", line {where.line + 1}" if where else ""
         raise FormatError(f"{file}{line} cannot be read as YAML: {what}") from None
     nodes = root

@@ -36,10 +36,10 @@ from numpy.typing import NDArray
 from pxr import Ar, Gf, Sdf, Usd, UsdUtils, Vt
 
 from mixseq.errors import OutputError
-from mixseq.mesh.measures import shared_normals
+from mixseq.mesh.measures import corner_normals
 from mixseq.types import Float, FloatArray, IntArray
-from mixseq_io.files import put_away, raise_system_error, temporary_name
-from mixseq_io.reader import Numbered, as_float32, warn
+from mixseq_io.files import backup_path, raise_system_error, temporary_prefix
+from mixseq_io.reader import FrameBlock, as_float32, warn
 from mixseq_io.scene_meshes import SceneMesh
 from mixseq_io.usd.stage import TILES, clips_folder, save_layer
 
@@ -116,7 +116,7 @@ class Cast:
 
 
 def frames(
-    cast: Cast, codes: NDArray[np.float64], times: NDArray[np.float64], numbered: Iterable[Numbered]
+    cast: Cast, codes: NDArray[np.float64], times: NDArray[np.float64], numbered: Iterable[FrameBlock]
 ) -> Iterator[Frame]:
     """Yield the values of every frame: time codes, times in s ``(T,)``."""
     for first, block, speeds in numbered:
@@ -163,7 +163,7 @@ def _normals(
     normals: Normals, points: FloatArray, scene_mesh: SceneMesh, space: Space
 ) -> NDArray[np.float32]:
     """Return normals in a mesh's space: for x' = x M normals are n' = n M⁻ᵀ, hence n = n' Mᵀ."""
-    unit = shared_normals(points[None], scene_mesh.polygons, normals.groups)[0]
+    unit = corner_normals(points[None], scene_mesh.polygons, normals.groups)[0]
     if space is not WORLD:
         local = unit @ space.to_world[:3, :3].T
         unit = (local / np.linalg.norm(local, axis=1, keepdims=True)).astype(np.float32)
@@ -398,8 +398,8 @@ class NewFolder:
                 f"{self.target} has other files than clips, which are not deleted; move it away, or write to another "
                 "name"
             )
-        name = self._resources.enter_context(temporary_name(self.target.parent))
-        self.path, self._old = Path(f"{name}.new"), put_away(name, self.target)
+        name = self._resources.enter_context(temporary_prefix(self.target.parent))
+        self.path, self._old = Path(f"{name}.new"), backup_path(name, self.target)
         self.path.mkdir()
 
     def install(self) -> None:

@@ -22,7 +22,7 @@ from mixseq.errors import FormatError, NoMeshError
 from mixseq.mesh.surface import Origin
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray
-from mixseq_io.reader import SequenceReader, naming, warn
+from mixseq_io.reader import SequenceReader, prefix_errors, warn
 from mixseq_io.scene_meshes import (
     MAX_INSERTED_FRAMES,
     TIME_TOLERANCE,
@@ -43,7 +43,7 @@ from mixseq_io.usd.stage import (
     open_stage,
     places_of,
     quiet,
-    reading_usd,
+    translate_usd_read_errors,
 )
 from mixseq_io.usd.surface import markings_of, scene_mesh_of
 
@@ -51,7 +51,7 @@ from mixseq_io.usd.surface import markings_of, scene_mesh_of
 def open_usd(path: Path, prim: str | None = None) -> SequenceReader:
     """Open a USD file."""
     notes = Notes(path)
-    with quiet() as reports, reading_usd(path), naming(path):
+    with quiet() as reports, translate_usd_read_errors(path), prefix_errors(path):
         shot = _shot(path, open_stage(path), prim, notes)
         header = _header(path, shot, notes)
         speeds = [mesh.has_velocities(notes) for mesh in shot.meshes]
@@ -67,7 +67,7 @@ def open_usd(path: Path, prim: str | None = None) -> SequenceReader:
 def open_usd_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
     """Open the meshes of a skeleton in their bind pose; see `mixseq_io.read_bind_pose`."""
     notes = Notes(path)
-    with quiet(), reading_usd(path), naming(path):
+    with quiet(), translate_usd_read_errors(path), prefix_errors(path):
         stage = open_stage(path)
         wanted = skeleton_prim(path, stage, skeleton)
         meshes = meshes_of(path, stage, None, notes)
@@ -112,7 +112,7 @@ class _UsdReader(SequenceReader):
     def markings(self) -> Markings:
         """Return the families of subsets and the joints of the meshes."""
         assert self._shot is not None, "the file is open"
-        with quiet(), reading_usd(self.path):
+        with quiet(), translate_usd_read_errors(self.path):
             return markings_of(self.header, self._shot.meshes)
 
     def close(self) -> None:
@@ -129,10 +129,10 @@ class _UsdReader(SequenceReader):
         for start in range(0, self.header.frame_count, size):
             stop = min(start + size, self.header.frame_count)
             block = np.empty((stop - start, self.header.vertex_count, 3), np.float32)
-            with quiet(), reading_usd(self.path):
+            with quiet(), translate_usd_read_errors(self.path):
                 for frame, code in enumerate(shot.codes[start:stop].tolist(), start):
                     number = self.header.frame_number(frame)
-                    with naming(f"{self.path}: frame {number} (time code {code:g})"):
+                    with prefix_errors(f"{self.path}: frame {number} (time code {code:g})"):
                         for end, values in zip(ends, values_at(code), strict=True):
                             block[frame - start, end - len(values) : end] = values
             yield block

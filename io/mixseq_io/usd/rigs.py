@@ -4,7 +4,7 @@ Bind transforms are in skeleton space, placed in the world by the skeleton's tra
 matrices act on row vectors.
 
 Written, a SkelRoot holds the meshes, a Skeleton and a SkelAnimation. Bind transforms are in world space, with the axes
-``A_b`` at the pivot ``p_b``. The animation moves joints relative to their parents by `mixseq.rigging.rigs.Skin.local`,
+``A_b`` at the pivot ``p_b``. The animation moves joints relative to their parents by `Skin.local_motion`,
 so that UsdSkel takes a point from the bind pose to ``R_tb (r_v - p_b) + c_tb``, the skin's formula; blend shapes come
 before joints. A morph has a Skeleton without joints. Joints are named by paths (``hips/leg``) of
 valid names; ``jointNames`` keeps the others. Materials are copied from the sequence's original USD file.
@@ -24,7 +24,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 from mixseq.errors import FormatError
 from mixseq.rigging.rigs import Morph, Skeleton, Skin, rotation_matrices
 from mixseq.types import Float
-from mixseq_io.files import replacing
+from mixseq_io.files import atomic_file
 from mixseq_io.reader import as_float32
 from mixseq_io.rig_arrays import (
     build_skeleton,
@@ -42,10 +42,10 @@ from mixseq_io.usd.stage import (
     open_stage,
     prims_of,
     quiet,
-    reading_usd,
     save_layer,
     time_codes,
-    writing_usd,
+    translate_usd_read_errors,
+    translate_usd_write_errors,
 )
 from mixseq_io.usd.writer import (
     author_times,
@@ -59,7 +59,7 @@ from mixseq_io.usd.writer import (
 
 def read_skel_joints(path: Path, name: str | None) -> Skeleton:
     """Read the joints of a skeleton; see `mixseq_io.read_skeleton`."""
-    with quiet(), reading_usd(path):
+    with quiet(), translate_usd_read_errors(path):
         stage = open_stage(path)
         prim = skeleton_prim(path, stage, name)
         skeleton = UsdSkel.Skeleton(prim)
@@ -218,7 +218,7 @@ def write_usd_rig(path: Path, rig: Skin | Morph) -> None:
         check_not_needed(path, Path(origin.path))
     packed = path.suffix.lower() == ".usdz"
     elsewhere: list[str] = []
-    with replacing(path) as temporary, quiet(), writing_usd(path):
+    with atomic_file(path) as temporary, quiet(), translate_usd_write_errors(path):
         layer = Sdf.Layer.CreateNew(str(temporary.with_suffix(".usdc") if packed else temporary))
         author_times(layer, header, shown_by(header, header.fps), None)
         define_rig(layer, path, rig)

@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdUtils
 
 from mixseq.errors import FormatError, NoMeshError, OutputError
-from mixseq_io.files import out_of_memory, raise_system_error
-from mixseq_io.reader import check_regular, warn
+from mixseq_io.files import out_of_memory_error, raise_system_error
+from mixseq_io.reader import check_regular_file, warn
 from mixseq_io.scene_meshes import SceneObject, format_names, select_meshes
 
 _LONGEST_REASON = 200
@@ -49,12 +49,12 @@ def quiet() -> Iterator[list[str]]:
 
 
 @contextmanager
-def reading_usd(path: Path) -> Iterator[None]:
+def translate_usd_read_errors(path: Path) -> Iterator[None]:
     """Translate USD's errors (`RuntimeError`), and those of damaged values, about a file read into `FormatError`."""
     try:
         yield
     except MemoryError:
-        raise out_of_memory(path) from None
+        raise out_of_memory_error(path) from None
     except (RuntimeError, ValueError, TypeError) as error:
         raise FormatError(
             f"{path} cannot be read as USD; it is damaged, truncated or of another type ({_reasons(error)})"
@@ -62,7 +62,7 @@ def reading_usd(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def writing_usd(path: Path) -> Iterator[None]:
+def translate_usd_write_errors(path: Path) -> Iterator[None]:
     """Translate USD's errors about a file that is written into `OutputError`, except for errors of the system."""
     try:
         yield
@@ -160,7 +160,7 @@ def reference_to(file: Path, target: Path) -> str:
     return named if named.startswith("../") else f"./{named}"
 
 
-def sublayer_of(path: Path) -> str:
+def find_sublayer(path: Path) -> str:
     """Return the path of the file that a USD file is a layer over, as written there; "" if it stands alone."""
     layer = Sdf.Layer.FindOrOpen(str(path))
     return next(iter(layer.subLayerPaths), "") if layer else ""
@@ -171,7 +171,7 @@ def clips_folder(path: Path) -> Path:
     return path.with_name(f"{path.name}.clips")
 
 
-def clips_of(path: Path) -> list[Path]:
+def find_clips(path: Path) -> list[Path]:
     """Return the clips and the manifest that a USD file uses; none without clips."""
     folder = clips_folder(path)
     layer = Sdf.Layer.FindOrOpen(str(path)) if folder.is_dir() else None
@@ -203,7 +203,7 @@ def open_stage(path: Path) -> Usd.Stage:
     if not layer:
         raise FormatError(f"{path} cannot be read as USD; it is damaged, truncated or of another type")
     for asset in layer.GetCompositionAssetDependencies():
-        check_regular(layer.ComputeAbsolutePath(asset), f"a layer for {path}")
+        check_regular_file(layer.ComputeAbsolutePath(asset), f"a layer for {path}")
     return Usd.Stage.Open(layer, Usd.Stage.LoadAll)
 
 

@@ -20,12 +20,12 @@ from pxr import Ar, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, UsdUtils, Vt
 from scipy.sparse import csr_array
 
 from mixseq.errors import FormatError, InvalidSequenceError
-from mixseq.mesh.measures import hard_edges_of_normals
-from mixseq.mesh.polygons import Polygons, reversed_corners
+from mixseq.mesh.measures import hard_edges_from_normals
+from mixseq.mesh.polygons import Polygons, reversed_winding
 from mixseq.mesh.surface import CornerValues, FaceSet, Origin
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import IntArray
-from mixseq_io.reader import naming, warn
+from mixseq_io.reader import prefix_errors, warn
 from mixseq_io.scene_meshes import SceneMesh, base_face_set
 from mixseq_io.surfaces import are_valid_indices, ensure_alpha
 from mixseq_io.text.labels import (
@@ -48,9 +48,9 @@ from mixseq_io.usd.stage import (
     is_prim_path,
     lineage,
     open_stage,
-    reading_usd,
     reference_to,
     shortened,
+    translate_usd_read_errors,
 )
 
 _UV_READERS = {
@@ -96,7 +96,7 @@ def is_gone(origin: Origin | None) -> bool:
 def _networks(origin: Path, materials: Iterable[str]) -> Sdf.Layer | None:
     """Return a layer with the materials only; None if the file is missing."""
     try:
-        with reading_usd(origin):
+        with translate_usd_read_errors(origin):
             whole = open_stage(origin)
     except FormatError:
         return None
@@ -256,7 +256,7 @@ class Parts:
     names: Sequence[str]
 
 
-def define_parts(layer: Sdf.Layer, meshes: Sequence[str], parts: Parts) -> None:
+def write_parts(layer: Sdf.Layer, meshes: Sequence[str], parts: Parts) -> None:
     """Author a subset for every part of every mesh, in place of earlier ones."""
     stage = Usd.Stage.Open(layer)
     for path, of_polygon in zip(meshes, parts.of_polygon, strict=True):
@@ -308,7 +308,7 @@ def scene_mesh_of(
     """Return a mesh as in the first frame, faces counter-clockwise from outside in world space: codes ``(T,)``."""
     mesh, code = animated.mesh, Usd.TimeCode(animated.start)
     path = str(mesh.GetPath())
-    with naming(path):
+    with prefix_errors(path):
         polygons = _polygons(animated, codes)
     scheme = str(mesh.GetSubdivisionSchemeAttr().Get())
     if mesh.GetHoleIndicesAttr().Get(code):
@@ -331,12 +331,12 @@ def scene_mesh_of(
 
 
 def _turned(scene_mesh: SceneMesh) -> SceneMesh:
-    order = reversed_corners(scene_mesh.polygons.counts, keep_first=True)
+    order = reversed_winding(scene_mesh.polygons.counts, keep_first=True)
     return replace(
         scene_mesh,
         polygons=Polygons(scene_mesh.polygons.counts, scene_mesh.polygons.indices[order]),
-        uvs=scene_mesh.uvs and scene_mesh.uvs.taken(order),
-        colours=scene_mesh.colours and scene_mesh.colours.taken(order),
+        uvs=scene_mesh.uvs and scene_mesh.uvs.select(order),
+        colours=scene_mesh.colours and scene_mesh.colours.select(order),
         hard_edges=None if scene_mesh.hard_edges is None else scene_mesh.hard_edges[order],
     )
 
@@ -375,7 +375,7 @@ def _colours(animated: AnimatedMesh, polygons: Polygons, notes: Notes) -> Corner
     alpha = _values(animated, polygons, notes, "opacities", opacity) if opacity.HasAuthoredValue() else None
     if alpha is None:
         return CornerValues(ensure_alpha(colours.values), colours.indices)
-    return CornerValues.of_corners(np.hstack([colours.at_corners[:, :3], alpha.at_corners]))
+    return CornerValues.from_corners(np.hstack([colours.at_corners[:, :3], alpha.at_corners]))
 
 
 def _chosen_values(
@@ -435,7 +435,7 @@ def _hard_edges(animated: AnimatedMesh, polygons: Polygons, notes: Notes) -> NDA
     if not are_valid_indices(rows, len(normals)) or not np.isfinite(normals).all():
         notes.add(mesh.GetPrim(), "normals do not fit the faces and are left out")
         return None
-    return hard_edges_of_normals(animated.weld.polygons(polygons), normals[rows])
+    return hard_edges_from_normals(animated.weld.polygons(polygons), normals[rows])
 
 
 def rows_of_corners(interpolation: str, polygons: Polygons) -> NDArray[np.int32]:

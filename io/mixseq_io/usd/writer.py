@@ -20,11 +20,11 @@ from numpy.typing import ArrayLike
 from pxr import Ar, Kind, Sdf, Usd, UsdGeom, UsdShade, Vt
 
 from mixseq.errors import FormatError, OutputError, SettingsError
-from mixseq.mesh.surface import WHITE, CornerValues, FaceSet
+from mixseq.mesh.surface import DEFAULT_COLOUR, CornerValues, FaceSet
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray
-from mixseq_io.files import replacing
-from mixseq_io.reader import checked, warn
+from mixseq_io.files import atomic_file
+from mixseq_io.reader import validate_blocks, warn
 from mixseq_io.scene_meshes import SceneMesh, split_meshes
 from mixseq_io.usd.layers import (
     Cast,
@@ -47,12 +47,12 @@ from mixseq_io.usd.stage import (
     identifier,
     open_stage,
     quiet,
-    reading_usd,
     save_layer,
     shortened,
-    writing_usd,
+    translate_usd_read_errors,
+    translate_usd_write_errors,
 )
-from mixseq_io.usd.surface import Parts, define_materials, define_parts, is_gone
+from mixseq_io.usd.surface import Parts, define_materials, is_gone, write_parts
 
 _LOOKS = "Looks"
 
@@ -105,7 +105,7 @@ def _define_colours(mesh: UsdGeom.Mesh, scene_mesh: SceneMesh, colours: CornerVa
         interpolation = UsdGeom.Tokens.constant
     elif colours.one_per_vertex(vertices):
         interpolation = UsdGeom.Tokens.vertex
-        values = colours.at_vertices(vertices, scene_mesh.vertex_count, WHITE)
+        values = colours.at_vertices(vertices, scene_mesh.vertex_count, DEFAULT_COLOUR)
     else:
         interpolation, rows = UsdGeom.Tokens.faceVarying, Vt.IntArrayFromBuffer(colours.indices)
     primvars = [mesh.CreateDisplayColorPrimvar(interpolation)]
@@ -267,7 +267,7 @@ def write_usd(
         )
     times = None if sources is None else source_times(header, sources)
     shown = shown_by(header, original.rate if original else header.fps, times if whole_stage else None)
-    _, numbered = checked(header, blocks, velocities)
+    _, numbered = validate_blocks(header, blocks, velocities)
 
     def begun(file: Path) -> tuple[Sdf.Layer, Cast, Iterable[Frame]]:
         layer = Sdf.Layer.CreateNew(str(file))
@@ -284,15 +284,15 @@ def write_usd(
         elif original and times is not None:
             warn_of_rest(path, header, original, times)
         if parts is not None:
-            define_parts(layer, [each.path for each in cast.meshes], _laid(parts, original))
+            write_parts(layer, [each.path for each in cast.meshes], _laid(parts, original))
         return layer, cast, frames(cast, shown.codes, header.times, numbered)
 
     elsewhere: list[str] = []
     with (
         new_folder(path) as folder,
-        replacing(path) as temporary,
+        atomic_file(path) as temporary,
         quiet(),
-        writing_usd(path),
+        translate_usd_write_errors(path),
     ):
         if clips:
             folder.make()
@@ -314,11 +314,11 @@ def write_usd_parts(path: Path, header: SequenceHeader, parts: Parts) -> bool:
     original = _original(path, header, flatten=False, onto=None)
     if original is None:
         return False
-    with replacing(path) as temporary, quiet(), writing_usd(path):
+    with atomic_file(path) as temporary, quiet(), translate_usd_write_errors(path):
         layer = Sdf.Layer.CreateNew(str(temporary))
         author_times(layer, header, shown_by(header, original.rate), original)
         put_over(layer, path, original)
-        define_parts(layer, [str(fit.mesh.GetPath()) for fit in original.fits], _laid(parts, original))
+        write_parts(layer, [str(fit.mesh.GetPath()) for fit in original.fits], _laid(parts, original))
         save_layer(layer)
     return True
 
@@ -403,7 +403,7 @@ def check_not_needed(path: Path, original: Path) -> None:
     if not path.exists():
         return
     stage = None
-    with suppress(FormatError), quiet(), reading_usd(original):
+    with suppress(FormatError), quiet(), translate_usd_read_errors(original):
         stage = open_stage(original)
     layers = stage.GetUsedLayers() if stage else []
     files = [Path(Ar.SplitPackageRelativePathOuter(each.realPath)[0]) for each in layers if each.realPath]

@@ -17,10 +17,10 @@ import numpy as np
 
 from mixseq.errors import OutputError, SettingsError
 from mixseq.rigging.low_rank import fit_low_rank
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
 from mixseq.sequence.sequence import MeshSequence, bounding_diagonal
-from mixseq_io.files import replacing_folder
+from mixseq_io.files import atomic_folder
 from mixseq_io.gltf.codecs import open_buffer_writer
 from mixseq_io.reader import warn
 from mixseq_io.vat.textures import (
@@ -96,7 +96,7 @@ def write_vat(
     sequence: MeshSequence,
     max_error: float | None = None,
     texture: TextureName = "png16",
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> VatReport:
     """Write a sequence as vertex animation textures: a folder with pictures, a mesh, ``vat.json`` and shaders.
 
@@ -148,7 +148,7 @@ def write_vat(
     else:
         textures, report = _bounded(sequence, frames, texels, kind, max_error, progress)
     texels.add_vertices(np.asarray(sequence.points[0]), len(textures.images["points"].pixels) // texels.rows)
-    with replacing_folder(folder, VAT_FILE_NAMES) as temporary:
+    with atomic_folder(folder, VAT_FILE_NAMES) as temporary:
         report = replace(report, file_bytes=sum(_write_images(temporary, textures, texture)))
         mesh = temporary / "mesh.glb"
         with open_buffer_writer(mesh, mesh, texels.layout):

@@ -37,7 +37,7 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.runtime.jit import joined
+from mixseq.runtime.jit import force_inlined
 from mixseq.types import Index, IntArray
 
 CHECKSUM_SIZE = 4
@@ -120,7 +120,7 @@ def is_past_end(stream: BitStream) -> bool:
     return int(stream.place[0]) > len(stream.data) + PADDING_BYTES
 
 
-@joined
+@force_inlined
 def code_bit(stream: BitStream, probability: int, bit: int) -> int:
     """Write or read a bit whose probability of being 1 is `probability` / 65536; return it."""
     low, high = stream.interval[0], stream.interval[1]
@@ -144,7 +144,7 @@ def code_bit(stream: BitStream, probability: int, bit: int) -> int:
     return bit
 
 
-@joined
+@force_inlined
 def code_raw_bits(stream: BitStream, size: int, number: int) -> int:
     """Write or read the last `size` bits of a number without a model, and return them."""
     value = 0
@@ -153,7 +153,7 @@ def code_raw_bits(stream: BitStream, size: int, number: int) -> int:
     return value
 
 
-@joined
+@force_inlined
 def bit_length(number: int) -> int:
     """Return the bit length of a number's magnitude."""
     size, bits = abs(number), 0
@@ -227,13 +227,13 @@ def _logistic_tables() -> tuple[Index, Index, Index, Index]:
     )
 
 
-@joined
+@force_inlined
 def code_modelled_bit(stream: BitStream, models: BitModels, position: int, bit: int) -> int:
     """Write or read a bit at a position in the current contexts, update the models, and return it."""
     return code_bit_of_kind(stream, models, position, position, bit)
 
 
-@joined
+@force_inlined
 def code_bit_of_kind(stream: BitStream, models: BitModels, position: int, kind: int, bit: int) -> int:
     """Write or read a bit as `code_modelled_bit` does, with the mixing weights of a kind."""
     frequencies, weights = models.frequencies, models.weights
@@ -296,7 +296,7 @@ def reserve_bits(bits: HashedBits, count: int) -> HashedBits:
     return bits._replace(stream=reserve(bits.stream, _MAX_BYTES_PER_BIT * count))
 
 
-@joined
+@force_inlined
 def code_hashed_bit(bits: HashedBits, kind: int, bit: int) -> int:
     """Write or read a bit of a kind in the current contexts, update the models, and return it."""
     slots, contexts = bits.models.contexts, bits.contexts
@@ -305,7 +305,7 @@ def code_hashed_bit(bits: HashedBits, kind: int, bit: int) -> int:
     return code_bit_of_kind(bits.stream, bits.models, 0, kind, bit)
 
 
-@joined
+@force_inlined
 def has_failed(bits: HashedBits) -> bool:
     """Return whether the stream is damaged or ends early; loops check once a corner, to save time."""
     if bits.stream.place[0] > len(bits.stream.data) + PADDING_BYTES:

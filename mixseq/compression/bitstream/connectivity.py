@@ -48,7 +48,7 @@ from mixseq.compression.bitstream.connectivity_kernels import (
     new_history,
 )
 from mixseq.errors import FormatError, InvalidSequenceError
-from mixseq.mesh.polygons import Polygons, in_canonical_order
+from mixseq.mesh.polygons import Polygons, canonical_order
 from mixseq.runtime.jit import compiled
 from mixseq.types import Index
 
@@ -168,7 +168,7 @@ def growing_order(corners: Corners) -> Index:
 
 def walk_polygons(polygons: Polygons, vertex_count: int) -> tuple[Index, Index]:
     """Return the polygons ``(P,)`` in walk order, and their entry corners ``(P,)``; components by lowest vertex."""
-    canonical = in_canonical_order(polygons)
+    canonical = canonical_order(polygons)
     sorted_polygons = Polygons(polygons.counts[canonical.polygons], polygons.indices[canonical.corners])
     corners = corners_on_nodes(sorted_polygons, vertex_count)
     entry_corners = _walk_corners(corners)

@@ -49,7 +49,7 @@ from mixseq.compression.bitstream.arithmetic import (
     code_hashed_bit,
     has_failed,
 )
-from mixseq.runtime.jit import compiled, joined
+from mixseq.runtime.jit import compiled, force_inlined
 from mixseq.types import Index, Int32
 
 UNUSED, OPEN, CLOSED = 0, 1, 2
@@ -158,7 +158,7 @@ def add_polygon(mesh: HalfEdges, indices: Index, start: int, stop: int) -> None:
         set_state(mesh, vertex, OPEN if mesh.open_edges[vertex] else CLOSED)
 
 
-@joined
+@force_inlined
 def _add_half_edge(mesh: HalfEdges, edge: int, tail: int, head: int) -> None:
     """Close the opposite half-edge, or open this one."""
     opposite = mesh.newest[INTO, tail]
@@ -180,7 +180,7 @@ def _add_half_edge(mesh: HalfEdges, edge: int, tail: int, head: int) -> None:
     mesh.open_edges[head] += change
 
 
-@joined
+@force_inlined
 def _link(mesh: HalfEdges, side: int, vertex: int, edge: int) -> None:
     newest = mesh.newest[side, vertex]
     mesh.older[side, edge] = newest
@@ -189,7 +189,7 @@ def _link(mesh: HalfEdges, side: int, vertex: int, edge: int) -> None:
     mesh.newest[side, vertex] = edge
 
 
-@joined
+@force_inlined
 def _unlink(mesh: HalfEdges, side: int, vertex: int, edge: int) -> None:
     older, newer = mesh.older[side, edge], mesh.newer[side, edge]
     if older >= 0:
@@ -254,7 +254,7 @@ def new_history(vertex_count: int) -> History:
     )
 
 
-@joined
+@force_inlined
 def make_guesses(
     mesh: HalfEdges, history: History, place: int, previous: int, first: int, last_new: int
 ) -> None:
@@ -293,7 +293,7 @@ def make_guesses(
     guesses[15] = previous - 1
 
 
-@joined
+@force_inlined
 def record_guesses(history: History, place: int, vertex: int, winner: int) -> None:
     """Record the right guesses at a corner; `winner` is the first of them, or `GUESS_COUNT` plus the state."""
     successes, winners, recent = history.successes, history.winners, history.recent_winners
@@ -305,7 +305,7 @@ def record_guesses(history: History, place: int, vertex: int, winner: int) -> No
     winners[place, 1], winners[place, 0] = winners[place, 0], winner
 
 
-@joined
+@force_inlined
 def repeat_slot(indices: Index, corner: int, place: int) -> int:
     """Return the slot in `History.repeats` of the last three differences of corners."""
     key = np.uint64(indices[corner] - indices[corner - 1])
@@ -390,7 +390,7 @@ def code_polygons(bits: HashedBits, mesh: HalfEdges, history: History, counts: I
         bits.failed[0] = 1
 
 
-@joined
+@force_inlined
 def _code_vertex(
     bits: HashedBits,
     mesh: HalfEdges,
@@ -441,7 +441,7 @@ def _code_vertex(
     return _code_unguessed(bits, mesh, history, vertex, previous, place, last_new)
 
 
-@joined
+@force_inlined
 def _code_unguessed(
     bits: HashedBits, mesh: HalfEdges, history: History, vertex: int, previous: int, place: int, last_new: int
 ) -> tuple[int, int]:
@@ -532,7 +532,7 @@ def _code_number(bits: HashedBits, history: History, topic: int, number: int) ->
                 return -value if negative else value
 
 
-@joined
+@force_inlined
 def _clamp(number: int) -> int:
     """Clamp a number for use as a context, which is from 1 to 63."""
     return min(max(number, -31), 31) + 32

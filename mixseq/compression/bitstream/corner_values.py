@@ -41,7 +41,7 @@ from mixseq.compression.bitstream.uv_seams import (
 from mixseq.compression.bitstream.uv_values import MAX_COORDINATE, MAX_NUMBER_BITS, VALUE_KINDS, code_values
 from mixseq.errors import FormatError
 from mixseq.mesh.polygons import Polygons
-from mixseq.mesh.surface import CornerValues, by_first_use
+from mixseq.mesh.surface import CornerValues, renumber_by_first_use
 from mixseq.types import FloatArray, Index, IntArray
 
 _MAX_PAIR_BITS = 2 * (2 * MAX_NUMBER_BITS + 1)
@@ -130,9 +130,9 @@ def _code_values(
 def encode_hard_edges(polygons: Polygons, vertex_count: int, numbers: IntArray) -> bytes | None:
     """Code which corners share a normal: numbers ``(sum of counts,)``; None if that is not possible."""
     bits = new_hashed_output(len(numbers) * MAX_SEAM_BITS, SEAM_KINDS)
-    normal_ids = by_first_use(numbers)
+    normal_ids = renumber_by_first_use(numbers)
     nodes = _code_seams(bits, polygons, vertex_count, normal_ids)
-    if not np.array_equal(by_first_use(nodes), normal_ids):
+    if not np.array_equal(renumber_by_first_use(nodes), normal_ids):
         return None
     return append_checksum(finish_stream(bits.stream), checksum_of(normal_ids))
 
@@ -142,7 +142,7 @@ def decode_hard_edges(data: bytes, polygons: Polygons, vertex_count: int) -> Ind
     stream, expected = split_checksum(data)
     bits = new_hashed_bits(new_input_stream(stream), SEAM_KINDS)
     nodes = _code_seams(bits, polygons, vertex_count, np.zeros(polygons.indices.size, dtype=np.int64))
-    numbers = by_first_use(nodes)
+    numbers = renumber_by_first_use(nodes)
     if bits.failed[0] or checksum_of(numbers) != expected:
         raise FormatError(
             f"hard edges at {polygons.indices.size} corners are damaged, or those of another mesh"

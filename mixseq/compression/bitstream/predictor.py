@@ -56,7 +56,7 @@ from mixseq.compression.bitstream.signal_graph import (
     coarser_levels,
     renumber_adjacency,
 )
-from mixseq.mesh.polygons import frozen
+from mixseq.mesh.polygons import read_only
 from mixseq.runtime.jit import compiled
 from mixseq.types import Float, Index, Int32
 
@@ -254,7 +254,7 @@ class Predictor:
         """Set the neighbours of nodes, and their initial weights."""
         self.neighbours = neighbours.astype(np.int32)
         self.counts = counts.astype(np.int32)
-        self._initial_weights = kernels.round_weights(frozen(weights))  # as stencils': one type to numba
+        self._initial_weights = kernels.round_weights(read_only(weights))  # as stencils': one type to numba
         self.weights = self._initial_weights.copy()
         self._blocks, self._gram = group_nodes(self.counts)
         self._ridge = 0.0

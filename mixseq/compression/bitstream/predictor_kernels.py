@@ -27,7 +27,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mixseq.runtime.jit import compiled, joined
+from mixseq.runtime.jit import compiled, force_inlined
 from mixseq.types import Float, Index, Int32
 
 UNITS_PER_STEP = 64
@@ -54,7 +54,7 @@ class Blocks(NamedTuple):
     places: Index  # (B,) where a block begins in `gram`
 
 
-@joined
+@force_inlined
 def predict(node: int, neighbours: Int32, counts: Int32, weights: Float, values: Index) -> int:
     """Return the value of a node predicted from the values ``(N,)`` before it, in units."""
     total = 0.5
@@ -222,7 +222,7 @@ def find_similar_nodes(
                     _insert(node, int(other), distance, similar, similar_counts, nearest)
 
 
-@joined
+@force_inlined
 def _insert(
     node: int, other: int, distance: float, similar: Int32, similar_counts: Int32, nearest: Float
 ) -> None:

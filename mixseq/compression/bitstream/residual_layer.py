@@ -29,9 +29,9 @@ from mixseq.compression.bitstream.arithmetic import (
 from mixseq.compression.bitstream.signal_coder import Reader, Writer
 from mixseq.compression.bitstream.signal_graph import NEIGHBOUR_COUNTS, SignalGraph, mesh_graph
 from mixseq.errors import FormatError
-from mixseq.runtime.jit import compiled, joined
+from mixseq.runtime.jit import compiled, force_inlined
 from mixseq.runtime.lazy import PickledWithoutCaches
-from mixseq.runtime.parallel import on_two_threads
+from mixseq.runtime.parallel import two_thread_executor
 from mixseq.types import Float, Index
 
 CONTEXTS_PER_BIT = 3
@@ -104,12 +104,12 @@ def code_residuals(
             nonzero_axes |= (1 if numbers[node, k] else 0) << k
 
 
-@joined
+@force_inlined
 def _is_displaced(numbers: Index, node: int) -> int:
     return 1 if numbers[node, 0] or numbers[node, 1] or numbers[node, 2] else 0
 
 
-@joined
+@force_inlined
 def _code_coordinate(stream: BitStream, models: BitModels, number: int) -> int:
     if not code_modelled_bit(stream, models, 2, 1 if number else 0):
         return 0
@@ -224,7 +224,7 @@ def write_residuals(residuals: Callable[[int], Index], frames: range, graph: Sig
     stream has the lengths of all runs in bytes, four bytes each, then the runs.
     """
     spans = (frames[start : start + FRAMES_PER_RUN] for start in range(0, len(frames), FRAMES_PER_RUN))
-    runs = list(on_two_threads()(_write_run, (residuals, graph), spans))
+    runs = list(two_thread_executor()(_write_run, (residuals, graph), spans))
     if not any(runs):
         return b""
     return np.array([len(run) for run in runs], dtype="<u4").tobytes() + b"".join(runs)

@@ -45,8 +45,8 @@ from mixseq.compression.bitstream.predictor import Predictor
 from mixseq.compression.bitstream.predictor_kernels import UNITS_PER_STEP, predict
 from mixseq.compression.bitstream.signal_graph import SignalGraph
 from mixseq.errors import FormatError
-from mixseq.runtime.jit import compiled, joined
-from mixseq.runtime.parallel import InTurn
+from mixseq.runtime.jit import compiled, force_inlined
+from mixseq.runtime.parallel import WorkQueue
 from mixseq.types import Float, Index, Int32, IntArray
 
 SIZE_LEVELS = 32
@@ -152,7 +152,7 @@ def reconstruct_values(
         values[node] = predict(node, neighbours, counts, weights, values) + steps[node] * numbers[node]
 
 
-@joined
+@force_inlined
 def mean_neighbour_size(node: int, neighbours: Int32, counts: Int32, activity: Index, numbers: Index) -> int:
     """Return the mean size of the numbers at a node's neighbours; the activity of a node that has none."""
     if not counts[node]:
@@ -163,13 +163,13 @@ def mean_neighbour_size(node: int, neighbours: Int32, counts: Int32, activity: I
     return UNITS_PER_STEP * total // counts[node]  # type: ignore[no-any-return]
 
 
-@joined
+@force_inlined
 def expected_size(size: int, activity: int, ring_activity: int) -> int:
     """Return the expected size of a number: .80 of the mean at its neighbours, .40 and .15 of the activities."""
     return (205 * size + 102 * activity + 38 * ring_activity) >> 8
 
 
-@joined
+@force_inlined
 def code_signed_number(stream: BitStream, models: BitModels, number: int) -> int:
     """Write or read a number: bit length, highest of the bits after the first, the other bits, sign."""
     magnitude = abs(number)
@@ -193,14 +193,14 @@ def code_signed_number(stream: BitStream, models: BitModels, number: int) -> int
     return -value if code_raw_bits(stream, 1, 1 if number < 0 else 0) else value
 
 
-@joined
+@force_inlined
 def size_level(size: int) -> int:
     """Return the level of a size in units of 1 / `UNITS_PER_STEP`, two per octave."""
     bits = bit_length(size)
     return min(size if bits < 2 else 2 * (bits - 1) + ((size >> (bits - 2)) & 1), SIZE_LEVELS - 1)
 
 
-@joined
+@force_inlined
 def fine_size_level(size: int) -> int:
     """Return the level of a size in units of 1 / `UNITS_PER_STEP`, four per octave."""
     bits = bit_length(size)
@@ -293,7 +293,7 @@ class Reader:
         data, self._expected_checksum = split_checksum(data)
         self._stream = arithmetic.new_input_stream(data)
         self._checksum = 0
-        self._turns = InTurn()
+        self._queue = WorkQueue()
 
     def stream(self) -> BitStream:
         """Return the stream; raise `FormatError` if it ended early."""
@@ -307,11 +307,11 @@ class Reader:
 
     def queue(self, work: Callable[[], None], count: int) -> None:
         """Queue work on `count` numbers, after all earlier work."""
-        self._turns.take(work, count >= _MIN_NUMBERS_TO_QUEUE)
+        self._queue.submit(work, count >= _MIN_NUMBERS_TO_QUEUE)
 
     def wait(self) -> None:
         """Wait until all queued work is done."""
-        self._turns.wait()
+        self._queue.wait()
 
     def finish(self) -> None:
         """Verify that the decoded values are those that were written."""

@@ -38,7 +38,7 @@ from mixseq.compression.bitstream.signal_coder import NumberModels, Reader, Sign
 from mixseq.compression.bitstream.signal_graph import NEIGHBOUR_COUNTS, SignalGraph, mesh_graph, path_graph
 from mixseq.errors import FormatError
 from mixseq.runtime.jit import compiled
-from mixseq.runtime.parallel import on_two_threads
+from mixseq.runtime.parallel import two_thread_executor
 from mixseq.types import Float, Index
 
 MAX_PARTS = 128
@@ -126,7 +126,7 @@ class Part(NamedTuple):
 def split_parts(labels: Index, faces: NDArray[np.integer]) -> list[Part]:
     """Return the parts of labels ``(V,)`` 0 ... P - 1, each with the triangles ``(F, 3)`` that lie inside it."""
     vertices = part_vertices(labels)
-    graphs = on_two_threads()(
+    graphs = two_thread_executor()(
         lambda _, part: build_part_graph(part, vertices[part], labels, faces), None, range(len(vertices))
     )
     return list(map(Part, vertices, graphs))

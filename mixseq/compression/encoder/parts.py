@@ -32,7 +32,7 @@ from mixseq.compression.bitstream.spatial_basis import MAX_PARTS
 from mixseq.compression.encoder.components import PrincipalComponents
 from mixseq.errors import SegmentationError
 from mixseq.mesh.topology import Topology
-from mixseq.runtime.parallel import on_two_threads
+from mixseq.runtime.parallel import two_thread_executor
 from mixseq.segmentation.methods import segment
 from mixseq.sequence.sequence import FrameStore
 from mixseq.types import Float, Index
@@ -155,7 +155,7 @@ def refine_parts(
     neighbour_mean = _neighbour_mean_matrix(faces, vertex_count)
     squares = np.einsum("rv,rv->v", motion, motion)
     for _ in range(MAX_ROUNDS):
-        work = on_two_threads()(_code_lengths, (motion, squares, labels, step), range(part_count))
+        work = two_thread_executor()(_code_lengths, (motion, squares, labels, step), range(part_count))
         lengths = np.stack(list(work), axis=1)
         lengths = (lengths + neighbour_mean @ lengths) / 2
         refined = lengths.argmin(axis=1)

@@ -5,8 +5,8 @@ found by the secant method on logarithms. With a bound on every vertex, an accur
 coarse one many; the cheapest of some steps is taken.
 
 At the first step several numbers of parts are tried, and both kinds of basis unless the norms of the components exclude
-one. Every part has coefficients of its own; therefore long sequences of few vertices have one part. The ratio of actual and
-expected error of a trial corrects the first step of the next one.
+one. Every part has coefficients of its own, which favours one part for long sequences of few vertices. The ratio of
+actual and expected error of a trial corrects the first step of the next one.
 
 Candidates of large meshes are compared on a coarse mesh. Its vertices are those coded first, and its edges those that
 close the holes of removed vertices (`mixseq.compression.bitstream.signal_graph`), so its streams resemble the first
@@ -39,8 +39,8 @@ from mixseq.compression.encoder.components import (
 from mixseq.compression.encoder.parts import initial_parts, refine_parts
 from mixseq.compression.encoder.trial import Candidate, Trial, add_residuals, squared_error, try_step
 from mixseq.errors import SettingsError
-from mixseq.runtime.progress import Stages
-from mixseq.sequence.sequence import FrameStore, digits_end, largest_coordinate
+from mixseq.runtime.progress import StagedProgress
+from mixseq.sequence.sequence import FrameStore, largest_coordinate, rounding_error
 from mixseq.types import Index
 
 
@@ -225,13 +225,13 @@ MIN_RELATIVE_ERROR = 1e-9
 class Search:
     """Trials with several steps, until a target is met."""
 
-    def __init__(self, sequence: FrameStore, graph: SignalGraph, stages: Stages, chunk: int) -> None:
+    def __init__(self, sequence: FrameStore, graph: SignalGraph, stages: StagedProgress, chunk: int) -> None:
         self._sequence = sequence
         self._graph = graph
         self._stages = stages
         self._chunk = chunk
         self._point_count = len(sequence.points) * sequence.points.shape[1]
-        self._min_step = digits_end(largest_coordinate(sequence.points)) * sequence.points.shape[1] ** 0.5
+        self._min_step = rounding_error(largest_coordinate(sequence.points)) * sequence.points.shape[1] ** 0.5
         self._rounds = 0
         self._error_ratio = INITIAL_ERROR_RATIO  # of actual and expected errors
 

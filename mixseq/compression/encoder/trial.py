@@ -32,8 +32,8 @@ from mixseq.compression.bitstream.spatial_basis import (
     write_labels,
 )
 from mixseq.compression.encoder.components import PartComponents, PrincipalComponents
-from mixseq.runtime.parallel import on_threads, on_two_threads
-from mixseq.sequence.sequence import FrameStore, block_size, blocks_of
+from mixseq.runtime.parallel import thread_executor, two_thread_executor
+from mixseq.sequence.sequence import FrameStore, block_size, iterate_blocks
 from mixseq.types import Float, Index
 
 DEFAULT_CHUNK_FRAMES, MIN_CHUNK_FRAMES = 512, 16
@@ -49,7 +49,7 @@ class RoundedPart(NamedTuple):
 
 def round_basis(parts: Sequence[PartComponents], step: float) -> list[RoundedPart]:
     """Round the components of every part until they vanish, without the constant one of trajectories."""
-    return list(on_two_threads()(_round_part, step, parts))
+    return list(two_thread_executor()(_round_part, step, parts))
 
 
 def _round_part(step: float, part: PartComponents) -> RoundedPart:
@@ -101,7 +101,7 @@ def round_coefficients(
     decoded = np.empty_like(coefficients)
     vector_ids = [np.flatnonzero(part_ids == part) for part in range(len(basis.part_bases))]
     work = [(frames, ids) for frames in chunk_ranges(len(coefficients), size) for ids in vector_ids]
-    rounded = on_two_threads()(_round_chunk, coefficients * scales[:, None], work)
+    rounded = two_thread_executor()(_round_chunk, coefficients * scales[:, None], work)
     signals: list[list[Signal]] = []
     for (frames, ids), (values, part_signals) in zip(work, rounded, strict=True):
         decoded[frames.start : frames.stop, ids] = values.transpose(2, 0, 1) / scales[ids, None]
@@ -162,7 +162,9 @@ class Candidate:
     ) -> Candidate:
         """Make a candidate with parts by labels ``(V,)``, without their components of norms below `min_norm`."""
         parts = split_parts(labels, faces) if labels.any() else [Part(np.arange(graph.size), graph)]
-        of_parts = on_two_threads()(lambda _, part: PartComponents(components, part, min_norm), None, parts)
+        of_parts = two_thread_executor()(
+            lambda _, part: PartComponents(components, part, min_norm), None, parts
+        )
         return cls(components, tuple(of_parts), graph, labels, share)
 
 
@@ -185,7 +187,7 @@ class Coding:
     @cached_property
     def streams(self) -> Streams:
         """The streams, computed in parallel."""
-        basis, *coefficients = on_threads()(lambda _, work: work(), None, self._work)
+        basis, *coefficients = thread_executor()(lambda _, work: work(), None, self._work)
         self._work = []  # signals take the most memory of a trial
         return Streams(basis, tuple(coefficients))
 
@@ -270,12 +272,12 @@ def order_coefficients(basis: SpatialBasis, coefficients: Sequence[Float]) -> Fl
 
 def squared_error(sequence: FrameStore, basis: SpatialBasis, coefficients: Float) -> float:
     """Return the sum of all squared distances of decoded frames from those of a sequence."""
-    blocks = zip(blocks_of(sequence.points), decode_blocks(basis, coefficients), strict=True)
+    blocks = zip(iterate_blocks(sequence.points), decode_blocks(basis, coefficients), strict=True)
     return sum(float(np.square(points - block).sum()) for points, block in blocks)
 
 
 def decode_blocks(basis: SpatialBasis, coefficients: Float) -> Iterator[Float]:
-    """Yield decoded frames of coefficients in the blocks of `mixseq.sequence.sequence.blocks_of`."""
+    """Yield decoded frames of coefficients in the blocks of `mixseq.sequence.sequence.iterate_blocks`."""
     size = block_size(basis.vertex_count)
     for start in range(0, len(coefficients), size):
         yield basis.frames(coefficients[start : start + size])

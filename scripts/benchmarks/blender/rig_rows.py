@@ -14,7 +14,7 @@ from mixseq.creature import walk_cycle
 from mixseq.rigging.rigs import Morph, Skin
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float, FloatArray
-from mixseq_io.rig_measuring import measure
+from mixseq_io.rig_measuring import measure_rig_file
 from scripts.benchmarks.blender.environment import show
 from scripts.benchmarks.blender.live_rows import LiveRow
 from scripts.benchmarks.blender.seen import Seen
@@ -104,7 +104,7 @@ def _rows(name: str, sequence: MeshSequence, rig: Skin | Morph, file: Path, seen
     yield LiveRow(f"{name}, half-way between frames", off(halves, moments[1]), NEAR)
     mixed = MIXED if isinstance(rig, Skin) else NEAR
     yield LiveRow(f"{name}, a quarter after frames", off(quarters, moments[2]), mixed)
-    told = measure(file, sequence).max_error
+    told = measure_rig_file(file, sequence).max_error
     found = _farthest(shown, sequence.points[:, own]) / sequence.diagonal
     yield LiveRow(f"{name}, its error, beside {told:.3g} that is told", abs(found - told), NEAR)
     if isinstance(rig, Skin):

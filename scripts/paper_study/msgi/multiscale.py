@@ -30,13 +30,13 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from mixseq.errors import ReconstructionError
-from mixseq.mesh.measures import sound_lengths
+from mixseq.mesh.measures import clamp_lengths
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.segmentation.joints import make_joint
-from mixseq.shells.fitting import Patch, rebuild
+from mixseq.shells.fitting import Patch, rebuild_patch
 from mixseq.shells.gauss_newton import ShellReport, ShellSettings
-from mixseq.spaces.edge import Wanted
+from mixseq.spaces.edge import ShellTargets
 from mixseq.spaces.pieces import Pieces
 from mixseq.types import Float, Index
 from scripts.paper_study.common.registration import Overlaps, register
@@ -90,11 +90,11 @@ class Leaf(PickledWithoutCaches):
         inside = np.zeros(len(topology.faces), dtype=bool)
         inside[faces] = True
         joint = make_joint(topology, inside, np.zeros(topology.vertex_count, dtype=bool))
-        patch = Patch.of_joint(topology, joint, ~joint.free)
+        patch = Patch.from_joint(topology, joint, ~joint.free)
         return cls(joint.vertices, joint.edge_ids, joint.hinge_ids, patch)
 
-    def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         return self.patch, self.patch.hinge_frames
 
     def rebuilt(
@@ -106,7 +106,7 @@ class Leaf(PickledWithoutCaches):
         )
         nowhere = np.zeros((len(self.vertices), 3))
         own = lengths[self.edges], angles[self.hinges], weights[self.edges]
-        return rebuild(self.patch, *own, nowhere, settings)
+        return rebuild_patch(self.patch, *own, nowhere, settings)
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,8 +155,8 @@ class Merge(PickledWithoutCaches):
         shapes = [np.cos(np.outer(mine + 1, np.sqrt([2.0, 3.0, 5.0]))) for mine in own]
         return cls(vertices, edges, len(own), Overlaps.of(own, shapes), seams)
 
-    def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         seams = (self.seams.factor,) if self.seams.solved.size else ()
         return self.overlaps.translation_solver, self.seams.component, *seams
 
@@ -207,18 +207,18 @@ class MultiScale(PickledWithoutCaches):
             steps.append(tuple(step for region in whole for step in _steps(self.topology, region)))
         return tuple(steps)
 
-    def constants(self) -> list[object]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> list[object]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         return [step for steps in self.steps for step in steps]
 
-    def fit(self, wanted: Wanted, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
+    def fit(self, wanted: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Implement `EdgeProjection.fit`, with a report for every leaf."""
-        lengths, angles, weights = wanted.lengths, wanted.angles, wanted.weights
+        lengths, angles, weights = wanted.lengths, wanted.angles, wanted.length_weights
         for name, values, of in (("length", lengths, "edge"), ("angle", angles, "hinge")):
             wrong = np.flatnonzero(~np.isfinite(values))
             if wrong.size:
                 raise ReconstructionError(f"the {name} of {of} {wrong[0]} is {values[wrong[0]]}")
-        lengths = sound_lengths(lengths, weights)  # also of the seams: an edge has no negative length
+        lengths = clamp_lengths(lengths, weights)  # also of the seams: an edge has no negative length
         pieces, reports = [], []
         for vertices, steps in zip(self.pieces.vertices, self.steps, strict=True):
             made: list[Float] = [] if steps else [np.zeros((len(vertices), 3))]

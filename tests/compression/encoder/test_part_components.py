@@ -16,12 +16,12 @@ from mixseq.compression.encoder.components import (
 )
 from mixseq.compression.encoder.search import BASIS_KINDS, expected_error, step_for_error
 from mixseq.compression.encoder.trial import Candidate, decode_blocks, squared_error, try_step
-from mixseq.sequence.sequence import FrameStore, frame_store
+from mixseq.sequence.sequence import FrameStore, load_frames
 from mixseq.types import Float, Index
 from tests.meshes import bar
 
 KINDS: tuple[BasisKind, ...] = BASIS_KINDS
-SEQUENCE = frame_store(bar(sides=6, rings=20, frames=9))
+SEQUENCE = load_frames(bar(sides=6, rings=20, frames=9))
 GRAPH = mesh_graph(SEQUENCE.header.faces, SEQUENCE.header.vertex_count)
 LABELS: Index = (np.arange(SEQUENCE.header.vertex_count) >= 50).astype(np.int64)
 

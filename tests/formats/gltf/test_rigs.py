@@ -17,7 +17,7 @@ from mixseq.errors import InvalidSequenceError, MixseqWarning, OutputError
 from mixseq.rigging.rigs import Morph, Skin, rotation_matrices
 from mixseq.sequence.sequence import MeshSequence
 from mixseq_io.rig_arrays import four_influences
-from mixseq_io.rig_measuring import measure, size_as_frames
+from mixseq_io.rig_measuring import measure_rig_file, size_with_frame_targets
 from tests.formats.conftest import dressed, lossy
 from tests.formats.gltf_files import Gltf, read, validate
 from tests.formats.rig_maker import AXES, QUARTER, carried, hinge, random_skin, swelling
@@ -171,7 +171,7 @@ def test_a_skin_stands_upright_and_in_metres(tmp_path: Path) -> None:
     np.testing.assert_allclose(read(tmp_path / "a.glb").points, upright, atol=1e-6)
     assert set(file.node("bar")) == {"name", "mesh", "skin"}  # its transform would be ignored
     sequence = MeshSequence.from_header(skin.header, skin.points())
-    assert measure(tmp_path / "a.glb", sequence).max_error < 1e-6
+    assert measure_rig_file(tmp_path / "a.glb", sequence).max_error < 1e-6
 
 
 def test_a_skin_that_stands_still_has_no_animation(tmp_path: Path) -> None:
@@ -181,7 +181,8 @@ def test_a_skin_that_stands_still_has_no_animation(tmp_path: Path) -> None:
     assert "animations" not in file.json
     np.testing.assert_allclose(read(tmp_path / "a.glb").points[0], bent(skin.rest, QUARTER), atol=1e-6)
     assert (
-        measure(tmp_path / "a.glb", MeshSequence.from_header(still.header, still.points())).max_error < 1e-6
+        measure_rig_file(tmp_path / "a.glb", MeshSequence.from_header(still.header, still.points())).max_error
+        < 1e-6
     )
 
 
@@ -217,11 +218,11 @@ def test_targets_whose_weights_never_change_are_in_the_base(tmp_path: Path) -> N
 
 
 def test_normals_of_targets_come_close_to_those_of_the_frames(tmp_path: Path) -> None:
-    from mixseq.mesh.measures import shared_normals
+    from mixseq.mesh.measures import corner_normals
 
     morph = swelling()
     file = written(tmp_path / "a.glb", replace(morph, weights=morph.weights * [[0], [1], [0], [0.0]]))
-    truth = shared_normals(morph.points(), morph.header.polygons)
+    truth = corner_normals(morph.points(), morph.header.polygons)
     np.testing.assert_allclose(file.attribute("bar", "NORMAL"), truth[0], atol=1e-6)
     np.testing.assert_allclose(file.played("bar", 0.1, "NORMAL"), truth[1], atol=1e-5)
 
@@ -247,7 +248,7 @@ def test_errors_are_those_of_the_file(tmp_path: Path) -> None:
     moved = np.array(truth.points)
     moved[2, 7] += [0, 0.3, 0.4]
     diagonal = np.linalg.norm(np.ptp(skin.rest, axis=0))
-    found = measure(tmp_path / "a.glb", truth.with_points(moved))
+    found = measure_rig_file(tmp_path / "a.glb", truth.with_points(moved))
     assert found.max_error == pytest.approx(0.5 / diagonal, rel=1e-5)
     assert found.rms_error == pytest.approx(0.5 / diagonal / np.sqrt(moved.size / 3), rel=1e-4)
     spread = np.linalg.norm(moved - moved.mean(axis=1, keepdims=True))
@@ -257,7 +258,9 @@ def test_errors_are_those_of_the_file(tmp_path: Path) -> None:
 def test_the_size_of_all_frames_is_told_without_writing_them(tmp_path: Path) -> None:
     sequence = bar(sides=30, rings=60)
     mixseq.write(tmp_path / "a.glb", sequence)
-    assert size_as_frames(sequence.header) == pytest.approx((tmp_path / "a.glb").stat().st_size, rel=2e-3)
+    assert size_with_frame_targets(sequence.header) == pytest.approx(
+        (tmp_path / "a.glb").stat().st_size, rel=2e-3
+    )
 
 
 def test_pygltflib_and_trimesh_load_them(tmp_path: Path) -> None:
@@ -287,7 +290,7 @@ def test_what_is_no_rig_is_refused(tmp_path: Path) -> None:
 
 
 def test_too_many_bones_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match=r"65536 bones, glTF has numbers for 65535; fit it with fewer"):
+    with pytest.raises(OutputError, match=r"65536 bones, glTF allows 65535; fit it with fewer"):
         mixseq.write_rig(tmp_path / "a.glb", random_skin(bar(frames=1), bones=65536, targets=0))
     assert list(tmp_path.iterdir()) == []
 
@@ -338,8 +341,8 @@ def test_the_validator_passes_them(tmp_path: Path) -> None:
 def test_a_real_morph_keeps_its_bound_and_passes_the_validator(tmp_path: Path, data: Path) -> None:
     wolf = mixseq.read(data / "npz" / "q_wolf_gallop.npz")
     mixseq.write_rig(tmp_path / "wolf.glb", mixseq.fit_morph(wolf, max_error=0.01))
-    assert measure(tmp_path / "wolf.glb", wolf).max_error <= 0.010001
-    assert (tmp_path / "wolf.glb").stat().st_size < size_as_frames(wolf.header)
+    assert measure_rig_file(tmp_path / "wolf.glb", wolf).max_error <= 0.010001
+    assert (tmp_path / "wolf.glb").stat().st_size < size_with_frame_targets(wolf.header)
     validate(tmp_path / "wolf.glb")
 
 

@@ -17,7 +17,7 @@ from pxr import Sdf, Tf, Usd, UsdGeom
 from mixseq.cli.group import announce, format_bytes
 from mixseq.errors import InvalidSequenceError, MixseqWarning, OutputError, SettingsError
 from mixseq.sequence.sequence import MeshSequence
-from mixseq_io.usd.stage import clips_of
+from mixseq_io.usd.stage import find_clips
 from mixseq_io.usd.writer import write_usd
 from tests.formats.usd_maker import (
     Asset,
@@ -164,10 +164,10 @@ def test_nothing_half_written_stays(
 
 def test_clips_that_are_left_from_an_older_file(path: Path, recwarn: pytest.WarningsRecorder) -> None:
     save(path, shot(), clips=1)
-    assert len(clips_of(path)) == 4 and not recwarn
+    assert len(find_clips(path)) == 4 and not recwarn
     with pytest.warns(MixseqWarning, match=r"out\.usda\.clips has the clips of an older file"):
         save(path, shot())
-    assert clips_of(path) == []
+    assert find_clips(path) == []
     folder = path.with_name("out.usda.clips")
     assert len(list(folder.iterdir())) == 4  # the user decides
     (folder / "notes.txt").write_text("not ours")

@@ -14,7 +14,7 @@ from mixseq.errors import InvalidSequenceError, OutputError
 from mixseq.rigging.rigs import Morph, Skin
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float
-from mixseq_io.rig_measuring import measure
+from mixseq_io.rig_measuring import measure_rig_file
 from tests.formats.conftest import dressed, lossy
 from tests.formats.rig_maker import QUARTER, carried, hinge, random_skin, swelling
 from tests.formats.usd_maker import problems
@@ -67,7 +67,7 @@ def test_between_keys_bones_turn_on_arcs(tmp_path: Path) -> None:
     stage = written(tmp_path / "a.usda", skin)
     query = UsdSkel.Cache().GetAnimQuery(animation_of(stage))
     _, rotations, _ = query.ComputeJointLocalTransformComponents(Usd.TimeCode(0.5))
-    between = skin.resampled([0.05]).local().rotations[0]
+    between = skin.resampled([0.05]).local_motion().rotations[0]
     np.testing.assert_allclose([[*each.imaginary, each.real] for each in rotations], between, atol=1e-6)
 
 
@@ -147,7 +147,7 @@ def test_units_and_the_up_axis_are_told(tmp_path: Path) -> None:
     assert (back.up_axis, back.metres_per_unit) == ("Z", 0.01)
     np.testing.assert_allclose(back.points, skin.points(), atol=1e-6)
     sequence = MeshSequence.from_header(skin.header, skin.points())
-    assert measure(tmp_path / "a.usdc", sequence).max_error < 1e-6
+    assert measure_rig_file(tmp_path / "a.usdc", sequence).max_error < 1e-6
 
 
 def test_boxes_are_those_of_the_frames(tmp_path: Path) -> None:
@@ -174,7 +174,7 @@ def test_errors_are_those_of_the_file(tmp_path: Path) -> None:
     written(tmp_path / "a.usdz", skin)
     moved = skin.points()
     moved[2, 7] += [0, 0.3, 0.4]
-    found = measure(tmp_path / "a.usdz", MeshSequence.from_header(skin.header, moved))
+    found = measure_rig_file(tmp_path / "a.usdz", MeshSequence.from_header(skin.header, moved))
     assert found.max_error == pytest.approx(0.5 / np.linalg.norm(np.ptp(skin.rest, axis=0)), rel=1e-5)
 
 

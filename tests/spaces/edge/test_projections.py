@@ -11,15 +11,15 @@ from mixseq.errors import ReconstructionError
 from mixseq.mesh.measures import (
     dihedral_angles,
     edge_lengths,
+    signed_volume,
     triangle_areas,
-    volume,
     volume_gradient,
-    wrap,
+    wrap_angles,
 )
 from mixseq.mesh.rigid import kabsch
 from mixseq.shells.fitting import ShellProblem, fit_shell
 from mixseq.shells.gauss_newton import ShellSettings
-from mixseq.spaces.edge import DiscreteShell, EdgeProjection, RelaxedShell, Wanted, is_sheet
+from mixseq.spaces.edge import DiscreteShell, EdgeProjection, RelaxedShell, ShellTargets, is_sheet
 from mixseq.spaces.pieces import Pieces
 from mixseq.types import Float
 from tests.meshes import (
@@ -46,14 +46,16 @@ KINDS = "steps", "dso"
 
 def projection_of(kind: str, mesh: Mesh) -> EdgeProjection:
     topology = topology_of(mesh)
-    pieces = Pieces.of(topology, mesh[0])
+    pieces = Pieces.from_mesh(topology, mesh[0])
     if kind == "dso":
         return DiscreteShell(topology, pieces)
     return RelaxedShell(topology, pieces, edge_lengths(mesh[0], topology.edges), ShellSettings().bending)
 
 
-def wanted(lengths: Float, angles: Float, weights: Float | None = None) -> Wanted:
-    return Wanted(lengths, 1 / lengths if weights is None else weights, angles, np.zeros(0), np.zeros(0))
+def wanted(lengths: Float, angles: Float, weights: Float | None = None) -> ShellTargets:
+    return ShellTargets(
+        lengths, 1 / lengths if weights is None else weights, angles, np.zeros(0), np.zeros(0)
+    )
 
 
 def measured(mesh: Mesh, x: Float) -> tuple[Float, Float]:
@@ -66,13 +68,13 @@ def measured(mesh: Mesh, x: Float) -> tuple[Float, Float]:
 def test_pieces_come_back(kind: str, size: float) -> None:
     """The reference, and a mesh that is not."""
     made = projection_of(kind, STRAY)
-    made.prepared()
+    made.precompute()
     x = STRAY[0] + size * np.random.default_rng(3).normal(size=STRAY[0].shape)
     rows, reports = made.fit(wanted(*measured(STRAY, x)), ShellSettings())
     assert all(report.converged for report in reports)
     assert len(rows) == len(x)
-    pieces = Pieces.of(topology_of(STRAY), STRAY[0])
-    for place, vertices in zip(pieces.slices, pieces.vertices, strict=True):
+    pieces = Pieces.from_mesh(topology_of(STRAY), STRAY[0])
+    for place, vertices in zip(pieces.row_slices, pieces.vertices, strict=True):
         rotation, translation = kabsch(rows[place], x[vertices])
         np.testing.assert_allclose(rows[place] @ rotation.T + translation, x[vertices], atol=1e-9)
 
@@ -105,7 +107,7 @@ def test_steps_go_nearly_as_far_as_gauss_newton(mesh: Mesh) -> None:
     upright = np.roll(points, 2 - along, axis=1)
     ends = bent(upright, -1.2, 3.0, 1.0) * [1.2, 1.0, 1.0], bent(upright, 1.2, 3.0, 1.0)
     first, last = (measured(mesh, x) for x in ends)
-    lengths, angles = (first[0] + last[0]) / 2, first[1] + wrap(last[1] - first[1]) / 2
+    lengths, angles = (first[0] + last[0]) / 2, first[1] + wrap_angles(last[1] - first[1]) / 2
     settings = ShellSettings(tolerance=1e-10, accuracy=1e-10)
     (_, (ours,)), (_, (best,)) = (
         projection_of(kind, mesh).fit(wanted(lengths, angles), settings) for kind in KINDS
@@ -115,15 +117,15 @@ def test_steps_go_nearly_as_far_as_gauss_newton(mesh: Mesh) -> None:
 
 def test_volumes_of_pieces() -> None:
     topology = topology_of(STRAY)
-    made = DiscreteShell(topology, Pieces.of(topology, STRAY[0]))
-    volumes = made.volumes(STRAY[0])
+    made = DiscreteShell(topology, Pieces.from_mesh(topology, STRAY[0]))
+    volumes = made.piece_volumes(STRAY[0])
     assert volumes[1] == pytest.approx(8 / 3)
-    assert volumes[2] == pytest.approx(volume(*torus(9, 5)))
+    assert volumes[2] == pytest.approx(signed_volume(*torus(9, 5)))
     assert volumes[-1] == 0
     weights = made.volume_weights(STRAY[0])
     np.testing.assert_allclose(weights[1:3] * np.abs(volumes[1:3]), 1.0)
-    assert weights[-1] == made.areas(STRAY[0])[-1] == 0
-    assert made.areas(STRAY[0])[1] == pytest.approx(8 * np.sqrt(3))
+    assert weights[-1] == made.piece_areas(STRAY[0])[-1] == 0
+    assert made.piece_areas(STRAY[0])[1] == pytest.approx(8 * np.sqrt(3))
 
 
 # Volumes: those of formulas, their gradients, and that the term pulls towards them
@@ -131,8 +133,8 @@ def test_volumes_of_pieces() -> None:
 
 def test_tetrahedron() -> None:
     points, faces = tetrahedron()
-    assert volume(points, faces) == pytest.approx(8.0 / 3.0)
-    assert volume(points, faces[:, ::-1]) == pytest.approx(-8.0 / 3.0)
+    assert signed_volume(points, faces) == pytest.approx(8.0 / 3.0)
+    assert signed_volume(points, faces[:, ::-1]) == pytest.approx(-8.0 / 3.0)
     assert triangle_areas(points, faces).sum() == pytest.approx(8.0 * np.sqrt(3.0))
 
 
@@ -141,8 +143,8 @@ def test_prism() -> None:
     base = 6 * np.sin(np.pi / 3) / 2 * 0.25
     points, faces = tube(6, 9)
     # The vertices of the caps pull the centre of the closed tube nowhere: both tubes are symmetric.
-    assert volume(points, faces) == pytest.approx(4.0 * base)
-    assert volume(*tube(6, 9, closed=False)) == pytest.approx(4.0 * base * 2 / 3)
+    assert signed_volume(points, faces) == pytest.approx(4.0 * base)
+    assert signed_volume(*tube(6, 9, closed=False)) == pytest.approx(4.0 * base * 2 / 3)
 
 
 @pytest.mark.parametrize("mesh", [tube(6, 9), tube(6, 9, closed=False), torus(9, 7)])
@@ -151,11 +153,13 @@ def test_gradient_and_rigid_motions(mesh: Mesh) -> None:
     rng = np.random.default_rng(0)
     x = points + 0.1 * rng.normal(size=points.shape)
     moved = x @ rotation((0.3, -2.0, 1.0)).T + [5.0, -3.0, 100.0]
-    assert volume(moved, faces) == pytest.approx(volume(x, faces))
+    assert signed_volume(moved, faces) == pytest.approx(signed_volume(x, faces))
     gradient = volume_gradient(x, faces)
     direction = rng.normal(size=x.shape)
     step = 1e-5
-    difference = (volume(x + step * direction, faces) - volume(x - step * direction, faces)) / (2 * step)
+    difference = (signed_volume(x + step * direction, faces) - signed_volume(x - step * direction, faces)) / (
+        2 * step
+    )
     assert np.sum(gradient * direction) == pytest.approx(difference, rel=1e-7)
     assert np.abs(gradient.sum(axis=0)).max() < 1e-12
 
@@ -173,10 +177,10 @@ def inflated(weight: float) -> tuple[ShellProblem, Float]:
     mesh = torus(12, 8)
     points, faces = mesh[0] / 5.0, mesh[1]
     topology = topology_of(mesh)
-    (piece,) = DiscreteShell(topology, Pieces.of(topology, points)).shells
+    (piece,) = DiscreteShell(topology, Pieces.from_mesh(topology, points)).shell_pieces
     assert piece is not None
     lengths, angles = edge_lengths(points, topology.edges), dihedral_angles(points, topology.hinges)
-    before = volume(points, faces)
+    before = signed_volume(points, faces)
     problem = ShellProblem(piece.patch, lengths, angles, 1.0 / lengths, 0.3)
     return replace(problem, volume=1.1 * before, volume_weight=weight / before), points
 
@@ -185,7 +189,7 @@ def test_steps_are_those_of_all_equations() -> None:
     """Sherman-Morrison finds what the dense normal equations give."""
     problem, points = inflated(3.0)
     residuals = problem.residuals(points)
-    row = problem.volume_row(points)
+    row = problem.volume_gradient(points)
     assert row is not None
     slopes = np.vstack([jacobian(problem, points).toarray(), row])
     values, gradient = problem.normal_equations(points, residuals)
@@ -205,7 +209,7 @@ def test_the_term_pulls_and_the_fit_is_a_minimum() -> None:
         fitted, report = fit_shell(problem, points, ShellSettings(tolerance=1e-9, accuracy=1e-12))
         assert report.converged
         faces = problem.patch.faces
-        ratios.append(volume(fitted, faces) / volume(points, faces))
+        ratios.append(signed_volume(fitted, faces) / signed_volume(points, faces))
         rng = np.random.default_rng(1)
         for _ in range(5):
             assert problem.energy(fitted + 1e-4 * rng.normal(size=points.shape)) > report.energy
@@ -232,5 +236,5 @@ def test_without_a_term_nothing_changes() -> None:
     one, first = fit_shell(plain, start)
     other, second = fit_shell(light, start)
     np.testing.assert_allclose(one, other, atol=1e-7)
-    assert plain.volume_row(start) is None
+    assert plain.volume_gradient(start) is None
     assert first.iterations == second.iterations

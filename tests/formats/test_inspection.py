@@ -14,7 +14,7 @@ import mixseq
 from mixseq.errors import FormatError
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import FloatArray
-from mixseq_io.hdf5.permitted import MOST_OBJECTS
+from mixseq_io.hdf5.inspection import MAX_OBJECTS_PER_FILE
 from tests.formats.models.model_cases import GOLDEN
 
 pytestmark = pytest.mark.slow
@@ -56,7 +56,7 @@ def nested(file: h5py.File) -> None:
 
 
 def crowd(file: h5py.File) -> None:
-    for number in range(MOST_OBJECTS + 1):
+    for number in range(MAX_OBJECTS_PER_FILE + 1):
         file.create_group(f"crowd/{number}")
 
 
@@ -108,7 +108,7 @@ REFUSED: dict[str, tuple[Spoil, str]] = {
 ELSEWHERE: dict[str, tuple[Spoil, str]] = {
     "circle": (circle, "polygons.* has a second name"),
     "nested": (nested, "is nested too deeply"),
-    "crowd": (crowd, f"has more than {MOST_OBJECTS} objects"),
+    "crowd": (crowd, f"has more than {MAX_OBJECTS_PER_FILE} objects"),
     "reference": (reference, "/polygons, attribute note, has the type reference"),
     "attribute without value": (attribute(h5py.Empty("f8")), "attribute note, has no value"),
     "attribute of any length": (attribute("text"), "attribute note, has strings of any length"),
