@@ -116,7 +116,7 @@ def select_samples(times: Float, window: tuple[float, float]) -> slice:
     Examples
     --------
     >>> times = np.array([1.0, 2.0, 3.0, 4.0])
-    >>> samples_within(times, (2.0, 3.0)), samples_within(times, (2.5, 2.6)), samples_within(times, (5.0, 6.0))
+    >>> select_samples(times, (2.0, 3.0)), select_samples(times, (2.5, 2.6)), select_samples(times, (5.0, 6.0))
     (slice(1, 3, None), slice(1, 3, None), slice(0, 4, None))
     """
     start, end = window[0] + TIME_TOLERANCE, window[1] - TIME_TOLERANCE
@@ -166,7 +166,7 @@ def estimate_frame_rate(times: Float, declared: str) -> float:
 
     Examples
     --------
-    >>> frame_rate(np.array([0.0, 1 / 29.97, 2 / 29.97]), ""), frame_rate(np.array([0.0, 1 / 24, 4 / 24]), "")
+    >>> estimate_frame_rate(np.array([0.0, 1 / 29.97, 2 / 29.97]), ""), estimate_frame_rate(np.array([0.0, 1 / 24, 4 / 24]), "")
     (29.97, 24.0)
     """
     step = (times[-1] - times[0]) / max(len(times) - 1, 1)
