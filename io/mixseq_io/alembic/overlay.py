@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import FormatError
-from mixseq.mesh.measures import shared_normals
-from mixseq.mesh.polygons import Polygons, difference, reversed_corners
+from mixseq.mesh.measures import corner_normals
+from mixseq.mesh.polygons import Polygons, describe_difference, reversed_winding
 from mixseq.mesh.surface import CornerValues
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray, Index, IntArray
@@ -130,14 +130,14 @@ class NewMesh:
         """Add normals of points ``(V, 3)`` for hard edges; return an array to keep alive until the sample is set."""
         if self.scene_mesh.hard_edges is None or self.is_subdivided:
             return None
-        shared = shared_normals(points[None], self.scene_mesh.polygons, self.scene_mesh.hard_edges)[0]
+        shared = corner_normals(points[None], self.scene_mesh.polygons, self.scene_mesh.hard_edges)[0]
         normals = create_array(imath.V3fArray, shared)
         sample.setNormals(AbcGeom.ON3fGeomParamSample(normals, self._arrays["normals"], _CORNER_SCOPE))
         return normals
 
     @cached_property
     def _order(self) -> IntArray:
-        return reversed_corners(self.scene_mesh.polygons.counts, keep_first=False)
+        return reversed_winding(self.scene_mesh.polygons.counts, keep_first=False)
 
     @cached_property
     def _arrays(self) -> dict[str, Any]:
@@ -405,7 +405,7 @@ def _describe_difference(path: Path, header: SequenceHeader, scene_mesh: SceneMe
         return f"{mesh.path} has {count} vertices, the sequence {scene_mesh.vertex_count}"
     stored, order = stored_polygons(_read_source(path, header, scene_mesh, mesh)[1])
     polygons = Polygons(stored.counts, stored.indices[order])
-    return difference(scene_mesh.polygons, polygons, ("the sequence", mesh.path))
+    return describe_difference(scene_mesh.polygons, polygons, ("the sequence", mesh.path))
 
 
 _MAX_COPY_GROWTH = 2
@@ -449,7 +449,7 @@ class CopiedMeshWriter:
                 array = create_array(imath.V3fArray, rates)
                 self.velocities.setValue(array)
             if self.normals is not None:
-                normals = shared_normals(own[None], mesh.polygons, mesh.normal_groups)[0]
+                normals = corner_normals(own[None], mesh.polygons, mesh.normal_groups)[0]
                 array = create_array(imath.V3fArray, -normals if self.match.is_mirrored else normals)
                 self.normals.set(AbcGeom.ON3fGeomParamSample(array, self._normal_ids, _CORNER_SCOPE))
 

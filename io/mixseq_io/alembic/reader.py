@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import FormatError, InvalidSequenceError
-from mixseq.mesh.measures import hard_edges_of_normals
-from mixseq.mesh.polygons import Polygons, reversed_corners
+from mixseq.mesh.measures import hard_edges_from_normals
+from mixseq.mesh.polygons import Polygons, reversed_winding
 from mixseq.mesh.surface import CornerValues, FaceSet, Origin
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray, Index, Single
@@ -207,14 +207,14 @@ def read_scene_mesh(source: MeshSource) -> SceneMesh:
     if not mesh.is_subdivided:
         normals = _read_corner_values(source, schema.getNormalsParam(), stored, "normals")
         if normals is not None and normals.values.shape[1] == 3:
-            hard_edges = hard_edges_of_normals(polygons, normals.at_corners[order])
+            hard_edges = hard_edges_from_normals(polygons, normals.at_corners[order])
     return SceneMesh(
         name=mesh.scene_object.name,
         path=mesh.path,
         vertices=source.vertices,
         polygons=polygons,
-        uvs=uvs and uvs.taken(order),
-        colours=colours and colours.taken(order),
+        uvs=uvs and uvs.select(order),
+        colours=colours and colours.select(order),
         hard_edges=hard_edges,
         face_sets=_read_face_sets(source, len(stored.counts)),
         subdivision=_read_scheme(source) if mesh.is_subdivided else "none",
@@ -228,7 +228,7 @@ def stored_polygons(source: MeshSource) -> tuple[Polygons, Index]:
     stored = Polygons(counts, _read_constant(source, schema.getFaceIndicesProperty()))
     if source.is_mirrored:
         return stored, np.arange(stored.indices.size)
-    return stored, reversed_corners(stored.counts, keep_first=False)
+    return stored, reversed_winding(stored.counts, keep_first=False)
 
 
 def _read_constant(source: MeshSource, array: Any) -> NDArray[np.int32]:

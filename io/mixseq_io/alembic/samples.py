@@ -30,7 +30,7 @@ import numpy as np
 
 from mixseq.errors import FormatError
 from mixseq.mesh.rigid import nearest_rotations
-from mixseq.mesh.rotations import matrices, vectors
+from mixseq.mesh.rotations import matrix_to_rotvec, rotvec_to_matrix
 from mixseq.sequence.frame_rates import NTSC_RATES
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import Float, FloatArray, Index, Single
@@ -166,7 +166,7 @@ def estimate_frame_rate(times: Float, declared: str) -> float:
 
     Examples
     --------
-    >>> estimate_frame_rate(np.array([0.0, 1 / 29.97, 2 / 29.97]), ""), estimate_frame_rate(np.array([0.0, 1 / 24, 4 / 24]), "")
+    >>> estimate_frame_rate(np.array([0, 1, 2]) / 29.97, ""), estimate_frame_rate(np.array([0, 1, 4]) / 24, "")
     (29.97, 24.0)
     """
     step = (times[-1] - times[0]) / max(len(times) - 1, 1)
@@ -247,7 +247,7 @@ def interpolate_matrices(first: Float, second: Float, weight: float) -> Float:
     blend = (1 - weight) * first + weight * second
     rotations = nearest_rotations(np.stack([first[:3, :3], second[:3, :3]]))
     stretches = np.stack([first[:3, :3], second[:3, :3]]) @ rotations.swapaxes(1, 2)  # before rotations
-    step = matrices(weight * vectors(rotations[0].T @ rotations[1]))
+    step = rotvec_to_matrix(weight * matrix_to_rotvec(rotations[0].T @ rotations[1]))
     blend[:3, :3] = ((1 - weight) * stretches[0] + weight * stretches[1]) @ rotations[0] @ step
     return blend
 

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from mixseq.choices import StillName
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, to_model
 from mixseq.errors import AmbiguousError, FormatError, OutputError
-from mixseq.mesh.measures import shared_normals
+from mixseq.mesh.measures import corner_normals
 from mixseq.mesh.surface import Origin
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, Single
@@ -243,7 +243,7 @@ def add_still(
 ) -> list[Json]:
     """Add the primitives of a still of points ``(V, 3)`` to a document."""
     positions = as_float32(points[None], 0, "glTF")[0]
-    normals = shared_normals(positions[None], mesh.polygons, mesh.hard_edges)[0].astype(np.float32)
+    normals = corner_normals(positions[None], mesh.polygons, mesh.hard_edges)[0].astype(np.float32)
     add = {"draco": _add_draco, "plain": _add_plain, "none": _add_degenerate}[still]
     entries = []
     for each in split_primitives(mesh):

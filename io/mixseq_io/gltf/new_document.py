@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import InvalidSequenceError
-from mixseq.mesh.measures import shared_normals
+from mixseq.mesh.measures import corner_normals
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import FaceSet
 from mixseq.sequence.header import SequenceHeader
@@ -64,7 +64,7 @@ class MovingMesh:
     def compute_normals(self, points: FloatArray) -> Single:
         """Return the shared normals ``(B, G, 3)`` for points ``(B, V, 3)`` of the sequence."""
         mesh = self.scene_mesh
-        return shared_normals(points[:, mesh.vertices], mesh.polygons, mesh.hard_edges)
+        return corner_normals(points[:, mesh.vertices], mesh.polygons, mesh.hard_edges)
 
 
 class MorphFrameWriter:
@@ -182,7 +182,7 @@ class SplitPrimitive:
     """Triangles ``(F, 3)`` of one material by n split vertices, with uvs ``(n, 2)``, v up, and colours ``(n, 4)``.
 
     The split vertices copy the mesh's `vertex_ids` ``(n,)`` and have the shared normals `normal_ids` ``(n,)``, see
-    `mixseq.mesh.measures.shared_normals`.
+    `mixseq.mesh.measures.corner_normals`.
     """
 
     vertex_ids: IntArray

@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from mixseq.errors import FormatError, InvalidSequenceError, NoMeshError
-from mixseq.mesh.measures import hard_edges_of_normals
+from mixseq.mesh.measures import hard_edges_from_normals
 from mixseq.mesh.polygons import Polygons
-from mixseq.mesh.surface import NO_UV, WHITE, CornerValues, FaceSet, Origin
+from mixseq.mesh.surface import DEFAULT_COLOUR, DEFAULT_UV, CornerValues, FaceSet, Origin
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import Float, FloatArray, IntArray
 from mixseq_io.gltf.animation import (
@@ -109,8 +109,8 @@ def _make_scene_mesh(document: Document, mesh_node: MeshNode, first: int, mirror
         path=scene_object.path,
         vertices=slice(first, first + weld.vertex_count),
         polygons=polygons,
-        uvs=_join_values(primitives, list(map(_read_uvs, primitives)), NO_UV, corners),
-        colours=_join_values(primitives, list(map(_read_colours, primitives)), WHITE, corners),
+        uvs=_join_values(primitives, list(map(_read_uvs, primitives)), DEFAULT_UV, corners),
+        colours=_join_values(primitives, list(map(_read_colours, primitives)), DEFAULT_COLOUR, corners),
         hard_edges=_find_hard_edges(primitives, corners, polygons),
         face_sets=_make_face_sets(document, primitives),
     )
@@ -153,7 +153,7 @@ def _join_values(
         np.tile(default, (len(each.positions), 1)) if own is None else own
         for each, own in zip(primitives, of_primitives, strict=True)
     ]
-    return CornerValues.of_corners(np.concatenate(values)).taken(corners)
+    return CornerValues.from_corners(np.concatenate(values)).select(corners)
 
 
 def _find_hard_edges(
@@ -167,7 +167,7 @@ def _find_hard_edges(
         flat.append(np.full(each.triangles.size, own is None))
     is_flat = np.concatenate(flat)
     at_corners = np.concatenate(normals).astype(np.float64)[corners]
-    hard_edges = hard_edges_of_normals(polygons, np.clip(np.nan_to_num(at_corners), -1e6, 1e6))
+    hard_edges = hard_edges_from_normals(polygons, np.clip(np.nan_to_num(at_corners), -1e6, 1e6))
     if not is_flat.any():
         return hard_edges
     groups = polygons.indices if hard_edges is None else hard_edges

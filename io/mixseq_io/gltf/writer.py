@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mixseq.mesh.polygons import Polygons, difference
+from mixseq.mesh.polygons import Polygons, describe_difference
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, Index
 from mixseq_io.files import atomic_file
@@ -122,7 +122,7 @@ def _describe_difference(scene_mesh: SceneMesh, weld: Weld) -> str:
     if weld.vertex_count != scene_mesh.vertex_count or not weld.primitives:
         return f"it has {weld.vertex_count} vertices, the sequence {scene_mesh.vertex_count}"
     polygons = Polygons.from_triangles(weld.triangles)
-    return difference(scene_mesh.polygons, polygons, ("the sequence", "the file"))
+    return describe_difference(scene_mesh.polygons, polygons, ("the sequence", "the file"))
 
 
 def _orient(triangles: NDArray[Any], mirrored: bool) -> NDArray[Any]:
