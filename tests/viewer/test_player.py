@@ -247,7 +247,7 @@ def test_names_are_shown_as_they_are(one: Player) -> None:
     assert page.locator(".name").all_inner_texts() == ["a <b>bar</b> & more"]
     assert page.title() == "a <b>bar</b> & more"
     page.click("#about")
-    assert "no vertex off by more than" in page.locator("#facts").inner_text()
+    assert "vertex error at most" in page.locator("#facts").inner_text()
     page.keyboard.press("Escape")
     assert not page.locator("#help").is_visible()
 
@@ -350,7 +350,7 @@ def test_own_colours_are_drawn(new_page: NewPage, tmp_path: Path) -> None:
     player = Player(new_page(), tmp_path / "green.html")
     assert not greens(player.picture()).any()
     player.page.select_option("#colour", "own")
-    assert player.page.locator("#legend").inner_text() == "Its own colours"
+    assert player.page.locator("#legend").inner_text() == "Vertex colours"
     assert greens(player.picture()).mean() > 0.01
 
 
