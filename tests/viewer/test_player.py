@@ -332,7 +332,7 @@ def test_colours_can_be_chosen(two: Player) -> None:
     colours = ["Clay", "Strain", "Curvature", "Parts", "Error"]
     assert page.locator("#colour option").all_inner_texts() == colours
     for name, words in (
-        ("parts", "red are joints"),
+        ("parts", "joints in red"),
         ("strain", "Strain (%)"),
         ("error", "Error (diagonals)"),
     ):
@@ -454,7 +454,7 @@ def test_it_is_dark_where_that_is_preferred(request: pytest.FixtureRequest, name
     ("without", "words"),
     [
         ("delete window.DecompressionStream", "no DecompressionStream"),
-        ("HTMLCanvasElement.prototype.getContext = () => null", "no WebGL 2"),
+        ("HTMLCanvasElement.prototype.getContext = () => null", "WebGL 2 is missing"),
     ],
 )
 def test_browsers_that_cannot_are_told(new_page: NewPage, bar_page: Path, without: str, words: str) -> None:

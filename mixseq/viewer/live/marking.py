@@ -305,15 +305,15 @@ def _map_lines(marking: Marking, examination: Examination | None, work: str) -> 
         worst_ids = np.argsort(-percent, kind="stable")[:MAX_LISTED_MARKERS]
         worst = ", ".join(f"{_format_number(int(k))} {percent[k]:.1f} %" for k in worst_ids)
         lines = [
-            f"error of the markers in a stiff map: {np.median(percent):.1f} % of the diagonal (median), "
+            f"Error of the markers in a stiff map: {np.median(percent):.1f} % of the diagonal (median), "
             f"{percent.max():.1f} % (largest)",
-            f"largest errors: {worst}",
+            f"Largest errors: {worst}",
             f"{100 * examination.coverage:.0f} % of the target covered",
         ]
     elif examination.refusal:
         lines = [escape(examination.refusal)]
     elif count < MIN_EXAMINED_MARKERS:
-        lines = [f"shows how well pairs fit, from {MIN_EXAMINED_MARKERS} pairs on"]
+        lines = [f"Shows how well pairs fit, from {MIN_EXAMINED_MARKERS} pairs on"]
     warnings = (escape(suspicion.message) for suspicion in examination.suspicions)
     return [*lines, *(f'<span style="color: #c92a2a">{warning}</span>' for warning in warnings)]
 
