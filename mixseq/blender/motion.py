@@ -113,7 +113,7 @@ class Placement:
     def conversion(self, header: SequenceHeader) -> UnitConversion:
         """Return the rotation and scale from the model's coordinates to Blender's."""
         placed = replace(header, up_axis=self.up_axis, metres_per_unit=self.scale)
-        return UnitConversion.of(placed, BLENDER_UP_AXIS, 1.0)
+        return UnitConversion.from_header(placed, BLENDER_UP_AXIS, 1.0)
 
 
 @dataclass(frozen=True)

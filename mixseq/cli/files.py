@@ -141,7 +141,7 @@ def write_sequence(
     options = {
         name: value for name, value in writing.items() if name not in ("convert_axes", "convert_units")
     }
-    conversion = UnitConversion.of(header, writing.get("convert_axes"), writing.get("convert_units"))
+    conversion = UnitConversion.from_header(header, writing.get("convert_axes"), writing.get("convert_units"))
     mixseq.write_blocks(
         path,
         conversion.header(header),

@@ -197,10 +197,10 @@ def _percent(share: float) -> str:
 
 def _frames_to_draw(transferred: Transfer, frame: int, rest_file: Path | None) -> list[int]:
     """Choose frames for the picture, without the rest, which is always drawn."""
-    from mixseq.types import evenly
+    from mixseq.types import evenly_spaced
 
     count = transferred.header.frame_count
-    chosen = [int(each) for each in evenly(count, MAX_PICTURE_COLUMNS)]
+    chosen = [int(each) for each in evenly_spaced(count, MAX_PICTURE_COLUMNS)]
     return [each for each in chosen if rest_file is not None or each != frame % count] or chosen
 
 

@@ -33,8 +33,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from mixseq.choices import COLOURS, Colour
 from mixseq.errors import SettingsError
-from mixseq.mesh.measures import edge_lengths, wrap
-from mixseq.mesh.surface import WHITE
+from mixseq.mesh.measures import edge_lengths, wrap_angles
+from mixseq.mesh.surface import DEFAULT_COLOUR
 from mixseq.mesh.topology import Topology
 from mixseq.pictures.scene import Scene, SceneItem, check_start_times, is_same_mesh
 from mixseq.segmentation.joints import Decomposition
@@ -169,7 +169,7 @@ class Curvature:
     def __call__(self, points: FloatArray) -> Float:
         """Return changes ``(V,)`` in degrees, 0 to 180, of points ``(V, 3)``."""
         angles, is_defined = _hinge_angles(points, self.faces, self.hinges, self.hinge_faces, self.signs)
-        change = np.where(is_defined & self.is_defined, np.abs(wrap(angles - self.angles)), 0.0)
+        change = np.where(is_defined & self.is_defined, np.abs(wrap_angles(angles - self.angles)), 0.0)
         return np.degrees(_vertex_means(change, self.hinges, len(points)))
 
 
@@ -232,7 +232,9 @@ MAX_PALETTE_COLOURS = 256
 def own_colours(header: SequenceHeader) -> tuple[ByteArray, Index]:
     """Return a palette ``(n, 3)`` and entries ``(V,)`` of the mesh's own colours, each vertex by its first corner."""
     assert header.surface.colours is not None
-    linear = header.surface.colours.at_vertices(header.polygons.indices, header.vertex_count, WHITE)[:, :3]
+    linear = header.surface.colours.at_vertices(header.polygons.indices, header.vertex_count, DEFAULT_COLOUR)[
+        :, :3
+    ]
     vertex_colours = np.rint(255 * srgb(np.clip(np.nan_to_num(linear), 0, 1))).astype(np.uint8)
     colours, entries, counts = np.unique(vertex_colours, axis=0, return_inverse=True, return_counts=True)
     if len(colours) <= MAX_PALETTE_COLOURS:

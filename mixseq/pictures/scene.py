@@ -25,7 +25,7 @@ from mixseq.sequence.frame_rates import exact_rate
 from mixseq.sequence.header import UP_AXES, SequenceHeader
 from mixseq.sequence.sequence import Frames, FrameStore, block_size, frame_store
 from mixseq.signals.model import Model
-from mixseq.types import Float, FloatArray, Index, Single, evenly
+from mixseq.types import Float, FloatArray, Index, Single, evenly_spaced
 
 Limits = tuple[float, float, float, float]
 """Screen rectangle: left, right, bottom and top, in units of the points."""
@@ -335,7 +335,7 @@ class Scene:
 
     def sample_frames(self, max_count: int) -> Sequence[int]:
         """Return evenly spaced frames, at most `max_count`, including the first."""
-        return [int(frame) for frame in evenly(self.count, max_count)]
+        return [int(frame) for frame in evenly_spaced(self.count, max_count)]
 
 
 def is_same_mesh(one: SequenceHeader, other: SequenceHeader) -> bool:

@@ -42,7 +42,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import MixseqWarning, SettingsError
-from mixseq.mesh.rotations import turned
+from mixseq.mesh.rotations import rotate_vectors
 from mixseq.retargeting.limbs import ArticulatedBody, Contact, leg_ratio, solve_limbs
 from mixseq.retargeting.mixed_transfer import MixedTransfer
 from mixseq.retargeting.parts import PartPoses, assign_vertices_to_parts
@@ -440,7 +440,7 @@ def _measure_contacts(
         poses.append(method.transfer_poses(points, deformed_poses))
         # In rest space, since a paw may bend although it is one part with its leg.
         inverse_rotations = np.swapaxes(deformed_poses.rotations[parts], 1, 2)
-        arms = turned(inverse_rotations, deformed[vertices] - deformed_poses.centres[parts])
+        arms = rotate_vectors(inverse_rotations, deformed[vertices] - deformed_poses.centres[parts])
         local_points.append(arms + method.rest_shapes.centres[parts])
     source_path = np.stack(
         [method.gradients.correspondence.interpolate(points)[vertices] for points in block]

@@ -23,7 +23,7 @@ from mixseq.mesh.rigid import kabsch
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.progress import Progress, silent
-from mixseq.segmentation.joints import frames_to_look_at
+from mixseq.segmentation.joints import sample_frame_ids
 from mixseq.segmentation.methods import segment, segment_by_labels
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames, LazyFrames, MeshSequence, check_frames, frame_store
@@ -48,7 +48,7 @@ class SourceMotion:
         """Return the part ``(F,)`` of every triangle: given, or found from the motion."""
         if not (self.parts is None or isinstance(self.parts, int | np.integer)):
             return segment_by_labels(self.parts, self.topology)
-        samples = self.points[frames_to_look_at(len(self.points))]
+        samples = self.points[sample_frame_ids(len(self.points))]
         poses = np.concatenate([self.rest[None], samples])
         return segment(poses, self.topology, "motion", None if self.parts is None else int(self.parts))
 
@@ -102,7 +102,7 @@ def _scaled_rest_shape(
             f"{error}; give the same mesh, with its vertices in the same order"
         ) from None
     shape = rest.points[0].astype(np.float64)
-    samples = points[frames_to_look_at(len(points))].astype(np.float64)
+    samples = points[sample_frame_ids(len(points))].astype(np.float64)
     rest_lengths, lengths = edge_lengths(shape, topology.edges), edge_lengths(samples, topology.edges)
     has_length = rest_lengths > 0
     ratio = float(np.median(lengths[:, has_length] / rest_lengths[has_length])) if has_length.any() else 1.0

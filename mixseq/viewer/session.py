@@ -26,7 +26,7 @@ from mixseq.pictures.charts import dense_times, largest_coordinates
 from mixseq.pictures.scene import Scene
 from mixseq.signals.model import Model
 from mixseq.signals.pose import Plane
-from mixseq.types import Float, IntArray, evenly
+from mixseq.types import Float, IntArray, evenly_spaced
 from mixseq.viewer.playback import JobQueue, Playback
 
 MAX_MESSAGE_POINTS = 5000
@@ -205,8 +205,8 @@ def chart_data(model: Model, plane: Plane | None = None) -> dict[str, Any]:
     start, end = model.start, model.end
     has_motion = end > start and model.time.dim > 0
     times = dense_times(model) if end > start else np.array([start])
-    times = times[evenly(len(times), MAX_CHART_POINTS)]
-    frames = model.times[evenly(len(model.times), MAX_CHART_FRAMES)]
+    times = times[evenly_spaced(len(times), MAX_CHART_POINTS)]
+    frames = model.times[evenly_spaced(len(model.times), MAX_CHART_FRAMES)]
     handles = np.linspace(start, end, HANDLE_COUNT) if has_motion else np.zeros(0)
     coordinate_ids, units = largest_coordinates(model)
     lines = model.time(times)[:, coordinate_ids] * units

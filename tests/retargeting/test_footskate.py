@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mixseq.errors import MixseqWarning, SettingsError
-from mixseq.mesh.rotations import matrices, vectors
+from mixseq.mesh.rotations import matrix_to_rotvec, rotvec_to_matrix
 from mixseq.retargeting.contacts import remove_footskate
 from mixseq.retargeting.limbs import ArticulatedBody, Contact, leg_length, leg_ratio, rotate_limbs
 from tests.retargeting.walkers import BONES, CYCLE, Walk, body, hung, walk
@@ -97,7 +97,7 @@ def test_a_foot_in_the_air_keeps_to_its_path() -> None:
 @pytest.mark.parametrize("angle", [0.0, 0.7, -2.5])
 def test_commutes_with_motions_over_the_ground(angle: float) -> None:
     scene = walk(1.3, 1.0)
-    rotation, shift = matrices(np.array([0.0, angle, 0.0])), np.array([3.0, 0.0, -8.0])
+    rotation, shift = rotvec_to_matrix(np.array([0.0, angle, 0.0])), np.array([3.0, 0.0, -8.0])
     result, moved = scene.planted(), scene.moved(rotation, shift).planted()
     np.testing.assert_allclose(moved.rotations, rotation @ result.rotations, atol=1e-8)
     np.testing.assert_allclose(moved.centres, result.centres @ rotation.T + shift, atol=1e-8)
@@ -457,7 +457,11 @@ def test_a_contact_without_a_limb_stays() -> None:
 
 def test_turns_with_the_world() -> None:
     rng = np.random.default_rng(0)
-    levers, moves, world = leg(0.4, 5), 0.05 * rng.normal(size=(5, 1, 3)), matrices(rng.normal(size=3))
+    levers, moves, world = (
+        leg(0.4, 5),
+        0.05 * rng.normal(size=(5, 1, 3)),
+        rotvec_to_matrix(rng.normal(size=3)),
+    )
     turns, left = rotate_limbs(levers, moves, ANKLE)
     turned, other = rotate_limbs(levers @ world.T, moves @ world.T, ANKLE)
     np.testing.assert_allclose(other, left @ world.T, atol=1e-12)
@@ -473,7 +477,7 @@ def test_two_limbs_share_a_part() -> None:
     turns, left = rotate_limbs(levers, moves, np.array([0.25, 1, 1, 1, 1]))
     np.testing.assert_allclose(left, 0.0, atol=1e-12)
     np.testing.assert_allclose(ends(levers, turns) - levers.sum(axis=2), moves, atol=1e-12)
-    bent = np.linalg.norm(vectors(turns[0]), axis=1)
+    bent = np.linalg.norm(matrix_to_rotvec(turns[0]), axis=1)
     assert bent[0] < bent[1:3].max()  # the leg rather than the trunk
 
 
