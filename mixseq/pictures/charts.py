@@ -20,7 +20,7 @@ from mixseq.errors import OutputError, SettingsError
 from mixseq.pictures.colours import INK_COLOUR
 from mixseq.pictures.page import DOTS_PER_INCH, Target, import_matplotlib
 from mixseq.pictures.scene import Limits
-from mixseq.sequence.frame_rates import frames_between, number_at
+from mixseq.sequence.frame_rates import format_frame_range, time_to_number
 from mixseq.signals.model import Model
 from mixseq.types import Float, IntArray
 
@@ -152,7 +152,7 @@ def log_axis(ax: Axes, values: Float, min_decades: int = 2) -> None:
 
 def time_axis(ax: Axes, start: float, end: float, fps: float | None = None) -> None:
     """Label the x axis with time, and with frame numbers if a rate is given; leave a margin for dots."""
-    ax.set_xlabel("time (s)" if fps is None else f"time (s), {frames_between(start, end, fps)}")
+    ax.set_xlabel("time (s)" if fps is None else f"time (s), {format_frame_range(start, end, fps)}")
     if end > start:
         ax.set_xlim(start - 0.01 * (end - start), end + 0.01 * (end - start))
 
@@ -182,7 +182,7 @@ RANK_TOLERANCE = 1e-13
 def draw_embedding(ax: Axes, model: Model, frames: Sequence[int] | None = None) -> None:
     """Draw the time signal in the plane of its first two principal directions (paper, Figure 18)."""
     count = len(model.times)
-    first = round(number_at(model.times[0], model.header.fps))
+    first = round(time_to_number(model.times[0], model.header.fps))
     default = round_frames(count, MAX_LABELLED_FRAMES, first)
     labelled = default if frames is None else check_frames(frames, count)
     curve, dots = model.embedding(dense_times(model)), model.embedding(model.times)

@@ -371,7 +371,7 @@ def test_progress_is_told(tmp_path: Path) -> None:
 
 
 def test_memory_does_not_grow_with_the_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(low_memory, "IN_MEMORY", 1 << 16)
+    monkeypatch.setattr(low_memory, "MAX_BYTES_IN_MEMORY", 1 << 16)
     sequence = bar(sides=40, rings=50, frames=2)
     rest = sequence.points[0]
 

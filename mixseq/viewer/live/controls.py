@@ -19,7 +19,7 @@ from mixseq.operations import cut, drag, exaggerate, exaggerate_part, hold, loop
 from mixseq.operations.sketch import default_reach
 from mixseq.pictures.colours import Colouring, SceneColours
 from mixseq.pictures.scene import Scene
-from mixseq.sequence.frame_rates import frame_text, number_at, time_of
+from mixseq.sequence.frame_rates import format_frame, number_to_time, time_to_number
 from mixseq.signals.model import Model
 from mixseq.signals.pose import Plane
 from mixseq.spaces.mixed.mixed_space import MixedSpace
@@ -55,11 +55,11 @@ class TimeBase:
 
     def number(self, elapsed: float) -> float:
         """Return the frame number at elapsed seconds."""
-        return number_at(self.start + elapsed, self.fps)
+        return time_to_number(self.start + elapsed, self.fps)
 
     def elapsed(self, number: float) -> float:
         """Return the elapsed seconds of a frame number."""
-        return time_of(number, self.fps) - self.start
+        return number_to_time(number, self.fps) - self.start
 
     @property
     def slider(self) -> tuple[float, float, float, int]:
@@ -71,7 +71,10 @@ class TimeBase:
 
     def text(self, elapsed: float) -> str:
         """Format elapsed seconds as frame and time, with those of the last frame."""
-        number, end = frame_text(self.start + elapsed, self.fps), frame_text(self.start + self.last, self.fps)
+        number, end = (
+            format_frame(self.start + elapsed, self.fps),
+            format_frame(self.start + self.last, self.fps),
+        )
         return f"frame {number} of {end}, {self.start + elapsed:.3f} of {self.start + self.last:.3f} s"
 
 
@@ -491,7 +494,7 @@ class Editor:
 
     def _show_section_frames(self) -> None:
         fps = self._session.model.header.fps
-        first, last = (frame_text(time, fps) for time in self._section_times)
+        first, last = (format_frame(time, fps) for time in self._section_times)
         self._frames.content = _text_line(f"frames {first} to {last}", "mixseq-section")
 
     @property

@@ -22,7 +22,7 @@ from mixseq.pictures.colours import SceneColours
 from mixseq.pictures.scene import SCENE_SIZE, Scene, SceneItem
 from mixseq.retargeting.markers import Markers
 from mixseq.retargeting.suggestions import MIN_EXAMINED_MARKERS, Examination
-from mixseq.sequence.sequence import MeshSequence, frame_store
+from mixseq.sequence.sequence import MeshSequence, load_frames
 from mixseq.types import Float, Index
 from mixseq.viewer.live.controls import notify_all
 from mixseq.viewer.live.stage import LiveStage
@@ -359,7 +359,7 @@ class MarkedMeshes:
             points = np.asarray(mesh.points[:1], np.float64)
             size = float(np.linalg.norm(np.ptp(points[0], axis=0))) or 1.0
             rest = MeshSequence.from_header(mesh.header.with_times([0.0]), points / size)
-            items.append(SceneItem(name, frame_store(rest)))
+            items.append(SceneItem(name, load_frames(rest)))
         return Scene(tuple(items))
 
 
