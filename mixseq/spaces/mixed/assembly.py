@@ -159,8 +159,8 @@ class Assembly(PickledWithoutCaches):
             for body in np.unique(of_seed)
         ]
 
-    def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         return self.frame_graph, self.shell, self._components
 
     def targets(self, frame: FreeFrame) -> tuple[Float, Float]:
