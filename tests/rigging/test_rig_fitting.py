@@ -90,8 +90,8 @@ def test_more_bones_are_more_accurate_down_to_fewer_than_components() -> None:
     sequence = MeshSequence.from_arrays(points, faces)
     skins = [fit_skin(sequence, count) for count in (1, 3, 8)]
     assert [skin.bone_count for skin in skins] == [1, 3, 8]
-    errors = [mixseq.compare(sequence, skin).kg_percent for skin in skins]
-    assert errors[0] > 2 * errors[1] > 4 * errors[2]
+    measure_errors = [mixseq.compare(sequence, skin).kg_percent for skin in skins]
+    assert measure_errors[0] > 2 * measure_errors[1] > 4 * measure_errors[2]
 
 
 def test_bones_start_from_labels() -> None:
