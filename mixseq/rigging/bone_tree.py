@@ -47,17 +47,10 @@ from mixseq.mesh.rigid import aligning_rotations
 from mixseq.rigging.bones import Binding
 from mixseq.types import Float, Index, Mask
 
-SWEEPS_PER_ROUND = 10
-"""Number of sweeps over the bones in a fit of motions."""
-
-_ROTATION_STIFFNESS = 1e-9
-"""Weight of the previous rotation, relative to its moment; it determines rotations of collinear points."""
-
-_PARENT_STIFFNESS = 1e-6
-"""Weight of the parent's rotation for given bones, in vertices at a distance of one diagonal."""
-
-_JOINT_STIFFNESS = 1e-2
-"""Weight of the previous position of a joint, relative to a turn by one radian in all frames."""
+SWEEPS_PER_ROUND = 10  # number of sweeps over the bones in a fit of motions
+_ROTATION_STIFFNESS = 1e-9  # of the previous rotation, relative to its moment, for collinear points
+_PARENT_STIFFNESS = 1e-6  # of the parent's rotation, for given bones that hardly move
+_JOINT_STIFFNESS = 1e-2  # of the previous position, relative to turns by one radian in all frames
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +74,11 @@ class Joints:
                 descendants[self.parents[bone]] |= descendants[bone]
         return descendants
 
+    def moves_vertices(self, binding: Binding) -> Mask:
+        """Return a mask ``(B,)`` of the bones with vertices in their subtree."""
+        is_used = np.isin(np.arange(len(self.parents)), binding.influences[binding.weights > 0])
+        return np.asarray((self.descendants() & is_used).any(axis=1))
+
 
 def attach_joints(motions: Float, joints: Joints) -> Float:
     """Translate transposed motions ``(B, 4, 3T)`` to connect the joints that do not slide."""
@@ -96,9 +94,7 @@ def fit_motions(
     tracks: Float, binding: Binding, motions: Float, joints: Joints, fit_pivots: bool = True
 ) -> tuple[Float, Joints]:
     """Fit the motions ``(B, 4, 3T)`` of bones, and their joints, to tracks ``(V, 3T)``."""
-    is_used = np.isin(np.arange(len(motions)), binding.influences[binding.weights > 0])
-    # Bones with parents, but without vertices in their subtree.
-    idle_bones = np.flatnonzero(~(joints.descendants() & is_used).any(axis=1) & (joints.parents >= 0))
+    idle_bones = np.flatnonzero(~joints.moves_vertices(binding) & (joints.parents >= 0))
     start = attach_joints(_follow_parents(motions, joints, idle_bones), joints)
     fit = _MotionFit(tracks, binding, start, joints, 0.0 if fit_pivots else _PARENT_STIFFNESS)
     for _ in range(SWEEPS_PER_ROUND):
@@ -241,9 +237,8 @@ def _contacts(faces: Index, weights: sparse.csr_array, rest: Float, masses: Floa
     edges = sparse.csr_array((np.ones(len(corners)), corners.T), (len(rest), len(rest)))
     ring_weights = weights + (edges + edges.T).minimum(1) @ weights  # with those of neighbours
     shared = np.asarray((weights.T @ ring_weights).todense())
-    middles = np.stack(
-        [np.asarray((weights.T @ (ring_weights * rest[:, [axis]])).todense()) for axis in range(3)], axis=2
-    )
+    moments = [weights.T @ (ring_weights * rest[:, [axis]]) for axis in range(3)]
+    middles = np.stack([np.asarray(moment.todense()) for moment in moments], axis=2)
     shared, middles = shared + shared.T, middles + middles.swapaxes(0, 1)
     own_weights = np.diag(shared)
     is_touching = shared > _MIN_CONTACT_RATIO * np.minimum(own_weights[:, None], own_weights[None])

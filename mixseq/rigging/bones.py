@@ -69,122 +69,112 @@ def cholesky_solve(a: Float, b: Float, n: int) -> None:
 
 
 @compiled
-def _minimise_unconstrained(h: Float, bones: Index, count: int, scale: float, a: Float, z: Float) -> None:
+def _minimise_affine(h: Float, bones: Index, n: int, scale: float, a: Float, z: Float) -> None:
     """Minimise z^T h z over given bones with sum one and any signs: h z is constant."""
-    for i in range(count):
-        for j in range(count):
+    for i in range(n):
+        for j in range(n):
             # With sum one, a constant added to h does not change the minimum; it keeps h regular.
             a[i, j] = h[bones[i], bones[j]] + scale
         a[i, i] += RELATIVE_DAMPING * scale
         z[i] = 1.0
-    cholesky_solve(a, z, count)
+    cholesky_solve(a, z, n)
     total = 0.0
-    for i in range(count):
+    for i in range(n):
         total += z[i]
-    for i in range(count):
+    for i in range(n):
         z[i] /= total
 
 
 @compiled
-def _minimise_nonnegative(
-    h: Float, bones: Index, count: int, w: Float, scale: float, a: Float, z: Float
-) -> int:
+def _minimise_convex(h: Float, bones: Index, n: int, w: Float, scale: float, a: Float, z: Float) -> int:
     """Minimise over given bones with sum one and w >= 0, from feasible w; return the number of remaining bones."""
     while True:
-        _minimise_unconstrained(h, bones, count, scale, a, z)
+        _minimise_affine(h, bones, n, scale, a, z)
         step, removed = 1.0, -1
-        for i in range(count):
+        for i in range(n):
             if z[i] <= 0.0 and w[i] - z[i] > 0.0 and w[i] / (w[i] - z[i]) < step:
                 step, removed = w[i] / (w[i] - z[i]), i
-        for i in range(count):
+        for i in range(n):
             w[i] += step * (z[i] - w[i])
         if removed < 0:
-            return count
-        count -= 1
-        for i in range(removed, count):
+            return n
+        n -= 1
+        for i in range(removed, n):
             bones[i], w[i] = bones[i + 1], w[i + 1]
         total = 0.0
-        for i in range(count):
+        for i in range(n):
             w[i] = max(w[i], 0.0)
             total += w[i]
-        for i in range(count):
+        for i in range(n):
             w[i] /= total
 
 
 @compiled
-def _quadratic_form(h: Float, bones: Index, count: int, w: Float) -> float:
+def _squared_error(h: Float, bones: Index, n: int, w: Float) -> float:
     value = 0.0
-    for i in range(count):
-        for j in range(count):
+    for i in range(n):
+        for j in range(n):
             value += w[i] * w[j] * h[bones[i], bones[j]]
     return value
 
 
 @compiled
 def _active_set(
-    h: Float,
-    scale: float,
-    candidates: Index,
-    bones: Index,
-    w: Float,
-    count: int,
-    limit: int,
-    a: Float,
-    z: Float,
+    h: Float, scale: float, candidates: Index, bones: Index, w: Float, n: int, limit: int, a: Float, z: Float
 ) -> int:
     """Minimise by Lawson and Hanson's active set on the simplex, from feasible w, with at most `limit` bones."""
     for _ in range(MAX_ACTIVE_SET_ROUNDS):
-        if count == limit:
+        if n == limit:
             break
-        value = _quadratic_form(h, bones, count, w)
+        value = _squared_error(h, bones, n, w)
         best_bone, lowest_slope = -1, value - MIN_RELATIVE_GAIN * scale
         for b in candidates:
             slope = 0.0
-            for i in range(count):
+            for i in range(n):
                 slope += h[b, bones[i]] * w[i]
             if slope < lowest_slope:
                 is_chosen = False
-                for i in range(count):
+                for i in range(n):
                     is_chosen = is_chosen or bones[i] == b
                 if not is_chosen:
                     best_bone, lowest_slope = b, slope
         if best_bone < 0:
             break
-        bones[count], w[count] = best_bone, 0.0
-        count = _minimise_nonnegative(h, bones, count + 1, w, scale, a, z)
-    return count
+        bones[n], w[n] = best_bone, 0.0
+        n = _minimise_convex(h, bones, n + 1, w, scale, a, z)
+    return n
 
 
 @compiled
 def _remove_least_bones(
-    h: Float, scale: float, bones: Index, w: Float, limit: int, count: int, a: Float, z: Float
+    h: Float, scale: float, bones: Index, w: Float, limit: int, n: int, a: Float, z: Float
 ) -> int:
     """Remove bones of least loss until at most `limit` remain."""
-    remaining, trial_weights, best_weights = np.empty_like(bones), np.empty_like(w), np.empty_like(w)
+    rest, trial, best_weights = np.empty_like(bones), np.empty_like(w), np.empty_like(w)
     best_bones = np.empty_like(bones)
-    while count > limit:
-        lowest_value, best_count = np.inf, 0
-        for removed in range(count):
-            remaining_count = 0
-            for i in range(count):
+    while n > limit:
+        lowest_value, best_n = np.inf, 0
+        for removed in range(n):
+            m = 0
+            for i in range(n):
                 if i != removed:
-                    remaining[remaining_count], trial_weights[remaining_count] = bones[i], w[i]
-                    remaining_count += 1
+                    rest[m], trial[m] = bones[i], w[i]
+                    m += 1
             total = 0.0
-            for i in range(remaining_count):
-                total += trial_weights[i]
-            for i in range(remaining_count):
-                trial_weights[i] = trial_weights[i] / total if total > 0.0 else 1.0 / remaining_count
-            remaining_count = _minimise_nonnegative(h, remaining, remaining_count, trial_weights, scale, a, z)
-            value = _quadratic_form(h, remaining, remaining_count, trial_weights)
+            for i in range(m):
+                total += trial[i]
+            for i in range(m):
+                trial[i] = trial[i] / total if total > 0.0 else 1.0 / m
+            m = _minimise_convex(h, rest, m, trial, scale, a, z)
+            value = _squared_error(h, rest, m, trial)
             if value < lowest_value:
-                lowest_value, best_count = value, remaining_count
-                for i in range(remaining_count):
-                    best_bones[i], best_weights[i] = remaining[i], trial_weights[i]
-        count = best_count
-        for i in range(count):
+                lowest_value, best_n = value, m
+                for i in range(m):
+                    best_bones[i], best_weights[i] = rest[i], trial[i]
+        n = best_n
+        for i in range(n):
             bones[i], w[i] = best_bones[i], best_weights[i]
-    return count
+    return n
 
 
 @compiled
@@ -202,25 +192,25 @@ def _homogeneous_form(p: Float, x: float, y: float, z: float) -> float:
 @compiled
 def _choose_candidates(errors: Float, influences: Index, weights: Float, candidates: Index) -> int:
     """Choose the bones of smallest errors, the best first, and the current ones; return their number."""
-    count = 0
+    n = 0
     for _ in range(min(NEAREST_CANDIDATES, len(errors))):
         best = -1
         for b in range(len(errors)):
             is_candidate = False
-            for i in range(count):
+            for i in range(n):
                 is_candidate = is_candidate or candidates[i] == b
             if not is_candidate and (best < 0 or errors[b] < errors[best]):
                 best = b
-        candidates[count] = best
-        count += 1
+        candidates[n] = best
+        n += 1
     for i in range(len(influences)):
         is_candidate = weights[i] <= 0.0
-        for j in range(count):
+        for j in range(n):
             is_candidate = is_candidate or candidates[j] == influences[i]
         if not is_candidate:
-            candidates[count] = influences[i]
-            count += 1
-    return count
+            candidates[n] = influences[i]
+            n += 1
+    return n
 
 
 @compiled
@@ -243,60 +233,45 @@ def fit_vertices(
     bone_count, max_count = products.shape[0], influences.shape[1]
     h, a, z = np.empty((bone_count, bone_count)), np.empty((bone_count, bone_count)), np.empty(bone_count)
     selected, w = np.empty(bone_count, dtype=np.int64), np.empty(bone_count)
-    previous, previous_weights = np.empty(bone_count, dtype=np.int64), np.empty(bone_count)
+    old, old_weights = np.empty(bone_count, dtype=np.int64), np.empty(bone_count)
     bone_errors, candidates = np.empty(bone_count), np.empty(bone_count, dtype=np.int64)
-    bone_projections, normal, right_side = np.empty(bone_count), np.empty((3, 3)), np.empty(3)
+    linear, normal, right_side = np.empty(bone_count), np.empty((3, 3)), np.empty(3)
     for v in range(len(rest)):
         x, y, q = rest[v, 0], rest[v, 1], rest[v, 2]
         for b in range(bone_count):
             s = projections[v, b]
-            bone_projections[b] = s[0] * x + s[1] * y + s[2] * q + s[3]
+            linear[b] = s[0] * x + s[1] * y + s[2] * q + s[3]
         for b in range(bone_count):
-            h[b, b] = _homogeneous_form(products[b, b], x, y, q) - 2.0 * bone_projections[b] + squares[v]
+            h[b, b] = _homogeneous_form(products[b, b], x, y, q) - 2.0 * linear[b] + squares[v]
             bone_errors[b] = h[b, b]
         n_candidates = _choose_candidates(bone_errors, influences[v], weights[v], candidates)
         for i in range(n_candidates):
             for j in range(i):
                 b, c = candidates[i], candidates[j]
                 h[b, c] = h[c, b] = (
-                    _homogeneous_form(products[b, c], x, y, q)
-                    - bone_projections[b]
-                    - bone_projections[c]
-                    + squares[v]
+                    _homogeneous_form(products[b, c], x, y, q) - linear[b] - linear[c] + squares[v]
                 )
         scale = max(squares[v], 1e-300)
         selected[0], w[0] = candidates[0], 1.0
         count = _active_set(h, scale, candidates[:n_candidates], selected, w, 1, bone_count, a, z)
         count = _remove_least_bones(h, scale, selected, w, max_count, count, a, z)
         # A second start from the previous weights: errors never increase.
-        previous_count = 0
+        m = 0
         for i in range(max_count):
             if weights[v, i] > 0.0:
-                previous[previous_count], previous_weights[previous_count] = influences[v, i], weights[v, i]
-                previous_count += 1
-        if previous_count > 0:
-            previous_count = _minimise_nonnegative(h, previous, previous_count, previous_weights, scale, a, z)
-            previous_count = _active_set(
-                h,
-                scale,
-                candidates[:n_candidates],
-                previous,
-                previous_weights,
-                previous_count,
-                max_count,
-                a,
-                z,
-            )
-            if _quadratic_form(h, previous, previous_count, previous_weights) < _quadratic_form(
-                h, selected, count, w
-            ):
-                count = previous_count
+                old[m], old_weights[m] = influences[v, i], weights[v, i]
+                m += 1
+        if m > 0:
+            m = _minimise_convex(h, old, m, old_weights, scale, a, z)
+            m = _active_set(h, scale, candidates[:n_candidates], old, old_weights, m, max_count, a, z)
+            if _squared_error(h, old, m, old_weights) < _squared_error(h, selected, count, w):
+                count = m
                 for i in range(count):
-                    selected[i], w[i] = previous[i], previous_weights[i]
+                    selected[i], w[i] = old[i], old_weights[i]
         for i in range(max_count):
             influences[v, i] = selected[i] if i < count else selected[0]
             weights[v, i] = w[i] if i < count else 0.0
-        errors[v] = max(_quadratic_form(h, selected, count, w), 0.0)
+        errors[v] = max(_squared_error(h, selected, count, w), 0.0)
         if free_rest:
             # Normal equations of sum_t |A_t r + b_t - x_t|^2, A_t and b_t the weighted means of the motions.
             for i in range(3):

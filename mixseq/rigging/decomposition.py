@@ -61,14 +61,13 @@ _TRIAL_ROUND_DIVISOR = 3  # of all rounds, for a trial of sliding joints
 
 
 def decompose_tracks(
-    tracks: Float, labels: Index, max_count: int, rounds: int, report_round: Callable[[int], None]
+    tracks: Float, labels: Index, max_count: int, rounds: int, report: Callable[[int], None]
 ) -> tuple[Binding, Float]:
     """Fit skinning weights, rest positions and free bones ``(B, 4, 3T)`` to tracks ``(V, 3T)`` from labels ``(V,)``."""
     labels = merge_bones(tracks, labels, max_count)
     rest = tracks[:, :3].copy()
-    motions = np.stack(
-        [fit_rigid_motion(tracks, rest, np.flatnonzero(labels == bone)) for bone in range(labels.max() + 1)]
-    )
+    vertices = [np.flatnonzero(labels == bone) for bone in range(labels.max() + 1)]
+    motions = np.stack([fit_rigid_motion(tracks, rest, vertex_ids) for vertex_ids in vertices])
     no_weights = np.zeros((len(rest), BONES_PER_VERTEX))
     binding = Binding(rest, no_weights.astype(np.int64), no_weights, no_weights[:, 0])
     rounding_error = _ROUNDING_ERROR**2 * tracks.size / 3
@@ -83,9 +82,7 @@ def decompose_tracks(
             motions, _ = fit_motions(tracks, binding, motions, Joints.free(len(motions)))
     joints = Joints.free(len(motions))
     motions, _ = fit_motions(tracks, binding, motions, joints)
-    binding, motions, _ = alternate_fits(
-        tracks, binding, motions, joints, rounding_error, rounds, report_round
-    )
+    binding, motions, _ = alternate_fits(tracks, binding, motions, joints, rounding_error, rounds, report)
     used_bones = np.unique(binding.influences[binding.weights > 0])
     return _renumber_bones(binding, used_bones, len(motions)), motions[used_bones]
 
@@ -97,7 +94,7 @@ def alternate_fits(
     joints: Joints,
     target_error: float,
     rounds: int,
-    report_round: Callable[[int], None] = lambda round_id: None,
+    report: Callable[[int], None] = lambda round_id: None,
     fixed_rest: bool = False,
 ) -> tuple[Binding, Float, Joints]:
     """Fit weights with rest positions, and motions, alternately until the squared error is small or stops decreasing.
@@ -108,7 +105,7 @@ def alternate_fits(
     previous_rest, previous_motions = binding.rest, motions
     errors, good_rounds = [np.inf], 0
     for round_id in range(rounds):
-        report_round(round_id)
+        report(round_id)
         momentum = good_rounds / (good_rounds + 3.0)
         extrapolated = replace(binding, rest=binding.rest + momentum * (binding.rest - previous_rest))
         extrapolated_motions = project_to_rotations(motions + momentum * (motions - previous_motions))
@@ -138,7 +135,7 @@ def _renumber_bones(binding: Binding, order: Index, bone_count: int) -> Binding:
 
 
 def connect_bones(
-    sequence: Centred, free: FreeBones, rounds: int, report_round: Callable[[int], None]
+    sequence: Centred, free: FreeBones, rounds: int, report: Callable[[int], None]
 ) -> tuple[Binding, Float, Joints]:
     """Connect free bones to a tree with the fewest sliding joints that keep the error."""
     tracks, binding, motions = sequence.tracks, free.binding, free.motions
@@ -150,7 +147,7 @@ def connect_bones(
     best = binding, motions, replace(joints, sliding=np.ones(len(order), dtype=bool))
     trial_rounds = rounds // _TRIAL_ROUND_DIVISOR
     while min_count < max_count:  # binary search: `max_count` sliding joints keep the error
-        report_round(trial := trial + 1)
+        report(trial := trial + 1)
         count = (min_count + max_count) // 2
         sliding = joints.sliding.copy()
         sliding[by_separation[:count]] = True
@@ -188,11 +185,11 @@ class FreeBones:
 
 
 def fit_free_bones(
-    sequence: Centred, bones: int | ArrayLike | None, rounds: int, report_round: Callable[[int], None]
+    sequence: Centred, bones: int | ArrayLike | None, rounds: int, report: Callable[[int], None]
 ) -> FreeBones:
     """Fit free bones: a largest number of them, or from labels ``(F,)`` of triangles, or from motion segmentation."""
     tracks = sequence.tracks
-    binding, motions = decompose_tracks(tracks, *_initial_labels(sequence, bones), rounds, report_round)
+    binding, motions = decompose_tracks(tracks, *_initial_labels(sequence, bones), rounds, report)
     residuals = tracks - binding.matrix(len(motions)) @ motions.reshape(-1, motions.shape[2])
     squares = np.square(residuals).reshape(len(residuals), -1, 3).sum(axis=2)
     spread = float(np.square(tracks).sum()) or 1.0
@@ -200,20 +197,15 @@ def fit_free_bones(
     return FreeBones(binding, motions, errors)
 
 
-def fit_tree_skin(
-    sequence: Centred, free: FreeBones, rounds: int, report_round: Callable[[int], None]
-) -> Skin:
+def fit_tree_skin(sequence: Centred, free: FreeBones, rounds: int, report: Callable[[int], None]) -> Skin:
     """Connect free bones to a tree, and return the skin of all bones that move vertices."""
-    binding, motions, joints = connect_bones(sequence, free, rounds, report_round)
-    is_used = np.isin(np.arange(len(motions)), binding.influences[binding.weights > 0])
-    is_kept = (joints.descendants() & is_used).any(axis=1)
+    binding, motions, joints = connect_bones(sequence, free, rounds, report)
+    is_kept = joints.moves_vertices(binding)
     new_ids = np.cumsum(is_kept) - 1
     parents = joints.parents[is_kept]
     origin = sequence.centres[0]
-    skeleton = replace(
-        Skeleton.from_pivots(sequence.diagonal * joints.pivots[is_kept] + origin),
-        parents=np.where(parents < 0, -1, new_ids[parents]),
-    )
+    pivots = sequence.diagonal * joints.pivots[is_kept] + origin
+    skeleton = replace(Skeleton.from_pivots(pivots), parents=np.where(parents < 0, -1, new_ids[parents]))
     binding = replace(binding, influences=new_ids[binding.influences])
     return sequence.to_skin(binding, motions[is_kept], skeleton, origin)
 
@@ -271,12 +263,12 @@ def fit_to_skeleton(
     binding, motions = _initial_fit(tracks, rest, joints, distances.argmin(axis=1))
     for stage, distance_cost in enumerate(_DISTANCE_COSTS):
 
-        def report_round(round_id: int, first_round: int = stage * rounds) -> None:
+        def report(round_id: int, first_round: int = stage * rounds) -> None:
             progress(first_round + round_id, len(_DISTANCE_COSTS) * rounds + 1, "fitting weights and bones")
 
         binding = replace(binding, costs=sequence.header.frame_count * (distance_cost * distances) ** 2)
         binding, motions, _ = alternate_fits(
-            tracks, binding, motions, joints, 0.0, rounds, report_round, fixed_rest=True
+            tracks, binding, motions, joints, 0.0, rounds, report, fixed_rest=True
         )
     return sequence.to_skin(binding, motions, skeleton, origin)
 
@@ -320,10 +312,8 @@ def _convert_bind_pose(
 
 def _check_size(shape: Float, sequence: Centred) -> None:
     """Raise if edge lengths of a bind pose differ too much from those of the first frame."""
-    edges = np.roll(sequence.header.faces, 1, axis=1).reshape(-1), sequence.header.faces.reshape(-1)
-    lengths = [
-        np.linalg.norm(points[edges[0]] - points[edges[1]], axis=1) for points in (shape, sequence.points[0])
-    ]
+    i, j = np.roll(sequence.header.faces, 1, axis=1).reshape(-1), sequence.header.faces.reshape(-1)
+    lengths = [np.linalg.norm(points[i] - points[j], axis=1) for points in (shape, sequence.points[0])]
     has_length = (lengths[0] > 0) & (lengths[1] > 0)
     ratios = np.log(lengths[0][has_length] / lengths[1][has_length])
     if has_length.any() and np.median(np.abs(ratios)) > np.log(_MAX_EDGE_LENGTH_RATIO):

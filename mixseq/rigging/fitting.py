@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache, lru_cache
 
 import numpy as np
@@ -50,15 +50,6 @@ _MIN_ROTATION_DETERMINANT = 0.04
 _MIN_VARIANCE_RATIO = 1e-14  # to the largest variance; smaller ones are rounding
 
 
-@dataclass(frozen=True, eq=False)
-class MorphTargets:
-    """Displacements as weighted sums of targets."""
-
-    shapes: Float  # (M, V, 3) targets
-    weights: Float  # (T, M) weights of the targets
-    error: float  # largest residual distance
-
-
 def principal_shapes(displacements: Float) -> tuple[Float, Float]:
     """Return all targets ``(M, V, 3)`` and weights ``(T, M)`` of displacements ``(T, V, 3)``, by variance."""
     frames = len(displacements)
@@ -75,18 +66,18 @@ def principal_shapes(displacements: Float) -> tuple[Float, Float]:
 
 
 def fit_targets(
-    displacements: Float,
-    bound: float | None,
-    max_targets: int | None,
-    measure_distances: Callable[[int, Float], Float],
-) -> MorphTargets:
-    """Fit the fewest targets to displacements ``(T, V, 3)`` with residual distances up to a bound."""
+    displacements: Float, bound: float | None, max_targets: int | None, measure: Callable[[int, Float], Float]
+) -> tuple[Float, Float, float]:
+    """Fit the fewest targets ``(M, V, 3)`` and weights ``(T, M)`` to displacements ``(T, V, 3)`` within a bound.
+
+    Distances are measured from the residuals ``(V, 3)`` of a frame. The largest one is returned, too.
+    """
     shapes, weights = principal_shapes(displacements)
     max_targets = len(shapes) if max_targets is None else min(max_targets, len(shapes))
     residuals = displacements.copy()
 
     def error() -> float:
-        return max(float(measure_distances(frame, each).max()) for frame, each in enumerate(residuals))
+        return max(float(measure(frame, each).max()) for frame, each in enumerate(residuals))
 
     count = 0
     error_reached = error()
@@ -95,7 +86,7 @@ def fit_targets(
         count += 1
         if bound is not None or count == max_targets:
             error_reached = error()
-    return MorphTargets(shapes[:count], weights[:, :count], error_reached)
+    return shapes[:count], weights[:, :count], error_reached
 
 
 def fit_correctives(skin: Skin, points: Float, bound: float, max_targets: int) -> tuple[Skin, float]:
@@ -118,8 +109,8 @@ def fit_correctives(skin: Skin, points: Float, bound: float, max_targets: int) -
         skinned = np.einsum("vij,vj->vi", _mean_rotations(without_targets, rotations[frame]), residual)
         return np.asarray(np.linalg.norm(skinned, axis=1))
 
-    targets = fit_targets(displacements, bound, max_targets, measure_distances)
-    fitted = replace(without_targets, targets=targets.shapes, target_weights=targets.weights)
+    shapes, weights, _ = fit_targets(displacements, bound, max_targets, measure_distances)
+    fitted = replace(without_targets, targets=shapes, target_weights=weights)
     error = max(
         float(np.linalg.norm(block[0] - points[frame], axis=1).max())
         for frame, block in enumerate(fitted.blocks(1))
@@ -188,18 +179,16 @@ def _count_margin(count: int) -> int:
     return 1 + count // _COUNT_PRECISION_DIVISOR
 
 
-def _predict_count(
-    rough_error: Callable[[int], float], too_few: int, max_count: int, target_error: float
-) -> int:
-    """Return the fewest bones, to within a tenth, with a rough fit for an error; `max_count` if there are none."""
-    count = min(max(_FIRST_BONE_COUNT, too_few + 1), max_count)
-    while rough_error(count) > target_error:
-        if count == max_count:
-            return max_count
-        too_few, count = count, min(2 * count, max_count)
+def _predict_count(rough_error: Callable[[int], float], too_few: int, limit: int, target: float) -> int:
+    """Return the fewest bones, to within a tenth, with a rough fit for an error; `limit` if there are none."""
+    count = min(max(_FIRST_BONE_COUNT, too_few + 1), limit)
+    while rough_error(count) > target:
+        if count == limit:
+            return limit
+        too_few, count = count, min(2 * count, limit)
     while count - too_few > _count_margin(count):
         middle = (too_few + count) // 2
-        if rough_error(middle) <= target_error:
+        if rough_error(middle) <= target:
             count = middle
         else:
             too_few = middle
@@ -307,21 +296,21 @@ def fit_skin(
             skin = fit_to_skeleton(centred, skeleton, bind_pose, rounds, progress)
         else:
 
-            def report_round(round_id: int) -> None:
+            def report(round_id: int) -> None:
                 progress(round_id, 2 * rounds + 1, "fitting weights and bones")
 
             if max_error is None and kg is None:
-                free = fit_free_bones(centred, bones, rounds, report_round)
-                skin = fit_tree_skin(centred, free, rounds, lambda done: report_round(rounds + done))
+                free = fit_free_bones(centred, bones, rounds, report)
+                skin = fit_tree_skin(centred, free, rounds, lambda done: report(rounds + done))
             else:
-                skin = _fit_to_error(centred, max_error, kg, rounds, report_round)
+                skin = _fit_to_error(centred, max_error, kg, rounds, report)
         if correctives is None:
             return skin
         progress(2 * rounds, 2 * rounds + 1, "fitting correctives")
         bound = correctives * centred.diagonal
         skin, reached = fit_correctives(skin, centred.points, bound, max_targets)
     reached /= centred.diagonal
-    _warn_if_not_reached(reached, correctives, len(skin.targets), "correctives", "bones or max_targets")
+    _warn_if_missed(reached, correctives, len(skin.targets), "correctives", "bones or max_targets")
     return skin
 
 
@@ -366,22 +355,16 @@ def fit_morph(
         base = centred.points.mean(axis=0)
         bound = None if max_error is None else max_error * centred.diagonal
         displacements = centred.points - base
-        targets = fit_targets(
-            displacements, bound, max_targets, lambda _, residual: np.linalg.norm(residual, axis=1)
+        shapes, weights, error = fit_targets(
+            displacements, bound, max_targets, lambda _, each: np.linalg.norm(each, axis=1)
         )
-    _warn_if_not_reached(
-        targets.error / centred.diagonal, max_error, len(targets.shapes), "max_error", "max_targets"
-    )
+    _warn_if_missed(error / centred.diagonal, max_error, len(shapes), "max_error", "max_targets")
     progress(1, 1, "fitting targets")
-    return Morph(centred.header, base, targets.shapes, targets.weights)
+    return Morph(centred.header, base, shapes, weights)
 
 
 def _fit_to_error(
-    sequence: Centred,
-    max_error: float | None,
-    kg: float | None,
-    rounds: int,
-    report_round: Callable[[int], None],
+    sequence: Centred, max_error: float | None, kg: float | None, rounds: int, report: Callable[[int], None]
 ) -> Skin:
     """Fit the fewest bones for an error."""
     index, target_error = (0, max_error) if kg is None else (1, kg)
@@ -389,14 +372,14 @@ def _fit_to_error(
 
     @cache
     def rough_error(count: int) -> float:
-        return fit_free_bones(sequence, count, ROUGH_FIT_ROUNDS, report_round).errors[index]
+        return fit_free_bones(sequence, count, ROUGH_FIT_ROUNDS, report).errors[index]
 
     @lru_cache(1)
     def free_bones(count: int) -> FreeBones:
-        return fit_free_bones(sequence, count, rounds, report_round)
+        return fit_free_bones(sequence, count, rounds, report)
 
     def fit_tree(count: int) -> tuple[Skin, float]:
-        skin = fit_tree_skin(sequence, free_bones(count), rounds, lambda done: report_round(rounds + done))
+        skin = fit_tree_skin(sequence, free_bones(count), rounds, lambda done: report(rounds + done))
         return skin, measure_errors(skin, sequence)[index]
 
     max_count = min(MAX_BONES, len(sequence.header.faces))
@@ -433,12 +416,10 @@ def _check_count(name: str, value: int | None) -> None:
         raise SettingsError(f"{name} is {value}; a number that is not negative is expected")
 
 
-def _warn_if_not_reached(
-    reached: float, target_error: float | None, count: int, setting: str, cure: str
-) -> None:
-    if target_error is not None and reached > target_error:
+def _warn_if_missed(reached: float, bound: float | None, count: int, setting: str, cure: str) -> None:
+    if bound is not None and reached > bound:
         warnings.warn(
-            f"{count} targets reach an error of {reached:.3g} diagonals, not the {target_error:g} of {setting}; "
+            f"{count} targets reach an error of {reached:.3g} diagonals, not the {bound:g} of {setting}; "
             f"allow more {cure}",
             MixseqWarning,
             stacklevel=4,

@@ -33,20 +33,11 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames, check_frames
 from mixseq.types import Float, Index
 
-_PART_COUNT_RATIO = 2 / 3
-"""Ratio of successive numbers of parts."""
-
-_RANK_SHARES = (1 / 2, 3 / 4)
-"""Shares of a part's components used to assign vertices to parts."""
-
-_MAX_ASSIGNMENT_ROUNDS = 12
-"""Largest number of rounds in which vertices are assigned to parts."""
-
-_PRINCIPAL_ERROR_SHARE = 0.01
-"""Largest error of the principal components of the whole mesh, relative to the bound."""
-
-_MIN_GAIN_SHARE = 0.1
-"""Smallest gain for which a vertex changes its part, relative to the bound; it is above rounding."""
+_PART_COUNT_RATIO = 2 / 3  # ratio of successive numbers of parts
+_RANK_SHARES = (1 / 2, 3 / 4)  # shares of a part's components used to assign vertices to parts
+_MAX_ASSIGNMENT_ROUNDS = 12  # largest number of rounds in which vertices are assigned to parts
+_PRINCIPAL_ERROR_SHARE = 0.01  # largest error of the principal components, relative to the bound
+_MIN_GAIN_SHARE = 0.1  # smallest gain of a reassignment, relative to the bound; above rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,10 +160,8 @@ def _fit_clusters(trajectories: Float, start: Index, bound: float, progress: Pro
         progress(initial_count - part_count, initial_count, "finding parts of low rank")
         parts = merge_bones(trajectories, parts, part_count)
         candidate = clusters_of(parts)
-        reassigned = [
-            clusters_of(_reassign_vertices(tracks, parts, max(4, int(candidate.rank * share)), bound))
-            for share in _RANK_SHARES
-        ]
+        ranks = [max(4, int(candidate.rank * share)) for share in _RANK_SHARES]
+        reassigned = [clusters_of(_reassign_vertices(tracks, parts, rank, bound)) for rank in ranks]
         best = min(best, candidate, *reassigned, key=lambda candidate: candidate.size)
         part_count = int(part_count * _PART_COUNT_RATIO)
     progress(initial_count, initial_count, "finding parts of low rank")

@@ -282,10 +282,9 @@ class Skin:
         local = self.local_motion()
         p, q = local.rotations[before], local.rotations[after]
         q = q * np.where(np.sum(p * q, axis=2, keepdims=True) < 0, -1.0, 1.0)
-        local_motion = LocalMotion(
-            _slerp(p, q, fraction[:, None, None]), _interpolate(local.translations, before, after, fraction)
-        )
-        rotations, translations = self.skeleton.to_world(local_motion)
+        rotations = _slerp(p, q, fraction[:, None, None])
+        translations = _interpolate(local.translations, before, after, fraction)
+        rotations, translations = self.skeleton.to_world(LocalMotion(rotations, translations))
         return replace(
             self,
             header=header,
@@ -360,11 +359,8 @@ class Morph:
             If times do not increase.
         """
         header = self.header.with_times(times, fps)
-        return replace(
-            self,
-            header=header,
-            weights=_interpolate(self.weights, *_bracket_times(self.header, header.times)),
-        )
+        weights = _interpolate(self.weights, *_bracket_times(self.header, header.times))
+        return replace(self, header=header, weights=weights)
 
 
 def rotation_matrices(quaternions: FloatArray) -> Float:
@@ -390,9 +386,8 @@ def remove_sign_flips(quaternions: FloatArray) -> Float:
 def _slerp(p: Float, q: Float, fraction: Float) -> Float:
     """Interpolate spherically from unit quaternions p to q, which are less than half a turn apart."""
     # The angle follows from chords, which is accurate for small angles.
-    angle = 2 * np.arctan2(
-        np.linalg.norm(p - q, axis=-1, keepdims=True), np.linalg.norm(p + q, axis=-1, keepdims=True)
-    )
+    chord, sum_length = (np.linalg.norm(each, axis=-1, keepdims=True) for each in (p - q, p + q))
+    angle = 2 * np.arctan2(chord, sum_length)
     sine = np.sin(angle)
     is_small = sine < 1e-8
     safe_sine = np.where(is_small, 1.0, sine)
