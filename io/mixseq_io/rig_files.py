@@ -44,7 +44,7 @@ def write_rig(path: PathLike, rig: Skin | Morph) -> None:
     ------
     OutputError
         If the name has another extension, the file cannot be written or would be too large, a skin for glTF has more
-        than 65535 bones, or USD does not know the up axis.
+        than 65535 bones, or USD does not support the up axis.
     TypeError
         If `rig` is something else.
     InvalidSequenceError

@@ -27,7 +27,7 @@ Hanafusa 1986) solve, with the remaining e,
 
 The second term of the damping bounds the second derivative of :math:`\tfrac12 |e|^2`, which Gauss-Newton omits, and
 vanishes with e. The number of steps is fixed, so that rotations depend smoothly on moves. With the chosen
-:math:`\delta`, :math:`\mu`, f and l joints of a leg accelerate by at most four times as much as its end.
+:math:`\delta`, :math:`\mu`, f and l joints of a leg have at most four times the acceleration of its end.
 
 The residual moves, again :math:`e_g`, lengthen the limbs: the joint above part k opens by :math:`\tau_k`, the smallest
 with :math:`\sum_{k \in g} \tau_k = e_g`, which distributes the stretch of one limb evenly. With pivots q, a child k of
