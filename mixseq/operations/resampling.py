@@ -14,13 +14,13 @@ import numpy as np
 
 from mixseq.errors import SettingsError
 from mixseq.operations.retiming import Retiming
-from mixseq.operations.sections import SLACK
+from mixseq.operations.sections import TIME_TOLERANCE_FRAMES
 from mixseq.runtime.parallel import Executor
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
-from mixseq.sequence.frame_rates import exact_rate
-from mixseq.sequence.header import MOST_FRAMES, SequenceHeader
-from mixseq.sequence.sequence import Frames, MeshSequence, collect
+from mixseq.sequence.frame_rates import snap_to_ntsc
+from mixseq.sequence.header import MAX_FRAME_COUNT, SequenceHeader
+from mixseq.sequence.sequence import Frames, MeshSequence, join_blocks
 from mixseq.signals.decoding import FRAMES_PER_BLOCK
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
@@ -32,20 +32,19 @@ class Resampling:
     """The frames of a resampling before decoding; make it with `plan`."""
 
     model: Model  # the source
-    header: SequenceHeader  # what the output is, with the times of its frames
-    retiming: Retiming  # which time of the source is shown when; how long the output lasts
-    sources: Float  # (N,) time of the source, in seconds, that every frame shows
-    # (N,) speed of the source at every frame, in seconds of it per second of the output; negative backwards.
-    slopes: Float
+    header: SequenceHeader  # of the output, with the times of its frames
+    retiming: Retiming  # map from output time to source time, over the duration of the output
+    sources: Float  # (N,) time of the source at every frame, in seconds
+    slopes: Float  # (N,) seconds of the source per second of the output at every frame; negative backwards
 
     def blocks(
-        self, size: int = FRAMES_PER_BLOCK, progress: Progress = silent, workers: Executor | None = None
+        self, size: int = FRAMES_PER_BLOCK, progress: Progress = no_progress, workers: Executor | None = None
     ) -> Iterator[Float]:
         """Decode the frames in blocks of points ``(B, V, 3)`` with ``B <= size``, see `Model.blocks`."""
         return self.model.blocks(self.sources, size, progress, workers)
 
     def moving_blocks(
-        self, size: int = FRAMES_PER_BLOCK, progress: Progress = silent, workers: Executor | None = None
+        self, size: int = FRAMES_PER_BLOCK, progress: Progress = no_progress, workers: Executor | None = None
     ) -> Iterator[tuple[Float, Float]]:
         """Decode the frames with velocities: yield points and units per second of the output, ``(B, V, 3)`` each."""
         done = 0
@@ -71,32 +70,32 @@ def plan(
         retiming = Retiming.section(float(first), float(last), speed, reverse)
     elif not (start is None and end is None and speed == 1.0 and not reverse):
         raise SettingsError(
-            "a retiming tells the range, the speed and the direction; leave out start, end, speed and reverse"
+            "a retiming sets the range, the speed and the direction; leave out start, end, speed and reverse"
         )
-    rate = model.header.fps if fps is None else exact_rate(float(fps), model.header.fps)
-    times = _frame_times(retiming.start, retiming.end, rate, SLACK / model.header.fps)
-    shown = np.clip(times, retiming.start, retiming.end)
+    rate = model.header.fps if fps is None else snap_to_ntsc(float(fps), model.header.fps)
+    times = _frame_times(retiming.start, retiming.end, rate, TIME_TOLERANCE_FRAMES / model.header.fps)
+    retimed = np.clip(times, retiming.start, retiming.end)
     try:
-        sources = model.clip_times(retiming(shown))
+        sources = model.clip_times(retiming(retimed))
     except SettingsError as error:
-        raise SettingsError(f"the retiming asks for more than there is: {error}") from None
-    return Resampling(model, model.header.with_times(times, rate), retiming, sources, retiming.slope(shown))
+        raise SettingsError(f"the retiming goes beyond the source: {error}") from None
+    return Resampling(model, model.header.with_times(times, rate), retiming, sources, retiming.slope(retimed))
 
 
 def _frame_times(start: float, end: float, fps: float, slack: float) -> Float:
     """Return the multiples ``(N,)`` of ``1 / fps`` from `start` to `end`, extended by `slack` seconds on both sides."""
     if not (np.isfinite(fps) and fps > 0):
         raise SettingsError(f"fps is {fps}; a positive number is expected")
-    slack = min(slack, SLACK / fps)
+    slack = min(slack, TIME_TOLERANCE_FRAMES / fps)
     first, last = np.ceil((start - slack) * fps), np.floor((end + slack) * fps)
     if last < first:
         raise SettingsError(
             f"no frame of {fps:g} frames per second is from {start:g} to {end:g} s; give another range or more fps"
         )
-    if last - first >= MOST_FRAMES:
+    if last - first >= MAX_FRAME_COUNT:
         raise SettingsError(
             f"{start:g} to {end:g} s at {fps:g} frames per second are {last - first + 1:.3g} frames, more than "
-            f"{MOST_FRAMES:,}; give fewer fps or more speed"
+            f"{MAX_FRAME_COUNT:,}; give fewer fps or more speed"
         )
     return np.asarray(np.arange(int(first), int(last) + 1) / fps)
 
@@ -112,7 +111,7 @@ def resample(
     retiming: Retiming | None = None,
     *,
     velocities: bool = False,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> MeshSequence:
     """Sample a motion at another rate, speed or direction.
 
@@ -162,6 +161,6 @@ def resample(
     model = source if isinstance(source, Model) else fit(source, exact=True, progress=progress)
     planned = plan(model, fps, start, end, speed, reverse, retiming)
     if not velocities:
-        return collect(planned.header, planned.blocks(progress=progress))
+        return join_blocks(planned.header, planned.blocks(progress=progress))
     points, rates = zip(*planned.moving_blocks(progress=progress), strict=True)
     return MeshSequence.from_header(planned.header, np.concatenate(points), np.concatenate(rates))

@@ -34,7 +34,7 @@ from mixseq.rigging.rigs import Skeleton, Skin, remove_sign_flips
 from mixseq.runtime.jit import compiled
 from mixseq.segmentation.motion import moments, union_errors
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import Frames, bounding_diagonal, frame_store
+from mixseq.sequence.sequence import Frames, bounding_diagonal, load_frames
 from mixseq.types import Float, Index
 
 MAX_ACTIVE_SET_ROUNDS = 60  # each adds a bone
@@ -361,7 +361,7 @@ class Centred:
     @classmethod
     def from_sequence(cls, sequence: Frames) -> Centred:
         """Read a sequence into memory."""
-        store = frame_store(sequence)
+        store = load_frames(sequence)
         points = np.asarray(store.points[: store.header.frame_count], dtype=np.float64)
         return cls(store.header, points, points.mean(axis=1), bounding_diagonal(points[0]) or 1.0)
 

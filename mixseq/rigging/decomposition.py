@@ -301,12 +301,12 @@ def _convert_bind_pose(
             f"the bind pose has {bind_pose.vertex_count} vertices, the sequence has {header.vertex_count}; give the "
             "same mesh, or no bind pose if the skeleton is in the pose of the first frame"
         )
-    conversion = UnitConversion.of(bind_pose.header, header.up_axis, header.metres_per_unit)
-    shape = np.asarray(conversion.values(bind_pose.points[0].astype(np.float64)), dtype=np.float64)
+    conversion = UnitConversion.from_header(bind_pose.header, header.up_axis, header.metres_per_unit)
+    shape = np.asarray(conversion.convert(bind_pose.points[0].astype(np.float64)), dtype=np.float64)
     _check_size(shape, sequence)
-    rotation = Rotation.from_matrix(conversion.turn)
+    rotation = Rotation.from_matrix(conversion.rotation)
     axes = (rotation * Rotation.from_quat(skeleton.axes)).as_quat()
-    pivots = np.asarray(conversion.values(skeleton.pivots), dtype=np.float64)
+    pivots = np.asarray(conversion.convert(skeleton.pivots), dtype=np.float64)
     return replace(skeleton, pivots=pivots, axes=axes), shape
 
 

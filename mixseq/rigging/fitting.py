@@ -40,7 +40,7 @@ from mixseq.rigging.decomposition import (
 )
 from mixseq.rigging.rigs import BONES_PER_VERTEX, Morph, Skeleton, Skin, rotation_matrices
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
 from mixseq.sequence.sequence import Frames, MeshSequence, check_frames
 from mixseq.types import Float
@@ -216,7 +216,7 @@ def fit_skin(
     correctives: float | None = None,
     max_targets: int = 32,
     rounds: int = 60,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     *,
     skeleton: Skeleton | None = None,
     bind_pose: MeshSequence | None = None,
@@ -319,7 +319,7 @@ def fit_morph(
     sequence: Frames,
     max_error: float | None = None,
     max_targets: int | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> Morph:
     """Fit morph targets to a sequence: its mean and its principal shapes.
 

@@ -31,7 +31,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from mixseq.errors import InvalidSequenceError, SettingsError
-from mixseq.mesh.polygons import frozen
+from mixseq.mesh.polygons import read_only
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray, Index
 
@@ -82,7 +82,7 @@ class Skeleton:
         parents = np.asarray(self.parents, dtype=np.int64)
         if parents.shape != (count,):
             raise InvalidSequenceError(f"parents have shape {parents.shape}; ({count},) is expected")
-        object.__setattr__(self, "parents", frozen(parents))
+        object.__setattr__(self, "parents", read_only(parents))
         is_early = (parents < -1) | (parents >= np.arange(count))
         if is_early.any():
             bone = int(np.argmax(is_early))
@@ -205,7 +205,7 @@ class Skin:
         _set_array(self, "weights", (v, BONES_PER_VERTEX))
         _set_array(self, "targets", (m, v, 3))
         _set_array(self, "target_weights", (t, m))
-        object.__setattr__(self, "influences", frozen(np.asarray(self.influences, dtype=np.int64)))
+        object.__setattr__(self, "influences", read_only(np.asarray(self.influences, dtype=np.int64)))
         if self.influences.shape != (v, BONES_PER_VERTEX):
             raise InvalidSequenceError(
                 f"influences have shape {self.influences.shape}; ({v}, {BONES_PER_VERTEX}) is expected"
@@ -424,4 +424,4 @@ def _set_array(rig: object, name: str, shape: tuple[int, ...]) -> None:
         raise InvalidSequenceError(f"{name} have shape {array.shape}; {shape} is expected")
     if not np.isfinite(array).all():
         raise InvalidSequenceError(f"{name} have entries that are not finite")
-    object.__setattr__(rig, name, frozen(array))
+    object.__setattr__(rig, name, read_only(array))

@@ -13,7 +13,7 @@ from click.testing import Result
 from pxr import Usd, UsdGeom
 
 import mixseq
-from mixseq.runtime.parallel import serially
+from mixseq.runtime.parallel import serial_executor
 from mixseq.sequence.sequence import MeshSequence
 
 Run = Callable[..., Result]
@@ -70,7 +70,7 @@ def test_sequences_stream_and_are_fitted_by_those_who_work(run: Run, monkeypatch
     succeed(run("resample", "bar.npz", "new.npz", "--threads", "1"))
     ((frames, workers),) = given
     assert not isinstance(frames, MeshSequence)
-    assert workers is serially
+    assert workers is serial_executor
 
 
 def test_numbered_files(run: Run, folder: Path, bent_bar: MeshSequence) -> None:
@@ -201,13 +201,13 @@ def test_velocities_that_cannot_be_held(run: Run, command: str) -> None:
             "no frame of 10 frames per second is from 0.12 to 0.18 s",
         ),
         ("model.h5 old.npz --retime none.csv", "none.csv cannot be read: No such file"),
-        ("model.h5 old.npz --retime notes.txt", "notes.txt, line 1: 'no mesh' is no point of a retiming"),
+        ("model.h5 old.npz --retime notes.txt", "notes.txt, line 1: 'no mesh' is not a point of a retiming"),
         (
             "model.h5 old.npz --retime far.csv",
-            "asks for more than there is: time 0.35 s is outside the sequence, 0",
+            "goes beyond the source: time 0.35 s is outside the sequence, 0",
         ),
-        ("model.h5 old.npz --retime good.csv --speed 2", "a retiming tells the range.*; leave out"),
-        ("model.h5 old.npz --retime good.csv --reverse", "a retiming tells the range.*; leave out"),
+        ("model.h5 old.npz --retime good.csv --speed 2", "a retiming sets the range.*; leave out"),
+        ("model.h5 old.npz --retime good.csv --reverse", "a retiming sets the range.*; leave out"),
         ("model.h5 old.npz --linear", "--linear is about the points of --retime"),
         ("bar.npz old.npz --exact --tolerance 0.1", "leave out one of them"),
         ("bar.npz old.npz --tolerance 0", "--tolerance.*0.* is not a length above 0"),

@@ -22,7 +22,7 @@ from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
 from mixseq.viewer.export import ExportSettings, export_page
 from mixseq.viewer.export_data import PageItem
-from mixseq.viewer.session import signals_of
+from mixseq.viewer.session import chart_data
 from tests.meshes import bar
 from tests.viewer.conftest import SCREENSHOTS, Keep, NewPage, Watched
 from tests.viewer.pages import Opened
@@ -54,7 +54,7 @@ def exported(name: str, motion: MeshSequence | Model, original: MeshSequence | N
         before if original is not None else None,
         zip(elapsed.tolist(), poses, strict=True),
     )
-    signals = signals_of(motion) if isinstance(motion, Model) else None
+    signals = chart_data(motion) if isinstance(motion, Model) else None
     return PageItem(SceneItem(name, motion), colours, signals)
 
 
@@ -221,7 +221,7 @@ def test_the_browser_finds_what_python_does(new_page: NewPage, bar_page: Path, w
     faces = item.model.header.faces
     assert made["faces"] == faces.ravel().tolist()
     measures = [
-        (MEASURES[name].of(item.points[0], faces), unit, top)
+        (MEASURES[name].from_rest(item.points[0], faces), unit, top)
         for name, unit, top in zip(
             ("strain", "curvature"),
             (100, 1),
@@ -247,7 +247,7 @@ def test_names_are_shown_as_they_are(one: Player) -> None:
     assert page.locator(".name").all_inner_texts() == ["a <b>bar</b> & more"]
     assert page.title() == "a <b>bar</b> & more"
     page.click("#about")
-    assert "no vertex off by more than" in page.locator("#facts").inner_text()
+    assert "vertex error at most" in page.locator("#facts").inner_text()
     page.keyboard.press("Escape")
     assert not page.locator("#help").is_visible()
 
@@ -332,7 +332,7 @@ def test_colours_can_be_chosen(two: Player) -> None:
     colours = ["Clay", "Strain", "Curvature", "Parts", "Error"]
     assert page.locator("#colour option").all_inner_texts() == colours
     for name, words in (
-        ("parts", "red are joints"),
+        ("parts", "joints in red"),
         ("strain", "Strain (%)"),
         ("error", "Error (diagonals)"),
     ):
@@ -350,7 +350,7 @@ def test_own_colours_are_drawn(new_page: NewPage, tmp_path: Path) -> None:
     player = Player(new_page(), tmp_path / "green.html")
     assert not greens(player.picture()).any()
     player.page.select_option("#colour", "own")
-    assert player.page.locator("#legend").inner_text() == "Its own colours"
+    assert player.page.locator("#legend").inner_text() == "Vertex colours"
     assert greens(player.picture()).mean() > 0.01
 
 
@@ -454,7 +454,7 @@ def test_it_is_dark_where_that_is_preferred(request: pytest.FixtureRequest, name
     ("without", "words"),
     [
         ("delete window.DecompressionStream", "no DecompressionStream"),
-        ("HTMLCanvasElement.prototype.getContext = () => null", "no WebGL 2"),
+        ("HTMLCanvasElement.prototype.getContext = () => null", "WebGL 2 is missing"),
     ],
 )
 def test_browsers_that_cannot_are_told(new_page: NewPage, bar_page: Path, without: str, words: str) -> None:
