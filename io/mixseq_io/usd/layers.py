@@ -60,18 +60,14 @@ LocalSpaceAt = Callable[[float], LocalSpace]
 """Function from a time in seconds to a prim's space; `WORLD_SPACE` itself for the identity, which is not applied."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class SampledNormals:
-    """Sampled normals of a mesh.
-
-    `groups` and `order` are the normal groups of its corners, and the group of every written normal; None for normals
-    per vertex.
-    """
+    """Sampled normals: the normal group of every corner, and the group of every written normal; None per vertex."""
 
     attribute: str
     interpolation: str
-    groups: IntArray | None = None
-    order: IntArray | None = None
+    groups: IntArray | None
+    order: IntArray | None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -255,9 +255,9 @@ def _influences(mesh: UsdGeom.Mesh, point_count: int) -> Iterator[NDArray[np.flo
 
 @dataclass(frozen=True, eq=False)
 class TimeMap:
-    """Map from the time codes ``(T,)`` of a layer's frames to time codes of the original file below it.
+    """Time codes ``(T,)`` of a layer's frames, and what they show of the original: its `source_times` ``(T,)`` in s.
 
-    `source_times` ``(T,)`` are seconds in the original; None if times are the same.
+    Rates are in time codes per second. Without `source_times`, times in seconds are the same.
     """
 
     original_rate: float

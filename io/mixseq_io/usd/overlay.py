@@ -29,7 +29,7 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, IntArray
 from mixseq_io.originals import is_retimed, match_meshes
 from mixseq_io.reader import warn
-from mixseq_io.scene_meshes import SceneMesh
+from mixseq_io.scene_meshes import SceneMesh, format_names
 from mixseq_io.surfaces import are_valid_indices
 from mixseq_io.usd.layers import (
     WORLD_SPACE,
@@ -61,7 +61,6 @@ from mixseq_io.usd.stage import (
     open_stage,
     relative_asset_path,
     self_and_ancestors,
-    shorten_paths,
     transform_ops,
     translate_usd_read_errors,
     traverse_prims,
@@ -78,10 +77,6 @@ class Freeze:
     own_ops: TransformOps
     inverted_ops: TransformOps
     constant_ops: TransformOps
-
-    def to_world(self, code: float) -> Gf.Matrix4d:
-        """Return the mesh-to-world matrix of a mesh that is frozen at a time code."""
-        return compose_ops((*self.own_ops, *self.constant_ops), code)
 
     def author(self, layer: Sdf.Layer, time_map: TimeMap) -> None:
         """Author the operations in a layer, frozen at its first frame."""
@@ -267,7 +262,7 @@ def author_overlay(
     if not_frozen := [str(matched.mesh.GetPath()) for matched in moving if matched not in freezes]:
         warn(
             f"{target}: meshes with other things below them still move with their parents, between frames and "
-            f"beyond them, and have no velocities: {shorten_paths(not_frozen)}; flatten keeps everything"
+            f"beyond them, and have no velocities: {format_names(not_frozen, str)}; flatten keeps everything"
         )
     meshes = tuple(
         SampledMesh(
@@ -304,7 +299,7 @@ def disable_instancing(layer: Sdf.Layer, target: Path, prims: Iterable[Usd.Prim]
     for path in paths:
         Sdf.CreatePrimInLayer(layer, path).SetInfo("instanceable", False)
     if paths:
-        warn(f"{target}: instances with moving meshes are instances no longer: {shorten_paths(paths)}")
+        warn(f"{target}: instances with moving meshes are instances no longer: {format_names(paths, str)}")
 
 
 def _local_space(
@@ -330,7 +325,9 @@ def _local_space(
     if not freeze and transform.is_animated:
         return lambda time: space_of(transform.at(time_map.original_code(time)), time)
     start = time_map.start_time
-    matrix = freeze.to_world(time_map.original_code(start)) if freeze else transform.at(0.0)
+    matrix = transform.at(0.0)
+    if freeze:
+        matrix = compose_ops((*freeze.own_ops, *freeze.constant_ops), time_map.original_code(start))
     constant_space = space_of(matrix, start)
 
     def frozen_space(time: float) -> LocalSpace:
@@ -365,7 +362,7 @@ def _replace_normals(matched: MatchedMesh) -> SampledNormals | None:
         order[matched.corner_points] = group_of_corner  # all corners of a point share a normal
         if matched.weld.is_identity:
             groups = order = None
-    return SampledNormals(attribute=attribute, interpolation=interpolation, groups=groups, order=order)
+    return SampledNormals(attribute, interpolation, groups, order)
 
 
 def _block_stale_attributes(layer: Sdf.Layer, mesh: UsdGeom.Mesh, sampled: SampledMesh) -> None:
@@ -469,7 +466,7 @@ def warn_of_other_motion(
     skins = find_skins(meshes, PrimWarnings(original.path))
     animated = [prim for prim in others if _is_visible_type(prim) and _is_animated_prim(prim, skins)]
     if paths := [str(prim.GetPath()) for prim in animated]:
-        warn(f"{target}: other motion in {original.path} is not retimed: {shorten_paths(paths)}{cure}")
+        warn(f"{target}: other motion in {original.path} is not retimed: {format_names(paths, str)}{cure}")
 
 
 def retime_other_attributes(layer: Sdf.Layer, target: Path, original: Original, time_map: TimeMap) -> None:

@@ -102,7 +102,6 @@ UDIM_PLACEHOLDER = "<UDIM>"
 
 
 ROUNDING_TOLERANCE = 1e-9
-"""Relative deviation of a time code from a whole number that is attributed to rounding."""
 
 
 def time_codes(times: NDArray[np.float64], fps: float) -> NDArray[np.float64]:
@@ -153,10 +152,7 @@ def is_prim_path(text: str) -> bool:
 
 
 def relative_asset_path(file: Path, target: Path) -> str:
-    """Return the path of `file` as a USD file `target` refers to it.
-
-    It is relative within a shared folder, absolute on other drives and where symbolic links would break it.
-    """
+    """Return the path of `file` in `target`: relative in a shared folder, absolute where symbolic links interfere."""
     absolute, folder = file.absolute(), target.absolute().parent
     try:
         relative = os.path.relpath(absolute, folder)
@@ -164,9 +160,8 @@ def relative_asset_path(file: Path, target: Path) -> str:
     except ValueError:  # on different drives
         return absolute.as_posix()
     resolved = (folder.resolve() / relative).parent
-    if Path(shared) == Path(absolute.anchor):
-        return absolute.as_posix()
-    if not (resolved.exists() and resolved.samefile(absolute.parent)):
+    is_same = resolved.exists() and resolved.samefile(absolute.parent)
+    if Path(shared) == Path(absolute.anchor) or not is_same:
         return absolute.as_posix()
     path = Path(relative).as_posix()
     return path if path.startswith("../") else f"./{path}"
@@ -267,12 +262,7 @@ class PrimWarnings:
     def emit(self) -> None:
         """Warn of every problem once, with the prims that have it."""
         for problem, paths in self.paths_of_problem.items():
-            warn(f"{self.path}: {problem}: {shorten_paths(paths)}")
-
-
-def shorten_paths(paths: list[str]) -> str:
-    """Format a list of prim paths for a message; leave out all but the first ones."""
-    return format_names(paths, str)
+            warn(f"{self.path}: {problem}: {format_names(paths, str)}")
 
 
 TransformOps = tuple[UsdGeom.XformOp, ...]
@@ -418,7 +408,7 @@ def _visibility(prim: Usd.Prim) -> frozenset[str]:
 
 def _describe_contents(prims: Sequence[Usd.Prim], instancers: Sequence[Usd.Prim]) -> str:
     if instancers:
-        paths = shorten_paths([str(each.GetPath()) for each in instancers])
+        paths = format_names([str(each.GetPath()) for each in instancers], str)
         return f"it has point instancers, whose instances cannot be read; make them real first: {paths}"
     kinds = Counter(str(each.GetTypeName()) or "untyped" for each in prims)
     return "it has " + (", ".join(f"{count} {kind}" for kind, count in kinds.most_common()) or "nothing")

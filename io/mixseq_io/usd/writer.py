@@ -30,7 +30,7 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, IntArray
 from mixseq_io.files import atomic_file
 from mixseq_io.reader import validate_blocks, warn
-from mixseq_io.scene_meshes import SceneMesh, split_meshes
+from mixseq_io.scene_meshes import SceneMesh, format_names, split_meshes
 from mixseq_io.text.labels import LABEL_SUBSET_FAMILY
 from mixseq_io.usd.layers import (
     FrameValues,
@@ -67,7 +67,6 @@ from mixseq_io.usd.stage import (
     relative_asset_path,
     save_layer,
     self_and_ancestors,
-    shorten_paths,
     translate_usd_read_errors,
     translate_usd_write_errors,
 )
@@ -142,7 +141,7 @@ def _define_materials(
     empty = [name for name, each in materials.items() if not each.GetPrim().GetAuthoredProperties()]
     if empty and not _is_missing(origin):
         warn(
-            f"{target}: materials are written by name only: {shorten_paths(empty)}; bind them anew to your own networks"
+            f"{target}: materials are written by name only: {format_names(empty, str)}; bind them to networks again"
         )
     origin_path = origin.path if origin else ""
     UsdUtils.ModifyAssetPaths(layer, lambda asset: _rebase_texture(target, asset, origin_path))
@@ -186,7 +185,7 @@ def _copy_material(source: Sdf.Layer, name: str, layer: Sdf.Layer, path: Sdf.Pat
                 attribute.connectionPathList.ClearEdits()
                 disconnected.append(str(attribute.path))
     if disconnected:
-        outside = shorten_paths(disconnected)
+        outside = format_names(disconnected, str)
         warn(f"the material {name} uses networks outside of it, which are left out at {outside}")
 
 
@@ -237,7 +236,9 @@ def define_component(
         path = f"/{name}/{identifiers.reserve(scene_mesh.name)}"
         _define_mesh(stage, path, scene_mesh)
         _bind_materials(stage.GetPrimAtPath(path), target, scene_mesh, materials)
-        normals = _sample_normals(scene_mesh)
+        normals = None
+        if scene_mesh.hard_edges is not None and scene_mesh.subdivision == "none":
+            normals = SampledNormals("normals", UsdGeom.Tokens.faceVarying, *[scene_mesh.hard_edges] * 2)
         meshes.append(
             SampledMesh(path=path, scene_mesh=scene_mesh, normals=normals, has_velocities=has_velocities)
         )
@@ -287,17 +288,6 @@ def _set_display_name(prim: Usd.Prim, name: str) -> None:
     """Set the display name of a prim if it differs from its name."""
     if prim.GetName() != name:
         prim.SetDisplayName(name)
-
-
-def _sample_normals(scene_mesh: SceneMesh) -> SampledNormals | None:
-    if scene_mesh.hard_edges is None or scene_mesh.subdivision != "none":
-        return None
-    return SampledNormals(
-        attribute="normals",
-        interpolation=UsdGeom.Tokens.faceVarying,
-        groups=scene_mesh.hard_edges,
-        order=scene_mesh.hard_edges,
-    )
 
 
 def _bind_materials(
@@ -502,7 +492,7 @@ def warn_of_unpacked_files(path: Path, files: list[str]) -> None:
     """Warn of files that `write_package` left out."""
     if files:
         warn(
-            f"{path}: only textures in the original's folder are packed, not {shorten_paths(files)}; if textures may "
+            f"{path}: only textures in the original's folder are packed, not {format_names(files, str)}; if these may "
             "be shared, name their folder with pack_from=... (--pack-from)"
         )
 
