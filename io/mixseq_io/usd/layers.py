@@ -209,6 +209,12 @@ class SampleWriter:
         self._is_binary = not layer.realPath.lower().endswith(".usda")
         self._unsaved_bytes = 0
 
+    def write(self, frames: Iterable[FrameValues]) -> None:
+        """Set the values of frames, and save the layer."""
+        for frame in frames:
+            self.put(frame)
+        self.save()
+
     def put(self, frame: FrameValues) -> None:
         """Set the values of a frame."""
         code, values = frame
@@ -222,14 +228,6 @@ class SampleWriter:
         """Save the layer."""
         save_layer(self._layer)
         self._unsaved_bytes = 0
-
-
-def save_samples(layer: Sdf.Layer, frames: Iterable[FrameValues]) -> None:
-    """Write the samples of all frames to a layer, and save it."""
-    samples = SampleWriter(layer)
-    for frame in frames:
-        samples.put(frame)
-    samples.save()
 
 
 def declare_attributes(layer: Sdf.Layer, prims: SampledPrims) -> None:
@@ -355,14 +353,15 @@ def save_clips(
         clip.save()
     save_layer(_create_layer(folder.path / folder.manifest_name, prims, layer.timeCodesPerSecond))
     clip_numbers = range(1, len(start_codes) + 1)
-    assets = [Sdf.AssetPath(folder.asset_path(folder.clip_name(number))) for number in clip_numbers]
+    prefix = f"./{folder.target.name}/"
+    assets = [Sdf.AssetPath(prefix + folder.clip_name(number)) for number in clip_numbers]
     for path in [*(mesh.path for mesh in prims.meshes), *(extent.path for extent in prims.extents)]:
         description = {
             "assetPaths": Sdf.AssetPathArray(assets),
             "times": Vt.Vec2dArray([(code, code) for code in codes]),
             "active": Vt.Vec2dArray([(code, float(clip)) for clip, code in enumerate(start_codes)]),
             "primPath": path,
-            "manifestAssetPath": Sdf.AssetPath(folder.asset_path(folder.manifest_name)),
+            "manifestAssetPath": Sdf.AssetPath(prefix + folder.manifest_name),
         }
         layer.GetPrimAtPath(path).SetInfo("clips", {_CLIP_SET: description})
     save_layer(layer)
@@ -392,10 +391,6 @@ class ClipFolder:
     def clip_name(self, number: int) -> str:
         """Return the file name of a clip, numbered from 1."""
         return f"{self._stem}.{number:04d}.usdc"
-
-    def asset_path(self, name: str) -> str:
-        """Return the path of a file in the folder, relative to the folder's parent."""
-        return f"./{self.target.name}/{name}"
 
     def make(self) -> None:
         """Create an empty temporary folder."""

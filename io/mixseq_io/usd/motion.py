@@ -150,24 +150,20 @@ def find_skins(meshes: Sequence[UsdGeom.Mesh], warnings: PrimWarnings) -> dict[S
     for root in roots.values():
         cache.Populate(root, instances)
         for binding in cache.ComputeSkelBindings(root, instances):
-            schema = binding.GetSkeleton()
-            skeleton = Skeleton(schema.GetPrim(), cache.GetSkelQuery(schema))
+            skel = binding.GetSkeleton()
+            skeleton = Skeleton(skel.GetPrim(), cache.GetSkelQuery(skel))
             for query in binding.GetSkinningTargets():
                 skin = Skin(skeleton, query, cache)
                 if skin.has_joints or skin.has_shapes:
                     skins[query.GetPrim().GetPath()] = skin
     for mesh in meshes:
-        prim = mesh.GetPrim()
-        if _has_binding(prim) and mesh.GetPath() not in skins:
-            warnings.add(prim, "bound to no skeleton with a pose below a SkelRoot, and not moved by one")
+        schema = UsdSkel.BindingAPI(mesh.GetPrim())
+        attributes = (schema.GetJointIndicesAttr(), schema.GetBlendShapesAttr()) if schema else ()
+        # Layers with new points block these attributes.
+        if any(each.HasAuthoredValue() for each in attributes) and mesh.GetPath() not in skins:
+            problem = "bound to no skeleton with a pose below a SkelRoot, and not moved by one"
+            warnings.add(mesh.GetPrim(), problem)
     return skins
-
-
-def _has_binding(prim: Usd.Prim) -> bool:
-    """Whether a mesh is bound to joints or blend shapes; layers with new points block its binding."""
-    binding = UsdSkel.BindingAPI(prim)
-    attributes = (binding.GetJointIndicesAttr(), binding.GetBlendShapesAttr()) if binding else ()
-    return any(attribute.HasAuthoredValue() for attribute in attributes)
 
 
 VERTICES_ATTRIBUTE = "mixseq:vertices"

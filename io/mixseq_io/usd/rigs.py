@@ -36,7 +36,6 @@ from mixseq_io.rig_arrays import (
 )
 from mixseq_io.usd.layers import (
     SampledMesh,
-    SampledPrims,
     compute_extent,
     compute_frame_values,
     declare_attributes,
@@ -101,7 +100,11 @@ def define_rig(layer: Sdf.Layer, target: Path, rig: Skin | Morph) -> None:
     """Author a skin or a morph."""
     shape = normalise_morph_weights(rig)
     prims = define_component(layer, target, rig.header, has_velocities=False)
-    _author_base(layer, prims, shape)
+    declare_attributes(layer, prims)
+    base_block = (0, shape.base[None], None)
+    ((_, values),) = compute_frame_values(prims, np.zeros(1), np.zeros(1), [base_block])
+    for path, value in values.items():
+        layer.GetAttributeAtPath(path).default = value
     stage = Usd.Stage.Open(layer)
     root = stage.GetDefaultPrim()
     root.SetTypeName("SkelRoot")
@@ -114,7 +117,10 @@ def define_rig(layer: Sdf.Layer, target: Path, rig: Skin | Morph) -> None:
     if isinstance(rig, Skin):
         _define_joints(skeleton, rig.skeleton)
         _animate_joints(animation, skeleton, rig, codes)
-    _animate_shapes(animation, shape_names, shape, codes)
+    if shape_names:
+        animation.CreateBlendShapesAttr(Vt.TokenArray(shape_names))
+        weights = [Vt.FloatArrayFromBuffer(each) for each in shape.weights.astype(np.float32)]
+        _set_samples(animation.CreateBlendShapeWeightsAttr(), weights, codes)
     UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets([animation.GetPath()])
     for mesh in prims.meshes:
         binding = UsdSkel.BindingAPI.Apply(stage.GetPrimAtPath(mesh.path))
@@ -126,15 +132,6 @@ def define_rig(layer: Sdf.Layer, target: Path, rig: Skin | Morph) -> None:
     frames = (points for block in rig.blocks() for points in block)
     for code, points in zip(codes.tolist(), frames, strict=True):
         extent.Set(compute_extent(points), code)
-
-
-def _author_base(layer: Sdf.Layer, prims: SampledPrims, shape: Morph) -> None:
-    """Author the base points of the meshes and their derived attributes as default values."""
-    declare_attributes(layer, prims)
-    block = (0, shape.base[None], None)
-    ((_, values),) = compute_frame_values(prims, np.zeros(1), np.zeros(1), [block])
-    for path, value in values.items():
-        layer.GetAttributeAtPath(path).default = value
 
 
 def _define_joints(skeleton: UsdSkel.Skeleton, joints: Skeleton) -> None:
@@ -171,16 +168,6 @@ def _animate_joints(
         animation.CreateTranslationsAttr(), [Vt.Vec3fArrayFromBuffer(each) for each in translations], codes
     )
     animation.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(1, 1, 1)] * skin.bone_count))
-
-
-def _animate_shapes(
-    animation: UsdSkel.Animation, names: list[str], shape: Morph, codes: NDArray[np.float64]
-) -> None:
-    if not names:
-        return
-    animation.CreateBlendShapesAttr(Vt.TokenArray(names))
-    weights = [Vt.FloatArrayFromBuffer(each) for each in shape.weights.astype(np.float32)]
-    _set_samples(animation.CreateBlendShapeWeightsAttr(), weights, codes)
 
 
 def _set_samples(attribute: Usd.Attribute, values: list[Any], codes: NDArray[np.float64]) -> None:

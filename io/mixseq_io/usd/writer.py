@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
@@ -37,11 +37,11 @@ from mixseq_io.usd.layers import (
     SampledMesh,
     SampledNormals,
     SampledPrims,
+    SampleWriter,
     compute_frame_values,
     declare_attributes,
     open_clip_folder,
     save_clips,
-    save_samples,
     write_package,
 )
 from mixseq_io.usd.motion import MeshMotion, TimeMap, check_source_times, find_skins
@@ -80,10 +80,15 @@ class FaceParts:
     names: Sequence[str]
 
 
-def _author_parts(layer: Sdf.Layer, paths: Sequence[str], parts: FaceParts) -> None:
+def _author_parts(
+    layer: Sdf.Layer, paths: Sequence[str], parts: FaceParts, original: Original | None
+) -> None:
     """Author a subset for every part of every mesh; replace those of an earlier layer."""
     stage = Usd.Stage.Open(layer)
-    for path, part_of_polygon in zip(paths, parts.part_of_polygon, strict=True):
+    for index, path in enumerate(paths):
+        part_of_polygon = parts.part_of_polygon[index]
+        if original:
+            part_of_polygon = part_of_polygon[original.meshes[index].match.polygons]
         mesh = UsdGeom.Mesh(stage.GetPrimAtPath(path))
         subsets = UsdGeom.Subset.GetGeomSubsets(mesh, "", LABEL_SUBSET_FAMILY)
         old = {subset.GetPrim().GetName() for subset in subsets}
@@ -120,21 +125,18 @@ def _define_materials(
     stage: Usd.Stage, target: Path, scope: str, names: Iterable[str], origin: Origin | None
 ) -> Mapping[str, UsdShade.Material]:
     """Define materials below a scope; return them by name."""
-    unique_names = list(dict.fromkeys(names))
-    if not unique_names:
+    used = list(dict.fromkeys(names))
+    if not used:
         return {}
     UsdGeom.Scope.Define(stage, scope)
     layer = stage.GetRootLayer()
-    source = (
-        _flatten_materials(Path(origin.path), unique_names) if origin and origin.format == "USD" else None
-    )
-    identifiers, scope_path = Identifiers(), Sdf.Path(scope)
-    paths = {
-        name: scope_path.AppendChild(identifiers.reserve(name.rpartition("/")[2])) for name in unique_names
-    }
+    source = _flatten_materials(Path(origin.path), used) if origin and origin.format == "USD" else None
+    identifiers = Identifiers()
+    paths = {name: Sdf.Path(scope).AppendChild(identifiers.reserve(name.rpartition("/")[2])) for name in used}
     with Sdf.ChangeBlock():
         for name, path in paths.items():
-            if source and _is_material(source, name):
+            material = source.GetPrimAtPath(name) if source and is_prim_path(name) else None
+            if source and material and material.typeName == "Material":
                 _copy_material(source, name, layer, path)
             define_prim_spec(layer, path, "Material")
     materials = {name: UsdShade.Material.Get(stage, path) for name, path in paths.items()}
@@ -168,11 +170,6 @@ def _flatten_materials(origin: Path, materials: Iterable[str]) -> Sdf.Layer | No
             if prim.IsInstance():
                 Sdf.CreatePrimInLayer(session, prim.GetPath()).SetInfo("instanceable", False)
     return Usd.Stage.OpenMasked(original.GetRootLayer(), session, mask).Flatten()
-
-
-def _is_material(layer: Sdf.Layer, name: str) -> bool:
-    prim = layer.GetPrimAtPath(name) if is_prim_path(name) else None
-    return prim is not None and prim.typeName == "Material"
 
 
 def _copy_material(source: Sdf.Layer, name: str, layer: Sdf.Layer, path: Sdf.Path) -> None:
@@ -439,7 +436,7 @@ def write_usd(
         elif original and times is not None:
             warn_of_other_motion(path, header, original, times)
         if parts is not None:
-            _author_parts(layer, [mesh.path for mesh in prims.meshes], _original_parts(parts, original))
+            _author_parts(layer, [mesh.path for mesh in prims.meshes], parts, original)
         return layer, prims, compute_frame_values(prims, time_map.codes, header.times, frame_blocks)
 
     left_out: list[str] = []
@@ -455,7 +452,7 @@ def write_usd(
             folder.install()
         else:
             layer, _, frames = create_layer(temporary.with_suffix(".usdc") if is_package else temporary)
-            save_samples(layer, frames)
+            SampleWriter(layer).write(frames)
             if is_package:
                 name = path.with_suffix(".usdc").name
                 left_out = write_package(layer, temporary, name, texture_folders(header, pack_from))
@@ -474,7 +471,7 @@ def write_usd_parts(path: Path, header: SequenceHeader, parts: FaceParts) -> boo
         author_time_range(layer, header, TimeMap.from_header(header, original.rate), original)
         author_sublayer(layer, path, original)
         paths = [str(matched.mesh.GetPath()) for matched in original.meshes]
-        _author_parts(layer, paths, _original_parts(parts, original))
+        _author_parts(layer, paths, parts, original)
         save_layer(layer)
     return True
 
@@ -503,14 +500,6 @@ def texture_folders(header: SequenceHeader, pack_from: str | PathLike[str] | Non
     original = [Path(origin.path)] if origin and origin.format == "USD" else []
     parents = [path.parent for path in original]
     return [*original, *parents, *([] if pack_from is None else [Path(pack_from)])]
-
-
-def _original_parts(parts: FaceParts, original: Original | None) -> FaceParts:
-    """Return parts by the polygons of the original, if there is one."""
-    if original is None:
-        return parts
-    pairs = zip(parts.part_of_polygon, original.meshes, strict=True)
-    return replace(parts, part_of_polygon=tuple(labels[mesh.match.polygons] for labels, mesh in pairs))
 
 
 def _check_options(is_package: bool, flatten: bool, onto: object, clips: int, pack_from: object) -> None:
