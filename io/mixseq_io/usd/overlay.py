@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from mixseq.errors import FormatError, OutputError
-from mixseq.mesh.polygons import PolygonMatch, Polygons, difference, reversed_corners
+from mixseq.mesh.polygons import PolygonMatch, Polygons, describe_difference, reversed_winding
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, IntArray
 from mixseq_io.originals import is_retimed, match_meshes
@@ -207,7 +207,7 @@ def _describe_difference(scene_mesh: SceneMesh, mesh: UsdGeom.Mesh) -> str:
     for weld in (Weld.from_mesh(mesh, points), Weld.identity(len(points))):
         if weld.vertex_count == scene_mesh.vertex_count:
             names = "the sequence", str(mesh.GetPath())
-            return difference(scene_mesh.polygons, weld.weld_polygons(point_polygons), names)
+            return describe_difference(scene_mesh.polygons, weld.weld_polygons(point_polygons), names)
     return f"it has {len(points)} points, the sequence {scene_mesh.vertex_count} vertices"
 
 
@@ -216,7 +216,7 @@ def _match_mesh(scene_mesh: SceneMesh, mesh: UsdGeom.Mesh) -> MatchedMesh | None
     point_polygons, points = _read_polygons(mesh)
     if point_polygons is None:
         return None
-    reverse = reversed_corners(point_polygons.counts, keep_first=True)
+    reverse = reversed_winding(point_polygons.counts, keep_first=True)
     # A sequence from another file may have a vertex for every point.
     for weld in (Weld.from_mesh(mesh, points), Weld.identity(len(points))):
         if weld.vertex_count != scene_mesh.vertex_count:

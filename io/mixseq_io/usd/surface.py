@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from pxr import Sdf, Usd, UsdGeom, UsdShade
 
 from mixseq.errors import InvalidSequenceError
-from mixseq.mesh.measures import hard_edges_of_normals
-from mixseq.mesh.polygons import Polygons, reversed_corners
+from mixseq.mesh.measures import hard_edges_from_normals
+from mixseq.mesh.polygons import Polygons, reversed_winding
 from mixseq.mesh.surface import CornerValues, FaceSet
 from mixseq_io.reader import prefix_errors
 from mixseq_io.scene_meshes import SceneMesh, base_face_set
@@ -70,12 +70,12 @@ def read_scene_mesh(
 
 
 def _reverse_corners(scene_mesh: SceneMesh) -> SceneMesh:
-    order = reversed_corners(scene_mesh.polygons.counts, keep_first=True)
+    order = reversed_winding(scene_mesh.polygons.counts, keep_first=True)
     return replace(
         scene_mesh,
         polygons=Polygons(scene_mesh.polygons.counts, scene_mesh.polygons.indices[order]),
-        uvs=scene_mesh.uvs and scene_mesh.uvs.taken(order),
-        colours=scene_mesh.colours and scene_mesh.colours.taken(order),
+        uvs=scene_mesh.uvs and scene_mesh.uvs.select(order),
+        colours=scene_mesh.colours and scene_mesh.colours.select(order),
         hard_edges=None if scene_mesh.hard_edges is None else scene_mesh.hard_edges[order],
     )
 
@@ -116,7 +116,7 @@ def _read_colours(animated: AnimatedMesh, polygons: Polygons, warnings: PrimWarn
     alpha = _read_primvar(animated, polygons, warnings, "opacities", opacity) if has_opacity else None
     if alpha is None:
         return CornerValues(ensure_alpha(colours.values), colours.indices)
-    return CornerValues.of_corners(np.hstack([colours.at_corners[:, :3], alpha.at_corners]))
+    return CornerValues.from_corners(np.hstack([colours.at_corners[:, :3], alpha.at_corners]))
 
 
 def _read_preferred_primvar(
@@ -181,7 +181,7 @@ def _read_hard_edges(
     if not are_valid_indices(value_ids, len(normals)) or not np.isfinite(normals).all():
         warnings.add(mesh.GetPrim(), "normals do not fit the faces and are left out")
         return None
-    return hard_edges_of_normals(animated.weld.weld_polygons(polygons), normals[value_ids])
+    return hard_edges_from_normals(animated.weld.weld_polygons(polygons), normals[value_ids])
 
 
 def value_ids_of_corners(interpolation: str, polygons: Polygons) -> NDArray[np.int32]:
