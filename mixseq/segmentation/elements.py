@@ -104,6 +104,11 @@ class Passes:
         pairs = self.topology.hinge_faces[np.delete(self.hinges, passes)]
         return renumber_by_area(connected_components(len(self.face_areas), pairs), self.face_areas)
 
+    def segment(self, parts: int | None, min_depth: float, min_area_fraction: float) -> Index:
+        """Cut the tree at passes of at least an area: the deepest ones into `parts`, or all above a depth."""
+        min_area = min_area_fraction * float(self.face_areas.sum())
+        return self.cut(self.deeper(min_depth, min_area) if parts is None else self.deepest(parts, min_area))
+
     def deepest(self, parts: int, min_area: float) -> Index:
         """Return the deepest passes that leave `parts` regions; the least area is halved until there are enough."""
         components = len(self.face_areas) - len(self.hinges)

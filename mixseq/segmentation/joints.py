@@ -102,11 +102,8 @@ def join_part_motion(blocks: Iterable[PartMotion]) -> PartMotion:
     return PartMotion(np.concatenate(rotations), degenerate_mask)
 
 
-MIN_CORE_FRACTION = 1.0 / 3.0
-"""Least fraction of its vertices that a part keeps."""
-
-DEGREES_PER_STRIP = 30.0
-"""Rotation per strip of a joint, except the first."""
+MIN_CORE_FRACTION = 1.0 / 3.0  # of its vertices that a part keeps
+DEGREES_PER_STRIP = 30.0  # relative rotation of two parts per strip of their joint, except the first
 
 
 @dataclass(frozen=True, eq=False)

@@ -230,11 +230,10 @@ def moments_of(tallies: Float, trajectories: Trajectories) -> list[Moments]:
     ]
 
 
-MAX_FACES_WITHOUT_CELLS = 20_000
-"""Meshes with more faces are clustered by cells first."""
-
-MAX_FACES_TO_REFINE = 160_000
-"""Meshes with more faces are clustered by cells only, with boundaries off by at most an edge."""
+MAX_FACES_WITHOUT_CELLS = 20_000  # larger meshes are clustered by cells first
+MAX_FACES_TO_REFINE = (
+    160_000  # larger meshes are clustered by cells only: boundaries are off by at most an edge
+)
 
 
 @dataclass(frozen=True)
@@ -396,13 +395,12 @@ def _merge_stiff_pairs(
     pair_softness: dict[tuple[int, int], float] = {}
     rim = Rim.from_labels(topology, patches.labels)
     while parts is None or len(moments) > parts:
-        bends = {(i, j): bends.get((i, j), -1.0) for i, j in patches.pairs}
-        if not bends:
+        pairs = patches.pairs
+        if not pairs:
             break
-        bends = {
-            (i, j): b if b >= 0 else largest_rotation(rotations[i], rotations[j])
-            for (i, j), b in bends.items()
-        }
+        for i, j in set(pairs) - bends.keys():
+            bends[i, j] = largest_rotation(rotations[i], rotations[j])
+        bends = {pair: bends[pair] for pair in pairs}
         narrow = rim.narrowness(patches.labels)
         costs = {
             (i, j): b / (1.0 + settings.narrow * max(narrow[i], narrow[j])) for (i, j), b in bends.items()

@@ -9,22 +9,12 @@ r"""Segmentation along regions of large deformation: by augmented silhouettes, a
 3. *Seeds.* The height of a vertex is its diffusion distance from the nearest significant one. Maxima are seeds.
 4. *Regions.* They grow from the seeds downwards, until they meet where the mesh deforms.
 
-Details and values that the paper does not give:
-
-- Views are orthographic, with directions spread over a half sphere, as silhouettes from behind are the same.
-- A vertex deforms by :math:`\Delta\theta_v + \epsilon_v`, smoothed over a small radius. On every silhouette a fixed
-  fraction of the vertices is marked; those marked on at least half of their silhouettes are significant.
-- The height of a significant vertex is minus its distance from the nearest insignificant one, so that regions meet in
-  the middle of the deforming surface.
-- A seed becomes a part if it is high enough above the pass to a higher one (its persistence, see
-  `mixseq.segmentation.elements`) and its region is large enough. Every connected component is at least one part.
+Details and values that the paper does not give are described in docs/segmentation.md.
 
 *Spanning tree* (Wuhrer and Brunton 2010; paper, Section 1.3): a minimum spanning tree of the dual graph connects the
-faces across the hinges whose dihedral angle varies least, and is cut at hinges of large variation. On noisy meshes that
-gives one large part and tiny ones: the largest variations are those of single bad triangles, and the tree crosses
-joints where the surface is only sheared. So variations are averaged at vertices and smoothed, which closes the rings
-around joints. A hinge is cut if it varies by enough more than the insides of both its sides (its depth as a pass,
-instead of its height), and if both sides are large enough.
+faces across the hinges whose dihedral angle varies least, and is cut at hinges of large variation. Against noise,
+variations are averaged at vertices and smoothed. A hinge is cut by its depth as a pass, not its height: if it varies by
+enough more than the insides of both its sides, which must be large enough.
 
 *Variations* are the largest ones between any two frames; at vertices means over incident hinges or edges, weighted by
 length in the first frame:
@@ -111,11 +101,8 @@ def _sum_at_vertices(edges: Index, values: Float, count: int) -> Float:
     return np.asarray(np.bincount(edges.reshape(-1), np.repeat(values, 2), count), dtype=np.float64)
 
 
-_MIN_COTANGENT_WEIGHT, _MAX_COTANGENT_WEIGHT = 1e-2, 1e2
-"""Range of cotangent weights, which limits the effect of slivers and obtuse triangles."""
-
-_MIN_SPARSE_VERTICES = 400
-"""Eigenvectors of components with fewer vertices are computed by a dense solver."""
+_MIN_COTANGENT_WEIGHT, _MAX_COTANGENT_WEIGHT = 1e-2, 1e2  # limit the effect of slivers and obtuse triangles
+_MIN_SPARSE_VERTICES = 400  # smaller components have a dense eigensolver
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,14 +270,10 @@ def segment_by_silhouettes(
     significant = significant_vertices(x, topology, deformation, settings)
     distance = _signed_distance(surface, significant, settings)
     bottoms = -distance[topology.faces].mean(axis=1)  # seeds are maxima, turned over
-    passes = find_passes(
-        topology, bottoms[topology.hinge_faces].max(axis=1), bottoms, face_areas(x[0], topology)
-    )
-    min_area = settings.small_region * float(passes.face_areas.sum())
-    if parts is not None:
-        return passes.cut(passes.deepest(parts, min_area))
+    heights = bottoms[topology.hinge_faces].max(axis=1)
     min_depth = settings.contrast * float(np.average(np.abs(distance), weights=surface.areas))
-    return passes.cut(passes.deeper(min_depth, min_area))
+    passes = find_passes(topology, heights, bottoms, face_areas(x[0], topology))
+    return passes.segment(parts, min_depth, settings.small_region)
 
 
 def viewpoints(count: int) -> Float:
@@ -403,8 +386,5 @@ def segment_by_spanning_tree(
     bottoms = np.full(len(topology.faces), np.inf)
     np.minimum.at(bottoms, topology.hinge_faces.reshape(-1), np.repeat(heights, 2))
     passes = find_passes(topology, heights, bottoms, face_areas(x[0], topology))
-    min_area = settings.small_region * float(passes.face_areas.sum())
-    if parts is not None:
-        return passes.cut(passes.deepest(parts, min_area))
     min_depth = settings.contrast * float(np.average(bending, weights=surface.areas))
-    return passes.cut(passes.deeper(max(min_depth, np.radians(settings.still)), min_area))
+    return passes.segment(parts, max(min_depth, np.radians(settings.still)), settings.small_region)
