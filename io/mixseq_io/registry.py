@@ -154,7 +154,7 @@ FORMATS: tuple[Format, ...] = (
     ),
     _numbered_format("OBJ", "obj", points="all digits", colours=OPAQUE_PER_VERTEX),
     _numbered_format("PLY", "ply", b"ply", points="float32, float64", **_BARE_MESH),
-    _numbered_format("STL", "stl_off", polygons="triangles", uvs=False, colours=False, **_BARE_MESH),
+    _numbered_format("STL", "stl_off", **_TRIANGLES, colours=False),
     _numbered_format(
         "OFF", "stl_off", b"OFF", b"COFF", points="all digits", **_TRIANGLES, colours=PER_VERTEX
     ),
