@@ -45,6 +45,9 @@ PictureKind = Literal[
 PICTURES: tuple[PictureKind, ...] = get_args(PictureKind)
 """Pictures of a model."""
 
+UNITS = {"mm": 0.001, "cm": 0.01, "m": 1.0, "km": 1000.0, "in": 0.0254, "ft": 0.3048, "yd": 0.9144}
+"""Units of length by name, in metres."""
+
 Colour = Literal["clay", "own", "parts", "error", "strain", "curvature"]
 COLOURS: tuple[Colour, ...] = get_args(Colour)
 """Colourings of meshes in films."""

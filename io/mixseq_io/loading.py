@@ -103,10 +103,10 @@ class ModelReader(SequenceReader):
     """Reader that decodes the frames of a model on demand."""
 
     def __init__(self, path: Path) -> None:
-        from mixseq.signals.decoding import FRAMES
+        from mixseq.signals.decoding import FRAMES_PER_BLOCK
 
         self._model = load(path)
-        self._most = FRAMES
+        self._most = FRAMES_PER_BLOCK
         super().__init__(path, self._model.header)
 
     def _read(self, what: str, size: int) -> Iterator[FloatArray]:

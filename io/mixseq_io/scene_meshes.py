@@ -22,52 +22,50 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, Index, IntArray
 from mixseq_io.reader import warn
 
-_LONGEST_LIST = 20
+_MAX_LISTED_NAMES = 20
 
 
 @dataclass(frozen=True, eq=False)
 class SceneObject:
-    """An object of a scene, with or without a mesh."""
+    """Object of a scene, with or without a mesh; empty names count as none."""
 
     path: str
     names: tuple[str, ...]
-    above: SceneObject | None = None
+    parent: SceneObject | None = None
 
     @property
     def name(self) -> str:
-        """Name to show, "" if it has none."""
+        """First name, "" without any."""
         return next(filter(None, self.names), "")
 
     @property
     def lineage(self) -> list[SceneObject]:
         """The object and its ancestors, the root last."""
-        found, here = [], self
-        while True:
-            found.append(here)
-            if here.above is None:
-                return found
-            here = here.above
+        chain = [self]
+        while (parent := chain[-1].parent) is not None:
+            chain.append(parent)
+        return chain
 
 
 def select_meshes(
     file: Path, meshes: Sequence[SceneObject], prim: str, among: Sequence[SceneObject] | None = None
 ) -> list[int]:
-    """Return the indices of the meshes at or below an object, given by path or name."""
+    """Return the indices of the meshes, or objects `among` a scene, at or below an object given by path or name."""
     among = meshes if among is None else among
     if not prim.strip("/"):
         return list(range(len(among)))
-    root = _path_of(file, meshes, prim)
-    return [number for number, place in enumerate(among) if root in (each.path for each in place.lineage)]
+    root = _find_path(file, meshes, prim)
+    return [index for index, candidate in enumerate(among) if root in (own.path for own in candidate.lineage)]
 
 
-def _path_of(file: Path, meshes: Sequence[SceneObject], prim: str) -> str:
-    """Return the path of the object named by `prim`: a listed path, a name, or a path without its end slashes."""
-    paths = {each.path.strip("/"): each.path for mesh in meshes for each in mesh.lineage}
+def _find_path(file: Path, meshes: Sequence[SceneObject], prim: str) -> str:
+    """Return the path of an object given by exact path, by name, or by path without outer slashes."""
+    paths = {own.path.strip("/"): own.path for mesh in meshes for own in mesh.lineage}
     path = paths.get(prim.strip("/"))
     if path == prim:
         return path
-    # The outermost of those that are in each other.
-    named = {each.path for mesh in meshes for each in [own for own in mesh.lineage if prim in own.names][-1:]}
+    # The outermost of nested objects with the name.
+    named = {own.path for mesh in meshes for own in [own for own in mesh.lineage if prim in own.names][-1:]}
     if len(named) > 1:
         raise AmbiguousError(
             f"{file}: {prim!r} is in several places, {format_names(sorted(named))}; give its path"
@@ -80,60 +78,62 @@ def _path_of(file: Path, meshes: Sequence[SceneObject], prim: str) -> str:
     return found
 
 
-def select_moving_meshes(file: Path, meshes: Sequence[SceneObject], moves: Sequence[bool]) -> list[int]:
-    """Return the indices of the meshes that move; all if none moves."""
-    still = [mesh.path for mesh, it_moves in zip(meshes, moves, strict=True) if not it_moves]
-    if not any(moves):
+def select_moving_meshes(file: Path, meshes: Sequence[SceneObject], is_moving: Sequence[bool]) -> list[int]:
+    """Return the indices of the moving meshes, with a warning of static ones; all if none moves."""
+    if not any(is_moving):
         return list(range(len(meshes)))
-    if still:
+    static = [mesh.path for mesh, moves in zip(meshes, is_moving, strict=True) if not moves]
+    if static:
         warn(
             f"{file}: meshes that stand still are left out; prim='/' (--prim / on the command line) takes them, too: "
-            f"{format_names(still)}"
+            f"{format_names(static)}"
         )
-    return [number for number, it_moves in enumerate(moves) if it_moves]
+    return [index for index, moves in enumerate(is_moving) if moves]
 
 
 def common_name(meshes: Sequence[SceneObject]) -> str:
     """Return the name of the only mesh, or of the deepest named common ancestor; "" if there is none."""
-    shared = set.intersection(*({each.path for each in mesh.lineage} for mesh in meshes))
-    return next((each.name for each in meshes[0].lineage if each.path in shared and each.name), "")
+    shared = set.intersection(*({own.path for own in mesh.lineage} for mesh in meshes))
+    return next((own.name for own in meshes[0].lineage if own.path in shared and own.name), "")
 
 
-def format_names(names: Sequence[str], form: Callable[[str], str] = repr) -> str:
-    """Return at most 20 names, quoted by default, for a message."""
-    more = len(names) - _LONGEST_LIST
-    return ", ".join(map(form, names[:_LONGEST_LIST])) + (f" and {more} more" if more > 0 else "")
+def format_names(names: Sequence[str], format_name: Callable[[str], str] = repr) -> str:
+    """Format the first 20 names, quoted by default, for a message."""
+    omitted = len(names) - _MAX_LISTED_NAMES
+    listing = ", ".join(map(format_name, names[:_MAX_LISTED_NAMES]))
+    return f"{listing} and {omitted} more" if omitted > 0 else listing
 
 
 TIME_TOLERANCE = 1e-6
-"""Largest distance in seconds of keys of different channels that make one frame."""
+"""Largest distance in seconds of keys of two channels that are merged into one frame."""
 
 MAX_INSERTED_FRAMES = 100_000
 """Largest number of frames added between keys; an hour has 86 400 at 24 frames per second."""
 
-_EARLY = 2.0  # seconds; exporters compute earlier times from later ones
+_MIN_ROUNDING_TIME = 2.0
+"""Time in seconds whose rounding earlier times have as well, since exporters compute them from later ones."""
 
 
 def merge_times(channels: Iterable[Float], tolerance: float = TIME_TOLERANCE) -> Float:
-    """Return the times ``(n,)`` of all channels, increasing, merged if equal in two channels, but not within one."""
+    """Merge the increasing times of channels into ``(n,)``; equal times are merged across channels, not within one."""
     times = np.empty(0)
-    for each in channels:
-        times = insert_times(times, each, tolerance)
+    for channel in channels:
+        times = insert_times(times, channel, tolerance)
     return times
 
 
 def insert_times(times: Float, more: Float, tolerance: float | Float) -> Float:
-    """Return times and `more` ``(n,)``, increasing, without those of `more` within `tolerance` of one of `times`."""
-    ends = np.concatenate([[-np.inf], times, [np.inf]])
-    place = np.searchsorted(times, more)
-    near = np.minimum(more - ends[place], ends[place + 1] - more) <= tolerance
-    return np.union1d(times, more[~near])
+    """Insert times into increasing `times`, without those within `tolerance` of an old one."""
+    padded = np.concatenate([[-np.inf], times, [np.inf]])
+    after = np.searchsorted(times, more)
+    is_close = np.minimum(more - padded[after], padded[after + 1] - more) <= tolerance
+    return np.union1d(times, more[~is_close])
 
 
 def snap_to_frames(times: Float, fps: float) -> Float:
-    """Return times ``(T,)``, moved to ``k / fps`` if within two float32 steps of it (of 2 s, for earlier times).
+    """Snap times ``(T,)`` to ``k / fps`` within two float32 steps, of 2 s for earlier times.
 
-    Other times stay as they are, and all do where two would become one.
+    Other times stay unchanged, and all do if two would become equal.
 
     Examples
     --------
@@ -143,17 +143,18 @@ def snap_to_frames(times: Float, fps: float) -> Float:
     """
     with np.errstate(all="ignore"):  # non-finite times are reported where they are used
         nearest = np.rint(times * fps) / fps
-        rounding = 2 * np.spacing(np.maximum(np.abs(times), _EARLY).astype(np.float32)).astype(np.float64)
+        rounding = 2 * np.spacing(np.maximum(np.abs(times), _MIN_ROUNDING_TIME).astype(np.float32)).astype(
+            np.float64
+        )
         snapped = np.where(np.abs(nearest - times) <= rounding, nearest, times)
         return snapped if (np.diff(snapped) > 0).all() else times
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SceneMesh:
-    """Mesh of a scene: `polygons` by its own vertices, and its surface, see `Surface` and `MeshObject`.
+    """Mesh of a scene, with polygons by its own vertices; fields as in `Surface` and `MeshObject`.
 
-    `vertices` are a slice or ``(V,)`` int64 of the sequence's vertices. A face set of all polygons is the whole mesh's
-    material.
+    `vertices` select its V vertices among those of the sequence. A face set of all polygons is the mesh's material.
     """
 
     name: str
@@ -175,54 +176,52 @@ class SceneMesh:
 
     @property
     def normal_groups(self) -> IntArray:
-        """Index of the shared normal at every corner: hard edges, or the vertices without any."""
+        """Index of the shared normal at every corner: by hard edges, or by vertex without any."""
         return self.polygons.indices if self.hard_edges is None else self.hard_edges
 
     def with_vertex_order_of(self, original: Polygons) -> SceneMesh | None:
-        """Return the mesh with the vertex order of a file (only compressed models renumber), None for another mesh."""
-        found = find_numbering(self.polygons, original, [self.vertex_count])
-        if found is None or found.order != "free":
-            return None if found is None else self
-        order = found.inverse.vertices
+        """Undo the renumbering of vertices by compressed models; None for another mesh."""
+        numbering = find_numbering(self.polygons, original, [self.vertex_count])
+        if numbering is None or numbering.order != "free":
+            return None if numbering is None else self
         return replace(
             self,
-            vertices=np.r_[self.vertices][order],
-            polygons=Polygons(self.polygons.counts, found.vertices[self.polygons.indices]),
+            vertices=np.r_[self.vertices][numbering.inverse.vertices],
+            polygons=Polygons(self.polygons.counts, numbering.vertices[self.polygons.indices]),
         )
 
     def match(self, stored: Polygons, order: Index | None = None) -> tuple[SceneMesh, PolygonMatch] | None:
-        """Return the mesh in the file's vertex order, and the match of their polygons; None for another mesh.
+        """Return the mesh in a file's vertex order, and the match of the stored polygons; None for another mesh.
 
-        `order` ``(C,)`` is the reversal of corners by the reader; the match is by stored corners.
+        `order` ``(C,)`` is the reversal of corners by the reader, its own inverse.
         """
         read = stored if order is None else Polygons(stored.counts, stored.indices[order])
-        ours = self.with_vertex_order_of(read)
-        match = None if ours is None else matched(read, ours.polygons)
-        if ours is None or match is None:
+        renumbered = self.with_vertex_order_of(read)
+        match = None if renumbered is None else matched(read, renumbered.polygons)
+        if renumbered is None or match is None:
             return None
-        # Turning corners around twice changes nothing.
-        return ours, match if order is None else PolygonMatch(match.polygons, match.corners[order])
+        return renumbered, match if order is None else PolygonMatch(match.polygons, match.corners[order])
 
 
 def join_meshes(meshes: Sequence[SceneMesh], origin: Origin | None) -> tuple[Polygons, Surface]:
     """Join meshes into one, their vertices concatenated."""
-    first_vertex = np.cumsum([0, *(mesh.vertex_count for mesh in meshes)])
+    vertex_starts = np.cumsum([0, *(mesh.vertex_count for mesh in meshes)])
     polygons = Polygons(
         np.concatenate([mesh.polygons.counts for mesh in meshes]),
         np.concatenate(
-            [mesh.polygons.indices + first for mesh, first in zip(meshes, first_vertex, strict=False)]
+            [mesh.polygons.indices + start for mesh, start in zip(meshes, vertex_starts, strict=False)]
         ),
     )
-    first_polygon = np.cumsum([0, *(len(mesh.polygons.counts) for mesh in meshes)])
-    usual = Counter(mesh.subdivision for mesh in meshes).most_common(1)[0][0]
+    polygon_starts = np.cumsum([0, *(len(mesh.polygons.counts) for mesh in meshes)])
+    subdivision = Counter(mesh.subdivision for mesh in meshes).most_common(1)[0][0]
     surface = Surface(
-        uvs=_joined_values(meshes, [mesh.uvs for mesh in meshes], NO_UV),
-        colours=_joined_values(meshes, [mesh.colours for mesh in meshes], WHITE),
-        hard_edges=_joined_hard_edges(meshes),
+        uvs=_join_values(meshes, [mesh.uvs for mesh in meshes], NO_UV),
+        colours=_join_values(meshes, [mesh.colours for mesh in meshes], WHITE),
+        hard_edges=_join_hard_edges(meshes),
         face_sets=tuple(
-            FaceSet(each.name, each.polygons + first, each.material)
-            for mesh, first in zip(meshes, first_polygon, strict=False)
-            for each in mesh.face_sets
+            FaceSet(face_set.name, face_set.polygons + start, face_set.material)
+            for mesh, start in zip(meshes, polygon_starts, strict=False)
+            for face_set in mesh.face_sets
         ),
         objects=tuple(
             MeshObject(
@@ -230,34 +229,35 @@ def join_meshes(meshes: Sequence[SceneMesh], origin: Origin | None) -> tuple[Pol
                 mesh.path,
                 mesh.vertex_count,
                 len(mesh.polygons.counts),
-                subdivision=None if mesh.subdivision == usual else mesh.subdivision,
+                subdivision=None if mesh.subdivision == subdivision else mesh.subdivision,
             )
             for mesh in meshes
         ),
-        subdivision=usual,
+        subdivision=subdivision,
         origin=origin,
     )
     return polygons, surface
 
 
-def _joined_values(
-    meshes: Sequence[SceneMesh], on: Sequence[CornerValues | None], default: Sequence[float]
+def _join_values(
+    meshes: Sequence[SceneMesh], of_meshes: Sequence[CornerValues | None], default: Sequence[float]
 ) -> CornerValues | None:
-    """Concatenate welded values of all meshes; meshes without values get the default. None if none has any."""
-    if all(own is None for own in on):
+    """Concatenate welded values of all meshes, with a default for meshes without; None if none has any."""
+    if all(own is None for own in of_meshes):
         return None
     values, indices, count = [], [], 0
-    for mesh, own in zip(meshes, on, strict=True):
-        there = own or CornerValues(np.array([default]), np.zeros(mesh.polygons.indices.size, dtype=np.int32))
-        welded = there.welded(mesh.polygons.indices)
+    for mesh, own in zip(meshes, of_meshes, strict=True):
+        if own is None:
+            own = CornerValues(np.array([default]), np.zeros(mesh.polygons.indices.size, dtype=np.int32))
+        welded = own.welded(mesh.polygons.indices)
         values.append(welded.values)
         indices.append(welded.indices + count)
         count += len(welded.values)
     return CornerValues(np.concatenate(values), np.concatenate(indices))
 
 
-def _joined_hard_edges(meshes: Sequence[SceneMesh]) -> IntArray | None:
-    """Concatenate indices of normals ``(corners,)``; meshes without hard edges have one normal per vertex."""
+def _join_hard_edges(meshes: Sequence[SceneMesh]) -> IntArray | None:
+    """Concatenate normal indices ``(C,)``, one normal per vertex of meshes without hard edges; None if none has any."""
     if all(mesh.hard_edges is None for mesh in meshes):
         return None
     joined, count = [], 0
@@ -267,27 +267,27 @@ def _joined_hard_edges(meshes: Sequence[SceneMesh]) -> IntArray | None:
     return np.concatenate(joined)
 
 
-def base_face_set(path: str, polygon_count: int, bound: Iterable[FaceSet]) -> tuple[FaceSet, ...]:
-    """Return a mesh's material as a face set of the polygons ``(P,)`` that no bound face set contains, if any."""
-    taken = [each.polygons for each in bound]
-    rest = np.setdiff1d(np.arange(polygon_count), np.concatenate(taken) if taken else ())
-    return (FaceSet(path.rpartition("/")[2], rest, path),) if rest.size else ()
+def base_face_set(material: str, polygon_count: int, bound: Iterable[FaceSet]) -> tuple[FaceSet, ...]:
+    """Return the face set, if any, of the polygons with the mesh's own material, given face sets with another one."""
+    other = [face_set.polygons for face_set in bound]
+    polygons = np.setdiff1d(np.arange(polygon_count), np.concatenate(other) if other else ())
+    return (FaceSet(material.rpartition("/")[2], polygons, material),) if polygons.size else ()
 
 
 def split_meshes(header: SequenceHeader) -> list[SceneMesh]:
-    """Return the meshes that a sequence joins, in order, without defaults added by `join_meshes`."""
+    """Split a sequence into the meshes that it joins, without defaults added by `join_meshes`."""
     surface, polygons = header.surface, header.polygons
-    corners = np.concatenate([[0], np.cumsum(polygons.counts)])
-    several = len(header.objects) > 1
+    corner_starts = np.concatenate([[0], np.cumsum(polygons.counts)])
+    is_joined = len(header.objects) > 1
     meshes, vertex, polygon = [], 0, 0
     for each, scheme in zip(header.objects, surface.subdivisions, strict=True):
         end = polygon + each.polygon_count
-        inside = slice(int(corners[polygon]), int(corners[end]))
-        own = Polygons(polygons.counts[polygon:end], polygons.indices[inside] - vertex)
+        corners = slice(int(corner_starts[polygon]), int(corner_starts[end]))
+        own = Polygons(polygons.counts[polygon:end], polygons.indices[corners] - vertex)
         hard_edges: IntArray | None = None
         if surface.hard_edges is not None:
-            hard_edges = np.unique(surface.hard_edges[inside], return_inverse=True)[1].astype(np.int32)
-        if several and hard_edges is not None and _is_smooth(own, hard_edges):
+            hard_edges = np.unique(surface.hard_edges[corners], return_inverse=True)[1].astype(np.int32)
+        if is_joined and hard_edges is not None and _is_smooth(own, hard_edges):
             hard_edges = None
         meshes.append(
             SceneMesh(
@@ -295,10 +295,10 @@ def split_meshes(header: SequenceHeader) -> list[SceneMesh]:
                 path=each.path,
                 vertices=slice(vertex, vertex + each.vertex_count),
                 polygons=own,
-                uvs=_own_values(surface.uvs, inside, NO_UV if several else ()),
-                colours=_own_values(surface.colours, inside, WHITE if several else ()),
+                uvs=_restrict_values(surface.uvs, corners, NO_UV if is_joined else ()),
+                colours=_restrict_values(surface.colours, corners, WHITE if is_joined else ()),
                 hard_edges=hard_edges,
-                face_sets=tuple(_inside(surface.face_sets, polygon, end)),
+                face_sets=tuple(_restrict_face_sets(surface.face_sets, polygon, end)),
                 subdivision=scheme,
             )
         )
@@ -306,12 +306,14 @@ def split_meshes(header: SequenceHeader) -> list[SceneMesh]:
     return meshes
 
 
-def _own_values(joined: CornerValues | None, corners: slice, default: Sequence[float]) -> CornerValues | None:
-    """Return the values of some corners with unused ones removed; None if all are the default."""
+def _restrict_values(
+    joined: CornerValues | None, corners: slice, default: Sequence[float]
+) -> CornerValues | None:
+    """Return the used values of a range of corners; None if all are the default."""
     if joined is None:
         return None
-    rows, used = np.unique(joined.indices[corners], return_inverse=True)
-    own = CornerValues(joined.values[rows], used)
+    value_ids, indices = np.unique(joined.indices[corners], return_inverse=True)
+    own = CornerValues(joined.values[value_ids], indices)
     return None if default and (own.values == default).all() else own
 
 
@@ -321,12 +323,11 @@ def _is_smooth(polygons: Polygons, hard_edges: IntArray) -> bool:
     return all(len(np.unique(column)) == len(pairs) for column in pairs.T)
 
 
-def _inside(face_sets: Sequence[FaceSet], first: int, end: int) -> list[FaceSet]:
-    """Return face sets restricted to the polygons from `first` to before `end`, numbered from 0."""
-    cut = [
-        FaceSet(
-            each.name, each.polygons[(each.polygons >= first) & (each.polygons < end)] - first, each.material
-        )
-        for each in face_sets
-    ]
-    return [each for each in cut if each.polygons.size]
+def _restrict_face_sets(face_sets: Sequence[FaceSet], first: int, end: int) -> list[FaceSet]:
+    """Return face sets with polygons from `first` to before `end`, renumbered from 0."""
+    restricted = []
+    for each in face_sets:
+        polygons = each.polygons[(each.polygons >= first) & (each.polygons < end)] - first
+        if polygons.size:
+            restricted.append(FaceSet(each.name, polygons, each.material))
+    return restricted

@@ -1,8 +1,8 @@
-"""What formats share about surfaces: losses in words, rounding to float32, colours, and a `Surface` as named arrays.
+"""Surfaces in files: descriptions of losses, float32 rounding, colours, and conversion to and from named arrays.
 
-A float32 has 24 binary digits: a vertex c diagonals from the origin moves by up to about 1e-7 c diagonals. That is
-relevant for meshes that are far away or hardly larger than zero. Colours are converted to RGBA; linear and sRGB values
-stay so. Formats that hold any arrays (npz, HDF5) store these:
+A float32 has 24 binary digits: rounding displaces a vertex c diagonals from the origin by up to about 1e-7 c diagonals,
+which is visible on meshes far away or hardly larger than zero. Colours become RGBA, linear and sRGB values unconverted.
+Formats of named arrays (npz, HDF5) store:
 
 ========================  ====================  =====================================================
 array                     shape                 meaning
@@ -17,14 +17,14 @@ array                     shape                 meaning
 ``face_set_sizes``        (S,) int32            number of their polygons
 ``face_set_polygons``     (sum of sizes,) int32 the polygons
 ``object_names``          (M,) str              the meshes that the sequence joins
-``object_paths``          (M,) str              where they are in the file they came from
+``object_paths``          (M,) str              their paths in the original file
 ``object_sizes``          (M, 2) int32          numbers of their vertices and polygons
-``object_subdivisions``   (M,) str              how renderers subdivide each, absent where all are alike
-``subdivision``           (1,) str              how they subdivide, or most of the meshes; absent for "none"
-``origin``                (2,) str              format and path of the file that it was read from
+``object_subdivisions``   (M,) str              subdivision scheme of each mesh, absent if all have the same
+``subdivision``           (1,) str              subdivision scheme of most meshes, absent for "none"
+``origin``                (2,) str              format and path of the original file
 ========================  ====================  =====================================================
 
-All are optional; those that begin with the same word come together.
+All are optional; those that begin with the same word are stored together.
 """
 
 from __future__ import annotations
@@ -45,120 +45,121 @@ from mixseq.types import Float, FloatArray, IntArray
 from mixseq_io.reader import warn
 
 VISIBLE_ERROR_DIAGONALS = 1e-4
-"""Displacement in diagonals that is reported: a fifth of the visually lossless one."""
+"""Smallest reported displacement in diagonals: a fifth of the visually lossless one."""
 
-_FRAMES = 8  # measured at once
-
-_HALF_DIGIT = 2.0**-24, 2.0**-150  # largest rounding error: relative to a coordinate, and near zero
+_FRAMES_PER_MEASUREMENT = 8
+_RELATIVE_ROUNDING, _SMALLEST_ROUNDING = 2.0**-24, 2.0**-150
+"""Largest rounding error, relative to a coordinate, and of coordinates near zero."""
 
 
 class RoundingMonitor:
-    """Measures the rounding of points on their way to a float32 file."""
+    """Largest displacement of points in a float32 file, in diagonals, and its frame index."""
 
     def __init__(self) -> None:
         self.error, self.frame = 0.0, 0
 
     def measure(self, blocks: Iterable[FloatArray]) -> Iterator[FloatArray]:
-        """Yield blocks ``(B, V, 3)``, measuring each after the writer has checked it."""
-        unit, first = None, 0
+        """Yield blocks ``(B, V, 3)``, each measured once the writer has checked it."""
+        diagonal, first = None, 0
         for block in blocks:
             yield block
             points = np.asarray(block)
             if points.dtype == np.float32 or not points.size:
                 continue
-            unit = unit or Diagonal.of(points[0])
-            for start in range(0, len(points), _FRAMES):
-                self._measure(points[start : start + _FRAMES], first + start, unit)
+            diagonal = diagonal or Diagonal.of(points[0])
+            for start in range(0, len(points), _FRAMES_PER_MEASUREMENT):
+                self._update(points[start : start + _FRAMES_PER_MEASUREMENT], first + start, diagonal)
             first += len(points)
 
-    def _measure(self, points: FloatArray, first: int, unit: Diagonal) -> None:
-        relative, least = _HALF_DIGIT
+    def _update(self, points: FloatArray, first: int, diagonal: Diagonal) -> None:
         largest = max(float(points.max()), -float(points.min()))
-        if 2 * max(relative * largest, least) < VISIBLE_ERROR_DIAGONALS * unit.length:
-            return  # the usual case: nothing can be that far off
+        bound = 2 * max(_RELATIVE_ROUNDING * largest, _SMALLEST_ROUNDING)
+        if bound < VISIBLE_ERROR_DIAGONALS * diagonal.length:
+            return
         with np.errstate(over="ignore", under="ignore"):
-            apart: Float = unit.shifted(points - points.astype(np.float32))
-            errors = np.sqrt(np.square(apart).sum(axis=2).max(axis=1)) / (unit.fraction or 1.0)
+            errors: Float = diagonal.shifted(points - points.astype(np.float32))
+            errors = np.sqrt(np.square(errors).sum(axis=2).max(axis=1)) / (diagonal.fraction or 1.0)
         if errors.max() > self.error:
             self.error, self.frame = float(errors.max()), first + int(errors.argmax())
 
-    def warn(self, path: Path, files: str, header: SequenceHeader) -> None:
-        """Warn if vertices are visibly off in files of a kind ("USD")."""
+    def warn(self, path: Path, format_name: str, header: SequenceHeader) -> None:
+        """Warn of visible rounding, given the name of the format ("USD")."""
         if self.error > VISIBLE_ERROR_DIAGONALS:
             warn(
-                f"{path}: {files} holds points in single precision, and vertices are off by up to {self.error:.2g} of "
-                f"the diagonal, most in {header.frame_name(self.frame)}; write .npz, .h5 or .ply, which hold "
-                "doubles, or move the sequence to the origin"
+                f"{path}: {format_name} holds points in single precision, and vertices are off by up to "
+                f"{self.error:.2g} of the diagonal, most in {header.frame_name(self.frame)}; write .npz, .h5 "
+                "or .ply, which hold doubles, or move the sequence to the origin"
             )
 
 
 LARGEST_BYTE = 255
 """Byte value of 1.0."""
 
-# Colours from 0 to 255 have larger numbers unless the mesh is nearly black; lit colours, with 1 as white, rarely do.
-_BRIGHTEST = 16
+_MAX_LINEAR_COLOUR = 16
+"""Largest number of colours with 1 as white, lit ones included; unless nearly black, colours of 0 to 255 exceed it."""
 
 
 def ensure_alpha(colours: FloatArray) -> FloatArray:
-    """Return colours ``(n, 3)`` as opaque ``(n, 4)``; colours ``(n, 4)`` as they are."""
-    return np.hstack(
-        [colours[:, :3], np.ones_like(colours[:, :1]) if colours.shape[1] == 3 else colours[:, 3:]]
-    )
+    """Return colours as RGBA ``(n, 4)``, opaque for RGB ``(n, 3)``."""
+    alpha = np.ones_like(colours[:, :1]) if colours.shape[1] == 3 else colours[:, 3:]
+    return np.hstack([colours[:, :3], alpha])
 
 
 def scale_text_colours(numbers: FloatArray) -> FloatArray:
-    """Return colours of text files: divided by 255 if the largest number is above 16, else as they are."""
-    return numbers / (LARGEST_BYTE if numbers[np.isfinite(numbers)].max(initial=0) > _BRIGHTEST else 1)
+    """Scale colours of text files to 0 to 1: divided by 255 if the largest number is above 16, else unchanged."""
+    return numbers / (
+        LARGEST_BYTE if numbers[np.isfinite(numbers)].max(initial=0) > _MAX_LINEAR_COLOUR else 1
+    )
 
 
 def bytes_to_colours(values: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return bytes as floats from 0 to 1."""
+    """Return bytes as float32 from 0 to 1."""
     return (values / np.float32(LARGEST_BYTE)).astype(np.float32)
 
 
 def colours_to_bytes(values: FloatArray) -> NDArray[np.uint8]:
-    """Return the bytes whose floats (`bytes_to_colours`) are nearest."""
+    """Round colours, clipped to 0 to 1, to bytes."""
     return np.rint(LARGEST_BYTE * clip_to_unit(values)).astype(np.uint8)
 
 
 def colours_to_exact_bytes(values: FloatArray) -> NDArray[np.uint8] | None:
-    """Return the bytes whose floats (`bytes_to_colours`) are exactly the given ones, None if there are none."""
+    """Return colours as bytes if `bytes_to_colours` restores them exactly, else None."""
     rounded = colours_to_bytes(values)
     return rounded if np.array_equal(bytes_to_colours(rounded), values) else None
 
 
 def clip_to_unit(values: FloatArray) -> FloatArray:
-    """Clip numbers to 0 to 1."""
+    """Clip numbers to 0 to 1; NaN becomes 0."""
     return np.clip(np.nan_to_num(values), 0, 1)
 
 
 def format_vertex_colours(header: SequenceHeader, channels: int) -> list[str]:
-    """Return the colours of vertices as text behind coordinates, such as " 0.2 0 1"; empty if there are none."""
+    """Format the colours of vertices as text after coordinates, such as " 0.2 0 1"; empty without colours."""
     colours, vertices = header.surface.colours, header.polygons.indices
     if colours is None:
         return []
     values = clip_to_unit(colours.at_vertices(vertices, header.vertex_count, WHITE)[:, :channels])
-    return ["".join(f" {number!s}".removesuffix(".0") for number in row) for row in values]
+    return ["".join(f" {channel!s}".removesuffix(".0") for channel in colour) for colour in values]
 
 
-_SCALE = (" up", " metres per unit")
+_CONVERTIBLE_SUFFIXES = (" up", " metres per unit")
 
 
-def lost_scale(header: SequenceHeader, moving: bool) -> list[str]:
-    """Return the losses of formats without up axis, units and velocities."""
+def lost_scale(header: SequenceHeader, has_velocities: bool) -> list[str]:
+    """Describe the losses of formats without up axis, units and velocities."""
     lost = []
     if header.up_axis != "Y":
         lost.append(f"{header.up_axis} up")
     if header.metres_per_unit != 1.0:
         lost.append(f"{header.metres_per_unit:g} metres per unit")
-    if moving:
+    if has_velocities:
         lost.append("velocities")
     return lost
 
 
 def lost_times(header: SequenceHeader, first_number: float) -> list[str]:
-    """Return the losses of formats that number frames from `first_number` on and are read at 24 frames per second."""
-    if header.frame_count == 1:  # a single frame has no rate
+    """Describe the losses of formats that number frames from `first_number` on and imply 24 frames per second."""
+    if header.frame_count == 1:
         return []
     lost = []
     if header.fps != DEFAULT_FPS:
@@ -169,9 +170,9 @@ def lost_times(header: SequenceHeader, first_number: float) -> list[str]:
 
 
 def lost_surface(header: SequenceHeader, held: Collection[str] = ()) -> list[str]:
-    """Return the fields of `mixseq.mesh.surface.Surface` that are lost, all but those in `held`."""
+    """Describe the fields of a sequence's `Surface` that are lost, all but those in `held`."""
     surface = header.surface
-    present = {
+    descriptions = {
         "uvs": surface.uvs is not None and "texture coordinates",
         "colours": surface.colours is not None and "colours",
         "hard_edges": surface.hard_edges is not None and "hard edges",
@@ -179,67 +180,67 @@ def lost_surface(header: SequenceHeader, held: Collection[str] = ()) -> list[str
         "objects": len(surface.objects) > 1 and f"the names of {len(surface.objects)} objects",
         "subdivision": lost_subdivision(surface),
     }
-    return [words for name, words in present.items() if words and name not in held]
+    return [text for name, text in descriptions.items() if text and name not in held]
 
 
 def lost_polygons(header: SequenceHeader) -> list[str]:
-    """Return the losses of formats with triangles only."""
+    """Describe the losses of formats with triangles only."""
     return [] if header.polygons.only_triangles else ["polygons (they are cut into triangles)"]
 
 
 def lost_colours(header: SequenceHeader, *, corners: bool = True, alpha: bool = True) -> list[str]:
-    """Return the losses of formats with colours from 0 to 1; optionally of vertices only, or opaque."""
+    """Describe the losses of formats with colours from 0 to 1, optionally without corner values or alpha."""
     colours = header.surface.colours
     if colours is None:
         return []
-    values = colours.values[np.unique(colours.indices)]
-    kept = values[:, : 4 if alpha else 3]
-    written = CornerValues(clip_to_unit(colours.values[:, : kept.shape[1]]), colours.indices)
-    below, above = bool((kept < 0).any()), bool((kept > 1).any())
+    used = colours.values[np.unique(colours.indices)]
+    channels = used[:, : 4 if alpha else 3]
+    written = CornerValues(clip_to_unit(colours.values[:, : channels.shape[1]]), colours.indices)
+    below, above = bool((channels < 0).any()), bool((channels > 1).any())
     lost = {
         "colours below 0 and above 1 (0 and 1 are written)": below and above,
         "colours below 0 (0 is written)": below and not above,
         "colours above 1 (1 is written)": above and not below,
-        "colours that are no numbers (0 is written)": np.isnan(kept).any(),
+        "colours that are no numbers (0 is written)": np.isnan(channels).any(),
         "several colours at a vertex (that of its first corner is written)": not (
             corners or written.one_per_vertex(header.polygons.indices)
         ),
-        "the alpha of colours": not (alpha or (values[:, 3] == 1).all()),
+        "the alpha of colours": not (alpha or (used[:, 3] == 1).all()),
     }
-    return [words for words, is_lost in lost.items() if is_lost]
+    return [text for text, is_lost in lost.items() if is_lost]
 
 
 def lost_subdivision(surface: Surface) -> str:
-    """Return the words for lost subdivision, "" without a scheme."""
-    schemes = [each for each in dict.fromkeys(surface.subdivisions) if each != "none"]
+    """Describe lost subdivision schemes, "" without any."""
+    schemes = [scheme for scheme in dict.fromkeys(surface.subdivisions) if scheme != "none"]
     return f"{' and '.join(schemes)} subdivision" if schemes else ""
 
 
-def warn_of_losses(path: Path, files: str, lost: Sequence[str]) -> None:
-    """Warn once of all losses of files of a kind ("OBJ files"), if there are any."""
+def warn_of_losses(path: Path, file_kind: str, lost: Sequence[str]) -> None:
+    """Warn once of all losses, if any, of a kind of files ("OBJ files")."""
     if lost:
         convert = "; convert_units (--convert-axes Y, --convert-units m) turns and scales the sequence"
-        hint = convert if any(each.endswith(_SCALE) for each in lost) else ""
-        warn(f"{path}: {files} cannot hold {', '.join(lost)}; USD, .npz and .h5 can{hint}")
+        hint = convert if any(each.endswith(_CONVERTIBLE_SUFFIXES) for each in lost) else ""
+        warn(f"{path}: {file_kind} cannot hold {', '.join(lost)}; USD, .npz and .h5 can{hint}")
 
 
 def are_valid_indices(indices: NDArray[np.integer], count: int) -> bool:
-    """Whether all indices are from 0 to below `count`."""
+    """Whether all indices are at least 0 and less than `count`."""
     return not indices.size or bool(indices.min() >= 0 and indices.max() < count)
 
 
 def renumber_by_appearance(labels: IntArray) -> tuple[IntArray, IntArray]:
-    """Renumber labels ``(n,)`` in order of first appearance; return them, and where each appears first ``(k,)``."""
-    _, first, of_label = np.unique(labels, return_index=True, return_inverse=True)
+    """Renumber labels ``(n,)`` by first appearance; return them, and the index of the first of each label ``(k,)``."""
+    _, first, label_ids = np.unique(labels, return_index=True, return_inverse=True)
     order = np.argsort(first)
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
-    return rank[of_label.reshape(-1)], first[order]
+    return rank[label_ids.reshape(-1)], first[order]
 
 
 Arrays = dict[str, NDArray[Any]]
 
-_GROUPS = (
+_ARRAY_GROUPS = (
     ("uv_values", "uv_indices"),
     ("colour_values", "colour_indices"),
     ("creases",),
@@ -249,11 +250,12 @@ _GROUPS = (
     ("subdivision",),
     ("origin",),
 )
-SURFACE_ARRAY_NAMES = tuple(name for group in _GROUPS for name in group)
+SURFACE_ARRAY_NAMES = tuple(name for group in _ARRAY_GROUPS for name in group)
+"""Names of the arrays of a surface; those of a group are stored together or not at all."""
 
 
 def surface_to_arrays(surface: Surface) -> Arrays:
-    """Return a surface as arrays; strings as NumPy's Unicode."""
+    """Return a surface as named arrays, strings as NumPy's Unicode."""
     arrays: Arrays = {}
     if surface.uvs is not None:
         arrays |= {"uv_values": surface.uvs.values, "uv_indices": surface.uvs.indices}
@@ -293,59 +295,59 @@ def surface_to_arrays(surface: Surface) -> Arrays:
 
 
 def surface_from_arrays(arrays: Mapping[str, NDArray[Any]], folder: Path | None = None) -> Surface:
-    """Make a surface from the arrays of `surface_to_arrays`."""
-    for group in _GROUPS:
+    """Restore a surface from named arrays; `folder` is that of the file which holds them."""
+    for group in _ARRAY_GROUPS:
         missing = [name for name in group if name not in arrays]
         if missing and len(missing) < len(group):
             raise InvalidSequenceError(f"{', '.join(missing)} of the surface are missing")
     uvs = colours = None
     if "uv_values" in arrays:
-        uvs = CornerValues(arrays["uv_values"], _whole_numbers(arrays, "uv_indices"))
+        uvs = CornerValues(arrays["uv_values"], _read_integers(arrays, "uv_indices"))
     if "colour_values" in arrays:
         values = arrays["colour_values"]
         values = bytes_to_colours(values) if values.dtype == np.uint8 else values
-        colours = CornerValues(values, _whole_numbers(arrays, "colour_indices"))
+        colours = CornerValues(values, _read_integers(arrays, "colour_indices"))
     origin = None
     if "origin" in arrays:
         if arrays["origin"].size != 2:
             raise InvalidSequenceError("the origin of the surface is not a format and a path")
-        origin = _beside(Origin(*map(str, arrays["origin"].reshape(-1))), folder)
+        origin = _find_moved_origin(Origin(*map(str, arrays["origin"].reshape(-1))), folder)
     return Surface(
         uvs=uvs,
         colours=colours,
-        hard_edges=_whole_numbers(arrays, "creases") if "creases" in arrays else None,
-        face_sets=_face_sets(arrays) if "face_set_names" in arrays else (),
-        objects=_objects(arrays) if "object_names" in arrays else (),
+        hard_edges=_read_integers(arrays, "creases") if "creases" in arrays else None,
+        face_sets=_read_face_sets(arrays) if "face_set_names" in arrays else (),
+        objects=_read_objects(arrays) if "object_names" in arrays else (),
         subdivision=str(arrays["subdivision"].item()) if "subdivision" in arrays else "none",
         origin=origin,
     )
 
 
-def _beside(origin: Origin, folder: Path | None) -> Origin:
-    """Return the origin's current path, if it moved together with the file that names it."""
+def _find_moved_origin(origin: Origin, folder: Path | None) -> Origin:
+    """Return an origin in `folder` if it exists there only, having moved together with the file that names it."""
     if folder is None or Path(origin.path).exists():
         return origin
     moved = folder.absolute() / Path(origin.path).name
     return Origin(origin.format, str(moved)) if moved.is_file() else origin
 
 
-def _face_sets(arrays: Mapping[str, NDArray[Any]]) -> tuple[FaceSet, ...]:
+def _read_face_sets(arrays: Mapping[str, NDArray[Any]]) -> tuple[FaceSet, ...]:
     names, materials = arrays["face_set_names"].reshape(-1), arrays["face_set_materials"].reshape(-1)
-    sizes, polygons = _whole_numbers(arrays, "face_set_sizes"), _whole_numbers(arrays, "face_set_polygons")
+    sizes, polygons = _read_integers(arrays, "face_set_sizes"), _read_integers(arrays, "face_set_polygons")
     if not len(names) == len(materials) == len(sizes) or (sizes < 0).any() or sizes.sum() != polygons.size:
         raise InvalidSequenceError(
             "the face sets' names, materials, sizes and polygons do not fit each other"
         )
-    lists = np.split(polygons, np.cumsum(sizes))
+    members = np.split(polygons, np.cumsum(sizes))
     return tuple(
-        FaceSet(str(name), each, str(material))
-        for name, each, material in zip(names, lists, materials, strict=False)
+        FaceSet(str(name), polygon_ids, str(material))
+        for name, polygon_ids, material in zip(names, members, materials, strict=False)
     )
 
 
-def _objects(arrays: Mapping[str, NDArray[Any]]) -> tuple[MeshObject, ...]:
+def _read_objects(arrays: Mapping[str, NDArray[Any]]) -> tuple[MeshObject, ...]:
     names, paths = arrays["object_names"].reshape(-1), arrays["object_paths"].reshape(-1)
-    sizes = _whole_numbers(arrays, "object_sizes")
+    sizes = _read_integers(arrays, "object_sizes")
     usual = str(arrays["subdivision"].item()) if "subdivision" in arrays else "none"
     schemes = arrays.get("object_subdivisions", np.full(len(names), usual)).reshape(-1)
     if not len(names) == len(paths) == len(sizes) == len(schemes) or sizes.shape[1:] != (2,):
@@ -360,7 +362,7 @@ def _objects(arrays: Mapping[str, NDArray[Any]]) -> tuple[MeshObject, ...]:
     )
 
 
-def _whole_numbers(arrays: Mapping[str, NDArray[Any]], name: str) -> NDArray[np.int64]:
+def _read_integers(arrays: Mapping[str, NDArray[Any]], name: str) -> NDArray[np.int64]:
     array = arrays[name]
     if array.dtype.kind not in "iu":
         raise InvalidSequenceError(f"{name} of the surface are {array.dtype}; integers are expected")

@@ -24,7 +24,7 @@ from mixseq.runtime.progress import Progress, silent
 from mixseq.runtime.public import public
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames, LazyFrames, check_frames
-from mixseq.signals.decoding import FRAMES
+from mixseq.signals.decoding import FRAMES_PER_BLOCK
 from mixseq.signals.model import Model
 from mixseq.types import FloatArray, PathLike
 from mixseq_io.coded.streams import Container, decode_model, read_index, read_sequence
@@ -163,7 +163,7 @@ def verify(path: PathLike, original: Frames | None = None, progress: Progress = 
         original, renumbering = comparable(original, header)
         uv_error = None if parameters.uv_error is None else _uv_error(original.header, header)
         return replace(found, **_errors(original, frames, renumbering), uv_error=uv_error)
-    for _ in frames.blocks(FRAMES):
+    for _ in frames.blocks(FRAMES_PER_BLOCK):
         pass
     return found
 
@@ -185,7 +185,7 @@ def _errors(original: Frames, frames: Frames, renumbering: Renumbering) -> dict[
     squares = variation = worst = 0.0
     first, where = 0, (0, 0)
     unit = Diagonal(0.0, 0)
-    for x, y in paired_blocks(original, frames, FRAMES):
+    for x, y in paired_blocks(original, frames, FRAMES_PER_BLOCK):
         if first == 0:
             unit = Diagonal.of(x[0])
         with np.errstate(over="ignore"):  # overflow counts as an infinite distance

@@ -28,6 +28,7 @@ from mixseq.cli.compressed import aiming, compressed
 from mixseq.cli.files import Claim, check_options, decoded, is_model, options_of, overwriting
 from mixseq.cli.formats import as_markdown
 from mixseq.cli.group import format_bytes, print_table, printable, progress_bar, say
+from mixseq.cli.lengths import in_diagonals
 from mixseq.errors import FormatError, GivenUpError, MixseqError, MixseqWarning, OutputError, SettingsError
 from mixseq.runtime.progress import Progress, silent
 from mixseq.version import __version__
@@ -473,6 +474,7 @@ def _encode(settings: Settings, asset: Asset, workers: Executor | None, progress
         if "aim" in settings:
             mixseq.save(file, compressed(reader, settings["aim"], progress))
         else:
+            fitting = in_diagonals(fitting, reader, "tolerance")
             mixseq.save(file, mixseq.fit(reader, **fitting, progress=progress, workers=mapped))
         seconds = perf_counter() - start
         error = mixseq.compare(reader, decoded(mixseq.load(file), progress, mapped))

@@ -11,6 +11,7 @@ import mixseq
 from mixseq.cli import options
 from mixseq.cli.files import check_options, chosen_blocks, counted, options_of
 from mixseq.cli.group import print_json, print_table, progress_bar, say
+from mixseq.cli.lengths import length_text
 from mixseq.errors import MixseqWarning
 from mixseq.sequence.frame_rates import frame_text, number_at
 
@@ -62,7 +63,7 @@ def command(reference: Path, other: Path, as_json: bool, reading: dict[str, Any]
     elif not quiet:
         if shared is not b:
             say(f"compared at the {result.frames} times that {other} shares, out of {b.header.frame_count}")
-        print_table(_rows(result, a.header.fps))
+        print_table(_rows(result, a.header))
 
 
 def at_times_of(a: Frames, b: Frames) -> Frames:
@@ -90,14 +91,14 @@ def _warn_of_axes(reference: Path, a: SequenceHeader, other: Path, b: SequenceHe
         )
 
 
-def _rows(result: Comparison, fps: float) -> list[tuple[str, str]]:
-    volume = result.volume
+def _rows(result: Comparison, header: SequenceHeader) -> list[tuple[str, str]]:
+    volume, diagonal = result.volume, result.diagonal * header.metres_per_unit
     return [
         ("compared", f"{result.frames:,} frames of {result.vertices:,} vertices"),
         ("KG error", f"{result.kg_percent:.4g} %"),
-        ("rms error", f"{result.rms_error:.4g} diagonals"),
-        ("max error", f"{result.max_error:.4g} diagonals"),
-        ("worst frame", f"{frame_text(result.worst_time, fps)} at {result.worst_time:g} s"),
+        ("rms error", length_text(result.rms_error, diagonal)),
+        ("max error", length_text(result.max_error, diagonal)),
+        ("worst frame", f"{frame_text(result.worst_time, header.fps)} at {result.worst_time:g} s"),
         ("edge strain", _statistics(result.edge_strain, " %", 100)),
         ("dihedral error", _statistics(result.dihedral_degrees, " degrees")),
         ("volume error", f"{volume.mean:.4g} mean, {volume.max:.4g} max" if volume else "no volume"),

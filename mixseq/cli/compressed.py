@@ -12,6 +12,7 @@ import mixseq
 from mixseq.choices import ORDERS
 from mixseq.cli import options
 from mixseq.cli.group import as_bytes, format_bytes
+from mixseq.cli.lengths import in_diagonals, length_text
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -58,10 +59,10 @@ def _aim(uvs: bool = True, **given: Any) -> dict[str, Any]:
 
 aiming = options.group(
     "aim",
-    options.option(
+    options.length(
         "--max-error X",
-        type=options.POSITIVE,
-        help="Compress: no vertex of any frame is farther off than X diagonals of the bounding box.",
+        help="Compress: no vertex of any frame is farther off than this fraction of the bounding box's diagonal, or "
+        "0.5mm.",
     ),
     options.option("--kg X", type=options.POSITIVE, help="Compress, to a KG error of X percent."),
     options.option("--size SIZE", type=as_bytes, help="Compress into 2MB, 500kB, 1.5MiB, ..."),
@@ -92,6 +93,7 @@ def compressed(
     """Compress a sequence to an aim; a size is that of the file, a .glb if a `still` is given."""
     from mixseq_io.coded.packing import room_for_signals
 
+    aim = in_diagonals(aim, frames, "max_error")
     if "size" in aim:
         others = {name: value for name, value in aim.items() if name in ("uv_error", "uvs", "order")}
         if still is not None:
@@ -127,7 +129,7 @@ def bits(size: int, header: SequenceHeader) -> float:
     return 8 * size / (header.vertex_count * header.frame_count)
 
 
-def coding_rows(facts: dict[str, Any]) -> Rows:
+def coding_rows(facts: dict[str, Any], metres_per_unit: float) -> Rows:
     """Return table rows of the result of `coding_facts`."""
     sizes, coding = facts["bytes"], facts["coding"]
     stated = "at most " if coding["promised"] else ""
@@ -149,7 +151,10 @@ def coding_rows(facts: dict[str, Any]) -> Rows:
             for name, size, rate in rates
         ),
         ("of it", ", ".join(f"{format_bytes(sizes[name])} {what}" for name, what in others if sizes[name])),
-        ("max error", f"{stated}{coding['max_error']:.3g} of the diagonal"),
+        (
+            "max error",
+            stated + length_text(coding["max_error"], coding["diagonal"] * metres_per_unit, digits=3),
+        ),
         ("KG error", f"{coding['kg_percent']:.3g} %"),
     ]
     if coding["uv_error"] is not None:

@@ -13,6 +13,7 @@ import click
 import mixseq
 from mixseq.cli import files, options
 from mixseq.cli.group import announce, format_bytes, print_table, progress_bar
+from mixseq.cli.lengths import in_diagonals, length_text
 from mixseq.errors import MixseqWarning, NoMeshError, SettingsError
 from mixseq.sequence.frame_rates import exact_rate, rate_text
 
@@ -90,15 +91,15 @@ def rows(path: Path, rig: Skin | Morph, sequence: MeshSequence) -> list[tuple[st
     from mixseq_io.rig_files import GLTF
     from mixseq_io.rig_measuring import measure_rig_file, size_with_frame_targets
 
-    found = measure_rig_file(path, sequence)
+    found, diagonal = measure_rig_file(path, sequence), sequence.diagonal * sequence.metres_per_unit
     first, last = rig.header.times[[0, -1]]
     frames = f"{rig.header.frame_count:,} from {first:g} to {last:g} s at {rate_text(rig.header.fps)} frames per second"
     table = [
         ("keys", frames),
         *([("bones", f"{rig.bone_count}")] if isinstance(rig, Skin) else []),
         ("morph targets", f"{len(rig.targets)}"),
-        ("max error", f"{found.max_error:.4g} diagonals"),
-        ("rms error", f"{found.rms_error:.4g} diagonals"),
+        ("max error", length_text(found.max_error, diagonal)),
+        ("rms error", length_text(found.rms_error, diagonal)),
         ("KG error", f"{found.kg_percent:.4g} %"),
     ]
     if path.suffix.lower() in GLTF:
@@ -107,16 +108,16 @@ def rows(path: Path, rig: Skin | Morph, sequence: MeshSequence) -> list[tuple[st
     return table
 
 
-def texture_rows(report: VatReport) -> list[tuple[str, str]]:
-    """Return table rows of the textures' sizes and errors."""
+def texture_rows(report: VatReport, diagonal: float) -> list[tuple[str, str]]:
+    """Return table rows of the textures' sizes and errors; the diagonal is in metres."""
     kind = report.kind if not report.rank else f"{report.kind}, {report.rank} basis vectors"
     return [
         (
             "textures",
             f"{kind}: {format_bytes(report.file_bytes)}, in memory {format_bytes(report.memory_bytes)}",
         ),
-        ("max error", f"{report.max_error:.4g} diagonals"),
-        ("rms error", f"{report.rms_error:.4g} diagonals"),
+        ("max error", length_text(report.max_error, diagonal)),
+        ("rms error", length_text(report.rms_error, diagonal)),
         ("normals", f"off by {report.normal_degrees:.3g} degrees (root mean square)"),
     ]
 
@@ -166,15 +167,15 @@ def _seconds(text: str) -> tuple[float, ...]:
     options.option(
         "--kg P", type=options.POSITIVE, help="Give a skin as few bones as reach this KG error, in percent."
     ),
-    options.setting(
+    options.length(
         "--correctives E",
-        type=options.POSITIVE,
-        help="Correct a skin by morph targets, up to this largest error in diagonals.",
+        cls=options.Setting,
+        help="Correct a skin by morph targets, up to this largest error.",
     ),
-    options.option(
+    options.length(
         "--max-error E",
-        type=options.POSITIVE,
-        help="Largest error of a skin's bones, of a morph or of textures, in diagonals; a morph without it is exact.",
+        help="Largest error of a skin's bones, of a morph or of textures, as a fraction of the bounding box's "
+        "diagonal, or 0.5mm; a morph without it is exact.",
     ),
     options.setting("--max-targets N", type=options.WHOLE, help="Number of morph targets at most."),
 )
@@ -236,9 +237,10 @@ def command(
         else:
             sequence = _sequence(source, chosen, progress, work)
             files.check_origin(target, sequence)
+            rig = in_diagonals(rig, sequence, "max_error", "correctives")
             if textures:
                 report = mixseq.write_vat(target, sequence, rig.get("max_error"), texture, progress)
-                table = texture_rows(report)
+                table = texture_rows(report, sequence.diagonal * sequence.metres_per_unit)
             else:
                 made = _fit_rig(kind or "", sequence, progress, **rig)
                 mixseq.write_rig(target, made)
@@ -305,7 +307,7 @@ def _range(model: Model, fps: float | None, start: float | None, end: float | No
             model.header_at([time], fps)  # raises an error if frames cannot be counted
         rate = exact_rate(fps, model.header.fps)
         return model.header_at(frame_times(first, last, rate), rate)
-    model.inside([first, last])
+    model.clip_times([first, last])
     times = model.times[(model.times >= first - slack) & (model.times <= last + slack)]
     if not times.size:
         raise SettingsError(

@@ -15,6 +15,7 @@ from mixseq.cli.compare import at_times_of
 from mixseq.cli.files import Claim, overwriting, read_sequence
 from mixseq.cli.group import announce, print_table, progress_bar
 from mixseq.cli.info import dimension_rows
+from mixseq.cli.lengths import length_text
 
 
 @options.command("demo", "mixseq demo --out fox --frames 24")
@@ -63,7 +64,10 @@ def command(out: Path, frames: int, claim: Claim, quiet: bool) -> None:
                 ("vertices", f"{original.vertex_count:,}"),
                 ("frames", f"{original.frame_count} encoded, {doubled.frame_count} decoded"),
                 *dimension_rows(model),
-                ("max error", f"{error.max_error:.2g} of the diagonal"),
+                (
+                    "max error",
+                    length_text(error.max_error, error.diagonal * original.metres_per_unit, digits=2),
+                ),
                 ("KG error", f"{error.kg_percent:.2g} %"),
                 ("seconds", ", ".join(f"{time:.1f} to {step}" for step, time in seconds.items())),
             ]

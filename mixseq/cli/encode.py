@@ -15,6 +15,7 @@ from mixseq.cli import files, options
 from mixseq.cli.compressed import aiming, coding_facts, coding_rows, compressed
 from mixseq.cli.group import announce, print_table, progress_bar
 from mixseq.cli.info import bytes_of_frames, dimension_rows, size_row
+from mixseq.cli.lengths import in_diagonals, length_text
 from mixseq.errors import OutputError
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     "mixseq encode walk.usdc walk.h5 --exact",
     "mixseq encode walk.usdc walk.h5 --tolerance 0.002 --parts 12",
     "mixseq encode man.glb man.h5 --source skeleton",
-    "mixseq encode walk.usdc small.h5 --max-error 0.001",
+    "mixseq encode walk.usdc small.h5 --max-error 0.5mm",
     "mixseq encode walk.usdc small.h5 --size 200kB",
     "mixseq encode walk.usdz walk.glb --max-error 0.001",
 )
@@ -107,6 +108,7 @@ def command(
         elif web:
             model = read_compressed(source)
         else:
+            fitting = in_diagonals(fitting, reader, "tolerance")
             fitting["parts"] = labels.parts(reader, fitting.get("parts"), reading)
             model = mixseq.fit(reader, **fitting, knots=knots, pose=pose, progress=progress, workers=work)
         mixseq.save(target, model, still=still)
@@ -115,15 +117,14 @@ def command(
             error = mixseq.compare(reader, files.decoded(mixseq.load(target), progress, work))
     if not quiet:
         if isinstance(model, CompressedSequence):
-            rows = dict(coding_rows(coding_facts(target, model)))
+            rows = dict(coding_rows(coding_facts(target, model), model.header.metres_per_unit))
         else:
             sizes = target.stat().st_size, bytes_of_frames(model.header)
             rows = dict([*dimension_rows(model), size_row(*sizes)])
         rows["time"] = f"{seconds:.1f} s"
         if error is not None:
-            rows["max error"] = (
-                f"{error.max_error:.2g} of the diagonal, in frame {reader.header.frame_number(error.worst_frame)}"
-            )
+            length = length_text(error.max_error, error.diagonal * reader.header.metres_per_unit, digits=2)
+            rows["max error"] = f"{length}, in frame {reader.header.frame_number(error.worst_frame)}"
             rows["KG error"] = f"{error.kg_percent:.2g} %"
         print_table(rows.items())
     announce(target)

@@ -126,7 +126,7 @@ def _dimensions(model: Model) -> dict[str, Any]:
         "time_knots": len(model.time.times),
         "placement_knots": len(model.placement.times),
     }
-    if model.space.decomposed is None:
+    if model.space.segmentation is None:
         return signals
     space = model.mixed
     edges = 2 * len(space.topology.edges) + 6
@@ -160,7 +160,7 @@ def _rows(facts: dict[str, Any]) -> Rows:
     if facts["kind"] == "model":
         rows += _dimension_rows(facts, facts["triangles"])
     if "coding" in facts:
-        rows += coding_rows(facts)
+        rows += coding_rows(facts, facts["metres_per_unit"])
     elif facts["kind"] == "model":
         rows.append(size_row(**facts["bytes"]))
     elif facts["bytes"]["total"] is not None:

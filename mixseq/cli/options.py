@@ -18,6 +18,7 @@ from click.core import ParameterSource
 
 from mixseq.choices import PLACEMENTS, PROJECTIONS, SEGMENTATIONS, SPACES
 from mixseq.cli.group import environment
+from mixseq.cli.lengths import parse_length
 from mixseq.errors import SettingsError
 from mixseq.sequence.frame_rates import NEAR, number_text, time_of
 
@@ -304,6 +305,9 @@ joint_width = setting(
     default=3,
     help="Largest width of joints, in strips of triangles on each side of a boundary.",
 )
+length = partial(option, type=parse_length)
+"""Decorator like `option`, for a fraction of the bounding-box diagonal, or a length such as 0.5mm."""
+
 camera = setting(
     "--camera ANGLE,HEIGHT",
     type=_angles,
@@ -348,10 +352,10 @@ making = group("making", *SPACE_OPTIONS)
 fitting = group(
     "fitting",
     flag("--exact", help="Keep everything; frames come back up to rounding."),
-    option(
+    length(
         "--tolerance X",
-        type=POSITIVE,
-        help="Largest error of a vertex, in diagonals of the bounding box.  [default: 0.0005, lossless to the eye]",
+        help="Largest error of a vertex, as a fraction of the bounding box's diagonal, or 0.5mm.  "
+        "[default: 0.0005, lossless to the eye]",
     ),
     option("--rank N", type=WHOLE, help="Number of shape modes; parts stay in place exactly."),
     *SPACE_OPTIONS,

@@ -14,6 +14,7 @@ from mixseq.choices import COLOURS, PICTURES, PictureKind
 from mixseq.cli import options
 from mixseq.cli.files import Claim, overwriting, read_sequence, scene_items
 from mixseq.cli.group import announce, progress_bar
+from mixseq.cli.lengths import in_diagonals
 from mixseq.errors import SettingsError
 
 
@@ -49,7 +50,9 @@ _FILM_OPTIONS = ("size", "film_fps", "seconds", "turn", "follow", "colour", "sca
     help="Frames to number in the embedding, or to draw with the errors of their vertices.  [default: automatic]",
     metavar="N,N,...",
 )
-@options.option("--tolerance D", type=float, help="Draw a line at an error of so many diagonals.")
+@options.length(
+    "--tolerance D", help="Draw a line at this error, a fraction of the bounding box's diagonal, or 0.5mm."
+)
 @options.option(
     "--video FILE",
     help="Make a film of FILES side by side, sequences or models: .webp, .gif, or .mp4, which needs ffmpeg.",
@@ -96,7 +99,7 @@ def command(
     kind: PictureKind | None,
     against: Path | None,
     frames: options.FrameChoice | None,
-    tolerance: float | None,
+    tolerance: float | str | None,
     video: Path | None,
     names: tuple[str, ...] | None,
     filming: dict[str, Any],
@@ -133,13 +136,18 @@ def command(
 
     picture_format(target)
     camera = filming.get("camera")
-    check_settings(kind, against is not None, None if frames is None else frames.ranges, tolerance, camera)
+    numbers = None if frames is None else frames.ranges
+    known = 1.0 if isinstance(tolerance, str) else tolerance  # a length in units is converted below
+    check_settings(kind, against is not None, numbers, known, camera)
     if against is None and reading:
         raise SettingsError(
             "--prim, --animation, --input-fps, --mesh and --allow-gaps tell how to read a sequence; give --against"
         )
     claim(target)
+    from mixseq.sequence.sequence import LazyFrames
+
     model = mixseq.load(source)
+    first_pose = LazyFrames(model.header, lambda _: iter([model(model.start)[None]]))
     with progress_bar(quiet) as progress:
         original = None if against is None else read_sequence(against, reading, progress)
         with atomic_file(target) as temporary:
@@ -149,7 +157,7 @@ def command(
                 kind,
                 against=original,
                 frames=None if frames is None else frames.indices(model.header),
-                tolerance=tolerance,
+                tolerance=in_diagonals({"tolerance": tolerance}, first_pose, "tolerance")["tolerance"],
                 camera=camera,
                 progress=progress,
             )

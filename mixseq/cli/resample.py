@@ -10,6 +10,7 @@ import mixseq
 from mixseq.cli import options
 from mixseq.cli.files import Claim, is_model, overwriting, time_rows, write_sequence
 from mixseq.cli.group import announce, print_table, progress_bar
+from mixseq.cli.lengths import in_diagonals
 from mixseq.errors import SettingsError
 from mixseq.sequence.frame_rates import exact_rate, span_text
 
@@ -49,9 +50,7 @@ if TYPE_CHECKING:
     "--linear", is_flag=True, help="Join the points of --retime by straight lines, not smoothly."
 )
 @options.velocities()
-@options.option(
-    "--tolerance X", type=options.POSITIVE, help="Fit a sequence only up to this fraction of its diagonal."
-)
+@options.length("--tolerance X", help="Fit a sequence only up to this fraction of its diagonal, or 0.5mm.")
 @options.option("--exact", is_flag=True, help="Fit a sequence exactly, which is the default.")
 @options.setting(
     "--whole-stage",
@@ -75,7 +74,7 @@ def command(
     retime: Path | None,
     linear: bool,
     velocities: bool,
-    tolerance: float | None,
+    tolerance: float | str | None,
     exact: bool,
     whole_stage: bool,
     reading: dict[str, Any],
@@ -128,14 +127,18 @@ def command(
 
 
 def _model(
-    source: Path, tolerance: float | None, reading: dict[str, Any], progress: Progress, workers: Executor
+    source: Path,
+    tolerance: float | str | None,
+    reading: dict[str, Any],
+    progress: Progress,
+    workers: Executor,
 ) -> Model:
     """Load a model, or fit one to a sequence while reading."""
     if not is_model(source):
         with mixseq.open_sequence(source, **reading) as reader:
-            return mixseq.fit(
-                reader, exact=tolerance is None, tolerance=tolerance, progress=progress, workers=workers
-            )
+            detail = {"exact": True} if tolerance is None else {"tolerance": tolerance}
+            detail = in_diagonals(detail, reader, "tolerance")
+            return mixseq.fit(reader, **detail, progress=progress, workers=workers)
     if tolerance is not None or reading:
         given = "--tolerance" if tolerance is not None else "the options for reading sequences"
         raise SettingsError(f"{source} is a model already; leave out {given}")

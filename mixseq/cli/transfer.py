@@ -348,7 +348,7 @@ def command(
         given = _chosen_parts(opened, parts, labels, reading)
         model: Any = opened
         if as_model:
-            given = None if model.space.decomposed is None else model.space.decomposed.part_of_face
+            given = None if model.space.segmentation is None else model.space.segmentation.part_of_face
             if isinstance(rest_shape, int):
                 rest_shape = model.sample(frames=[rest_shape])
         moving = key_poses(model) if as_model else opened

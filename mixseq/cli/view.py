@@ -30,15 +30,17 @@ from mixseq.cli.files import (
     write_frames,
 )
 from mixseq.cli.group import announce, needed, progress_bar, say
+from mixseq.cli.lengths import in_diagonals
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
 from mixseq.runtime.interrupts import answered
 from mixseq.runtime.progress import Progress, silent
 
 if TYPE_CHECKING:
     from mixseq.pictures.colours import SceneColours
+    from mixseq.pictures.scene import SceneItem
     from mixseq.retargeting.markers import Markers
     from mixseq.runtime.parallel import Executor
-    from mixseq.sequence.sequence import MeshSequence
+    from mixseq.sequence.sequence import LazyFrames, MeshSequence
     from mixseq.signals.model import Model
     from mixseq.viewer.live.marking import MarkedMeshes
 
@@ -101,11 +103,10 @@ if TYPE_CHECKING:
 @options.group(
     "paging",
     options.setting("--every N", type=options.COUNT, help="Of the frames of PAGE, keep every N-th."),
-    options.option(
+    options.length(
         "--max-error E",
-        type=options.POSITIVE,
-        help="No vertex of PAGE is farther off, in diagonals; models that are compressed are taken as they are.  "
-        "[default: 0.001]",
+        help="No vertex of PAGE is farther off than this fraction of the bounding box's diagonal, or 0.5mm; compressed "
+        "models are taken as they are.  [default: 0.001]",
     ),
 )
 @options.reading
@@ -341,6 +342,13 @@ def _still(path: Path, reading: Mapping[str, Any]) -> MeshSequence:
 # Pages that play on their own -----------------------------------------------------------------------------
 
 
+def _first_frame(item: SceneItem) -> LazyFrames:
+    """Return the first pose of a mesh as a sequence."""
+    from mixseq.sequence.sequence import LazyFrames
+
+    return LazyFrames(item.header, lambda _: iter([item.pose(0.0)[None]]))
+
+
 def _export(
     page: Path,
     colours: SceneColours,
@@ -355,11 +363,14 @@ def _export(
     from mixseq_io.files import atomic_file
     from mixseq_io.verification import is_compressed, read_compressed
 
+    # A length is a different fraction of every mesh; the smallest holds for all.
+    bounds = [in_diagonals(settings, _first_frame(item), "max_error") for item in colours.scene.items]
+    bound = min(bounds, key=lambda converted: converted.get("max_error", 0.0))
     items = page_items(
         colours, [read_compressed(file) if is_model(file) and is_compressed(file) else None for file in files]
     )
     with atomic_file(page) as temporary:
-        report = export_page(temporary, items, ExportSettings(**settings), progress, workers)
+        report = export_page(temporary, items, ExportSettings(**bound), progress, workers)
     announce(page)
     for item in report.items:
         about = f"{item.name}: n" if len(report.items) > 1 else "n"

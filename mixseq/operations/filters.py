@@ -139,16 +139,16 @@ class SteadyRotation:
     @classmethod
     def fit(cls, space: ShapeSpace, placement: Curve) -> SteadyRotation:
         """Fit the mean angular velocity to a placement, from knot to knot."""
-        rotations = normalised(space.poses(placement.values).rotations)
+        rotations = normalised(space.unpack_placements(placement.values).rotations)
         turns = vectors(rotations_of(product(rotations[1:], inverse(rotations[:-1]))))
         duration = placement.end - placement.start
         return cls(space, turns.sum(axis=0) / (duration if duration > 0 else 1.0))
 
     def apply(self, times: Float, placements: Float, sign: float) -> Float:
         """Add the steady rotation to placements ``(N, P)`` at times ``(N,)``, or remove it with the sign -1."""
-        rotations, centres = self.space.poses(placements)
+        rotations, centres = self.space.unpack_placements(placements)
         steady = exponentials(sign * times[:, None, None] * self.rates)
-        return self.space.placements(Poses(product(steady, rotations), centres))
+        return self.space.pack_placements(Poses(product(steady, rotations), centres))
 
 
 def smooth_curve(curve: Curve, frames: Float, seconds: float, steady: SteadyRotation | None = None) -> Curve:

@@ -30,14 +30,14 @@ from mixseq.segmentation.methods import MethodSettings
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames, FrameStore, MeshSequence, check_frames, frame_store
 from mixseq.shells.gauss_newton import ShellReport
-from mixseq.signals.detail import encode
+from mixseq.signals.detail import encode_sequence
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.making import (
-    MAKING,
+    SPACE_STAGES,
     MixedSettings,
     SpaceOptions,
     make_space,
-    part_of_faces,
+    segment_faces,
     space_settings,
 )
 from mixseq.types import Float
@@ -118,16 +118,18 @@ class PoseInterpolator(PickledWithoutCaches):
         missing = ids[(ids < 0) | (ids >= count)]
         if missing.size:
             raise SettingsError(f"there is no pose {missing[0]}; poses are 0 to {count - 1}")
-        stages = Stages(progress, 2 + MAKING, count)
+        stages = Stages(progress, 2 + SPACE_STAGES, count)
         executor = workers or on_threads()
         with one_blas_thread():
             frames = frame_store(poses, stages.at(0))
             if isinstance(making, MixedSettings):
                 topology = Topology(frames.header.faces, frames.header.vertex_count)
-                making = replace(making, parts=part_of_faces(frames, making, topology), purpose="blends")
+                making = replace(making, parts=segment_faces(frames, making, topology), purpose="blends")
             blended = FrameStore(frames.header.with_times(np.arange(len(ids))), frames.points[ids])
-            shape_space = make_space(blended, space, making, executor, stages.at(1, MAKING))
-            encoded = encode(blended, shape_space, workers=executor, progress=stages.at(1 + MAKING))
+            shape_space = make_space(blended, space, making, executor, stages.at(1, SPACE_STAGES))
+            encoded = encode_sequence(
+                blended, shape_space, workers=executor, progress=stages.at(1 + SPACE_STAGES)
+            )
             vectors = np.concatenate([encoded.shapes[:], encoded.placement], axis=1)
             vectors = np.pad(vectors, ((0, 0), (0, shape_space.correction_dim)))
         return cls(frames.header, shape_space, vectors)

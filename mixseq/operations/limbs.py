@@ -48,12 +48,12 @@ from mixseq.operations.sections import (
     CurveSection,
     Seam,
     blend_key_poses,
-    correction_measure,
+    correction_norm,
     fade_window,
     interpolate_adaptively,
     join_curves,
     model_sites,
-    shape_measure,
+    shape_norm,
     snap_time,
     subdivide,
 )
@@ -119,7 +119,7 @@ class Limb:
         relative = centres[:, self.part_mask] - centres[:, [self.part]]
         centres[:, self.part_mask] = turned(rotations_of(turn)[:, None], relative) + centre[:, None]
         targets = np.concatenate([array.reshape(len(times), -1) for array in (rotations, centres)], axis=1)
-        corrections = self.space.corrections(blend_key_poses(model, times), targets)
+        corrections = self.space.pose_corrections(blend_key_poses(model, times), targets)
         turns, reference = (
             array.reshape(len(array), 2, -1, 3)[:, 0] for array in (corrections, model.correction(times[:1]))
         )
@@ -142,14 +142,14 @@ class Limb:
         weights = np.clip(0.5 + closer_by / JOINT_BLEND_WIDTH_EDGES, 0.0, 1.0)
         edges = weights[topology.edges].mean(axis=1)
         is_skinned = space.skinning_weights @ self.part_mask.astype(np.float64) > 0
-        vertices = np.repeat(np.where(is_skinned & (space.only_part < 0), weights, 0.0), 3)
+        vertices = np.repeat(np.where(is_skinned & (space.rigid_part_of_vertex < 0), weights, 0.0), 3)
         hinges = edges[topology.hinge_edges[space.hinge_ids]]
         return np.concatenate([edges[space.edge_ids], hinges, vertices, np.zeros(space.pose_dim)])
 
     def part_weights(self) -> Float:
         """Return 1 for the coordinates ``(S,)`` of key shapes that follow the part alone, 0 elsewhere."""
-        of_vertices = np.repeat(self.space.only_part == self.part, 3).astype(np.float64)
-        return np.pad(of_vertices, (sum(self.space.sizes[:2]), self.space.pose_dim))
+        of_vertices = np.repeat(self.space.rigid_part_of_vertex == self.part, 3).astype(np.float64)
+        return np.pad(of_vertices, (sum(self.space.block_sizes[:2]), self.space.pose_dim))
 
     def _edge_distances(self, hinge_mask: Mask) -> Float:
         """Return the distances ``(V,)`` of vertices from hinges, in edges."""
@@ -163,7 +163,7 @@ class Limb:
 
 def part_poses(model: Model, times: Float) -> Poses:
     """Return the poses ``(N, p)`` of all parts relative to their bodies, at times ``(N,)``."""
-    return as_mixed(model.space).corrected_poses(blend_key_poses(model, times), model.correction(times))
+    return as_mixed(model.space).correct_poses(blend_key_poses(model, times), model.correction(times))
 
 
 def find_limb(model: Model, part: int) -> Limb:
@@ -286,7 +286,7 @@ def hold(
         points = model.time(times)
         return np.concatenate([points, weight(times) * to_limb_modes(held_point - points)], axis=1)
 
-    signal = interpolate_adaptively(held_signal, sites, SIGNAL_TOLERANCE, shape_measure(extended))
+    signal = interpolate_adaptively(held_signal, sites, SIGNAL_TOLERANCE, shape_norm(extended))
     return replace(
         extended,
         time=_splice(extended, extended.time, signal),
@@ -304,7 +304,7 @@ def _edit_joint_pose(model: Model, limb: Limb, sites: Float, edit: JointPoseEdit
     turn_steps = np.diff(edit(sites, joint_pose)[:, :3] - joint_pose[:, :3], axis=0)
     count = 1 + int(np.abs(turn_steps).max(initial=0.0) / MAX_TURN_STEP_RADIANS)
     return interpolate_adaptively(
-        correction, subdivide(sites, count), SIGNAL_TOLERANCE, correction_measure(model)
+        correction, subdivide(sites, count), SIGNAL_TOLERANCE, correction_norm(model)
     )
 
 

@@ -21,7 +21,7 @@ from mixseq.runtime.public import public
 from mixseq.sequence.frame_rates import exact_rate
 from mixseq.sequence.header import MOST_FRAMES, SequenceHeader
 from mixseq.sequence.sequence import Frames, MeshSequence, collect
-from mixseq.signals.decoding import FRAMES
+from mixseq.signals.decoding import FRAMES_PER_BLOCK
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
 from mixseq.types import Float
@@ -38,13 +38,13 @@ class Resampling:
     slopes: Float  # (N,) seconds of the source per second of the output at every frame; negative backwards
 
     def blocks(
-        self, size: int = FRAMES, progress: Progress = silent, workers: Executor | None = None
+        self, size: int = FRAMES_PER_BLOCK, progress: Progress = silent, workers: Executor | None = None
     ) -> Iterator[Float]:
         """Decode the frames in blocks of points ``(B, V, 3)`` with ``B <= size``, see `Model.blocks`."""
         return self.model.blocks(self.sources, size, progress, workers)
 
     def moving_blocks(
-        self, size: int = FRAMES, progress: Progress = silent, workers: Executor | None = None
+        self, size: int = FRAMES_PER_BLOCK, progress: Progress = silent, workers: Executor | None = None
     ) -> Iterator[tuple[Float, Float]]:
         """Decode the frames with velocities: yield points and units per second of the output, ``(B, V, 3)`` each."""
         done = 0
@@ -66,7 +66,7 @@ def plan(
     """Choose the frames of a resampling; parameters and errors are those of `resample`."""
     if retiming is None:
         first, last = model.times[[0, -1]]
-        first, last = model.inside([first if start is None else start, last if end is None else end])
+        first, last = model.clip_times([first if start is None else start, last if end is None else end])
         retiming = Retiming.section(float(first), float(last), speed, reverse)
     elif not (start is None and end is None and speed == 1.0 and not reverse):
         raise SettingsError(
@@ -76,7 +76,7 @@ def plan(
     times = _frame_times(retiming.start, retiming.end, rate, TIME_TOLERANCE_FRAMES / model.header.fps)
     retimed = np.clip(times, retiming.start, retiming.end)
     try:
-        sources = model.inside(retiming(retimed))
+        sources = model.clip_times(retiming(retimed))
     except SettingsError as error:
         raise SettingsError(f"the retiming goes beyond the source: {error}") from None
     return Resampling(model, model.header.with_times(times, rate), retiming, sources, retiming.slope(retimed))

@@ -31,15 +31,15 @@ from mixseq.operations.sections import (
     breakpoints,
     interpolate_adaptively,
     merge_sites,
-    signal_measures,
+    signal_norms,
     strictly_between,
 )
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.public import public
 from mixseq.sequence.header import frame_times
-from mixseq.signals.curve import CLOSEST, Curve
+from mixseq.signals.curve import MIN_KNOT_SPACING, Curve
 from mixseq.signals.decoding import ResidualLayer
-from mixseq.signals.detail import Measure
+from mixseq.signals.detail import DeviationNorm
 from mixseq.signals.model import Model
 from mixseq.types import Float
 
@@ -100,10 +100,13 @@ class Retiming:
             )
         if not (np.isfinite(x).all() and np.isfinite(y).all() and (np.diff(x) > 0).all()):
             raise SettingsError("the times of a retiming must be finite, and its output times increase")
-        if np.diff(x).min() < CLOSEST or max(np.abs(x).max(), np.abs(y).max()) > 1 / CLOSEST:
+        if (
+            np.diff(x).min() < MIN_KNOT_SPACING
+            or max(np.abs(x).max(), np.abs(y).max()) > 1 / MIN_KNOT_SPACING
+        ):
             raise SettingsError(
-                f"the output times of a retiming must be {CLOSEST:g} s apart or more, and no time beyond "
-                f"{1 / CLOSEST:g} s"
+                f"the output times of a retiming must be {MIN_KNOT_SPACING:g} s apart or more, and no time beyond "
+                f"{1 / MIN_KNOT_SPACING:g} s"
             )
         coefficients = np.stack([np.diff(y) / np.diff(x), y[:-1]])
         return cls(float(x[0]), float(x[-1]), PchipInterpolator(x, y) if smooth else PPoly(coefficients, x))
@@ -189,30 +192,30 @@ def retime(model: Model, keys: ArrayLike, smooth: bool = True) -> Model:
     outputs, sources = points.T
     retiming = Retiming.through(outputs, sources, smooth)
     try:
-        model.inside(sources)  # the map is monotone between its keys
+        model.clip_times(sources)  # the map is monotone between its keys
     except SettingsError as error:
         raise SettingsError(f"the retiming goes beyond the source: {error}") from None
     frames = frame_times(retiming.start, retiming.end, model.header.fps, TIME_TOLERANCE_FRAMES)
     kink_sites = np.zeros(0) if smooth else _sites_near_kinks(outputs, sources)
     time, placement, correction = (
-        _compose(model, curve, retiming, kink_sites, measure)
-        for curve, measure in zip(model.curves, signal_measures(model), strict=True)
+        _compose(model, curve, retiming, kink_sites, norm)
+        for curve, norm in zip(model.curves, signal_norms(model), strict=True)
     )
     layer = model.residual_layer
     retimed = None if layer is None else RetimedLayer(layer, retiming)
     return model.with_motion(time, placement, correction, model.header.with_times(frames), retimed)
 
 
-def _compose(model: Model, curve: Curve, retiming: Retiming, kink_sites: Float, measure: Measure) -> Curve:
+def _compose(model: Model, curve: Curve, retiming: Retiming, kink_sites: Float, norm: DeviationNorm) -> Curve:
     """Compose a signal of the model with the map; `kink_sites` are additional sites ``(m,)``."""
     passes = [retiming.curve.solve(knot, extrapolate=False) for knot in breakpoints(curve)]
     knots = np.concatenate([kink_sites, *passes])  # with NaN where the source stands still
     sites = merge_sites(retiming.curve.x, strictly_between(knots, retiming.start, retiming.end))
 
     def values(times: Float) -> Float:
-        return curve(model.inside(retiming(times)))
+        return curve(model.clip_times(retiming(times)))
 
-    return interpolate_adaptively(values, sites, SIGNAL_TOLERANCE, measure)
+    return interpolate_adaptively(values, sites, SIGNAL_TOLERANCE, norm)
 
 
 def _sites_near_kinks(outputs: Float, sources: Float) -> Float:

@@ -32,7 +32,7 @@ from mixseq.operations.sections import (
     breakpoints,
     fade_window,
     interpolate_adaptively,
-    shape_measure,
+    shape_norm,
     sites_between,
     snap_time,
     subdivide,
@@ -56,7 +56,7 @@ MAX_MOVED_RATIO = 0.9
 def encode_edit(model: Model, time: float, points: ArrayLike | MeshSequence) -> tuple[Model, Float]:
     """Return the model in a space that can represent the edit ``(V, 3)``, and its key shape difference ``(S,)``."""
     edited, original = check_edited_points(points, model.header), model(time)
-    space, map_shapes = model.space.with_shape(edited - original)
+    space, map_shapes = model.space.extend(edited - original)
     model = replace(model, space=space, shapes=map_shapes(model.shapes))
     _warn_of_large_edit(original, edited, time)
     return model, space.shape_difference(model.curve([time])[0], original, edited)
@@ -256,17 +256,15 @@ def _window_weight(model: Model, time: float, start: float | None, end: float | 
 
 def _similarity_weight(model: Model, time: float, radius: float) -> Curve:
     """Return the weight of similar shapes; `radius` is relative to the largest distance from the shape at a time."""
-    measure = shape_measure(model, model.space.embedding_weights)
+    norm = shape_norm(model, model.space.embedding_weights)
     edited_point = model.time([time])
     sites = _weight_sites(model, np.concatenate([breakpoints(model.time), model.times, [time]]))
-    scale = radius * float(measure(model.time(subdivide(sites, 4)) - edited_point).max(initial=0.0))
+    scale = radius * float(norm(model.time(subdivide(sites, 4)) - edited_point).max(initial=0.0))
     if scale == 0:
         return Curve(sites, np.ones((len(sites), 1)))
 
     def weight(times: Float) -> Float:
-        return np.asarray(
-            np.exp(-0.5 * np.square(measure(model.time(times) - edited_point) / scale))[:, None]
-        )
+        return np.asarray(np.exp(-0.5 * np.square(norm(model.time(times) - edited_point) / scale))[:, None])
 
     return interpolate_adaptively(
         weight, sites, WEIGHT_TOLERANCE, lambda deviations: np.abs(deviations[:, 0])

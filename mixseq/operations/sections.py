@@ -31,7 +31,7 @@ from mixseq.errors import SettingsError
 from mixseq.mesh.rotations import continuous_vectors, exponentials, inverse, normalised, product, rotations_of
 from mixseq.sequence.frame_rates import seconds_meant, span_text
 from mixseq.signals.curve import Curve
-from mixseq.signals.detail import Measure, largest
+from mixseq.signals.detail import DeviationNorm, max_norm
 from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
 from mixseq.spaces.base import ShapeSpace
@@ -46,12 +46,14 @@ def centre_columns(space: ShapeSpace) -> Index:
 
 def align_quaternion_signs(space: ShapeSpace, placement: Curve, time: float, reference: Float) -> Curve:
     """Flip quaternion signs of a placement so that it continues a reference ``(P,)`` at a time."""
-    after, before = (space.poses(vectors).rotations[0] for vectors in (placement([time]), reference[None]))
+    after, before = (
+        space.unpack_placements(vectors).rotations[0] for vectors in (placement([time]), reference[None])
+    )
     signs = np.where(np.einsum("gi,gi->g", after, before) < 0, -1.0, 1.0)
     if (signs > 0).all():
         return placement
-    quaternions, centres = space.poses(placement.values)
-    return Curve(placement.times, space.placements(Poses(quaternions * signs[:, None], centres)))
+    quaternions, centres = space.unpack_placements(placement.values)
+    return Curve(placement.times, space.pack_placements(Poses(quaternions * signs[:, None], centres)))
 
 
 def lerp(a: Float, b: Float, weight: Float) -> Float:
@@ -61,14 +63,14 @@ def lerp(a: Float, b: Float, weight: Float) -> Float:
 
 def blend_placements(space: ShapeSpace, a: Float, b: Float, weight: Float) -> Float:
     """Blend placements ``(N, P)`` with the weight ``(N, 1)`` of b."""
-    first, second = space.poses(a), space.poses(b)
+    first, second = space.unpack_placements(a), space.unpack_placements(b)
     norm_a, norm_b = (np.linalg.norm(poses.rotations, axis=2, keepdims=True) for poses in (first, second))
     rotation_a, rotation_b = (normalised(poses.rotations) for poses in (first, second))
     weight = weight[:, :, None]
     # the shortest turn at the first time, continued from there
     turns = continuous_vectors(rotations_of(product(inverse(rotation_a), rotation_b)))
     rotations = product(rotation_a, exponentials(weight * turns)) * lerp(norm_a, norm_b, weight)
-    return space.placements(Poses(rotations, lerp(first.centres, second.centres, weight)))
+    return space.pack_placements(Poses(rotations, lerp(first.centres, second.centres, weight)))
 
 
 MAX_BISECTIONS = 6
@@ -129,7 +131,7 @@ def map_curve_times(curve: Curve, offset: float, scale: float = 1.0) -> Curve:
 
 
 def interpolate_adaptively(
-    function: Callable[[Float], Float], sites: Float, tolerance: float, measure: Measure
+    function: Callable[[Float], Float], sites: Float, tolerance: float, norm: DeviationNorm
 ) -> Curve:
     """Interpolate a function of time by a spline; bisect intervals of sites ``(m,)`` that miss the tolerance."""
     for _ in range(MAX_BISECTIONS):
@@ -137,7 +139,7 @@ def interpolate_adaptively(
         times[::2], times[1::2] = sites, (sites[:-1] + sites[1:]) / 2
         values = function(times)
         curve, middles = Curve(sites, values[::2]), times[1::2]
-        refine_mask = measure(curve(middles) - values[1::2]) > tolerance
+        refine_mask = norm(curve(middles) - values[1::2]) > tolerance
         if not refine_mask.any():
             return curve
         sites = np.union1d(sites, middles[refine_mask])
@@ -162,27 +164,27 @@ def smoothstep(times: Float, start: float, end: float) -> Float:
     )
 
 
-def shape_measure(model: Model, metric: Float | None = None) -> Measure:
-    """Return the measure of pose-space steps ``(N, k)``: RMS over vertices in diagonals, by shape weights ``(S,)``."""
+def shape_norm(model: Model, metric: Float | None = None) -> DeviationNorm:
+    """Return the norm of pose-space steps ``(N, k)``: RMS over vertices in diagonals, by shape weights ``(S,)``."""
     metric = model.space.shape_weights if metric is None else metric
     jacobian = model.pose.matrix @ (model.shapes - model.shapes[0]) * metric
     gram = jacobian @ jacobian.T / model.header.vertex_count
     return lambda steps: np.sqrt(np.maximum(np.einsum("na,ab,nb->n", steps, gram, steps), 0.0))
 
 
-def placement_measure(model: Model) -> Measure:
-    """Return the measure of placement changes ``(N, P)``: the largest component, in diagonals."""
-    return largest(model.space.weights[model.space.shape_dim :][: model.space.placement_dim])
+def placement_norm(model: Model) -> DeviationNorm:
+    """Return the norm of placement changes ``(N, P)``: the largest component, in diagonals."""
+    return max_norm(model.space.weights[model.space.shape_dim :][: model.space.placement_dim])
 
 
-def correction_measure(model: Model) -> Measure:
-    """Return the measure of correction changes ``(N, C)``: the largest component, in diagonals."""
-    return largest(model.space.weights[model.space.shape_dim + model.space.placement_dim :])
+def correction_norm(model: Model) -> DeviationNorm:
+    """Return the norm of correction changes ``(N, C)``: the largest component, in diagonals."""
+    return max_norm(model.space.weights[model.space.shape_dim + model.space.placement_dim :])
 
 
-def signal_measures(model: Model) -> tuple[Measure, Measure, Measure]:
-    """Return the measures of `Model.curves`: time signal, placement and correction."""
-    return shape_measure(model), placement_measure(model), correction_measure(model)
+def signal_norms(model: Model) -> tuple[DeviationNorm, DeviationNorm, DeviationNorm]:
+    """Return the norms of `Model.curves`: time signal, placement and correction."""
+    return shape_norm(model), placement_norm(model), correction_norm(model)
 
 
 OFFSET_KNOT_RATIOS = np.array([1.0, 2.0, 3.0]) / 3.0
@@ -324,7 +326,7 @@ def align_part_quaternions(sections: Sequence[ModelSection]) -> Sequence[ModelSe
     signs = [np.ones(pose_dim)]
     for before, (model, start, _) in pairwise(sections):
         poses, reference = blend_key_poses(model, [start])[0], blend_key_poses(before.model, [before.end])[0]
-        signs.append(model.space.signs(poses, signs[-1] * reference))
+        signs.append(model.space.quaternion_signs(poses, signs[-1] * reference))
     variants: dict[bytes, int] = {}
     variant_ids = [variants.setdefault(sign.tobytes(), len(variants)) for sign in signs]
     if len(variants) == 1:

@@ -23,7 +23,7 @@ from mixseq.runtime.progress import silent
 from mixseq.runtime.public import public
 from mixseq.sequence.sequence import Frames, MeshSequence, check_frames, frame_store
 from mixseq.signals.curve import Curve
-from mixseq.signals.detail import encode
+from mixseq.signals.detail import encode_sequence
 from mixseq.signals.model import Model
 from mixseq.spaces.making import make_space
 from mixseq.spaces.mixed.mixed_space import as_mixed
@@ -111,16 +111,16 @@ def with_shapes(model: Model, keys: Frames | Model) -> Model:
             )
         frames = frame_store(keys, silent)
         second = as_mixed(make_space(frames))
-        encoded = encode(frames, second)
+        encoded = encode_sequence(frames, second)
         shapes, placements, header = np.asarray(encoded.shapes[:]), encoded.placement, keys.header
     if first.rotation_count != second.rotation_count:
         raise SettingsError(
             f"{model.header.name!r} has {first.rotation_count} bodies, {header.name!r} has {second.rotation_count}; "
             "both need the same number"
         )
-    before = first.poses(model.placement(_key_times(model)))
-    rotation, shift = _mean_motion(before, second.poses(placements))
-    poses = first.poses(model.placement.values)
+    before = first.unpack_placements(model.placement(_key_times(model)))
+    rotation, shift = _mean_motion(before, second.unpack_placements(placements))
+    poses = first.unpack_placements(model.placement.values)
     moved_poses = Poses(continued(product(normalised(poses.rotations), rotation)), poses.centres + shift)
     return Model(
         header.with_times(model.header.times, model.header.fps),
@@ -128,7 +128,7 @@ def with_shapes(model: Model, keys: Frames | Model) -> Model:
         model.time,
         model.pose,
         shapes,
-        Curve(model.placement.times, second.placements(moved_poses)),
+        Curve(model.placement.times, second.pack_placements(moved_poses)),
     )
 
 

@@ -49,9 +49,9 @@ from mixseq.operations.sections import (
     breakpoints,
     fade_window,
     interpolate_adaptively,
-    placement_measure,
-    shape_measure,
-    signal_measures,
+    placement_norm,
+    shape_norm,
+    signal_norms,
     sites_between,
     snap_time,
 )
@@ -125,8 +125,8 @@ def sketch(model: Model, curve: ArrayLike, duration: Seconds, plane: Plane | Non
         return lambda sample_times: weights(path(sample_times)) @ values
 
     time, placement, correction = (
-        interpolate_adaptively(blend(curve(times)), path.times, SIGNAL_TOLERANCE, measure)
-        for curve, measure in zip(model.curves, signal_measures(model), strict=True)
+        interpolate_adaptively(blend(curve(times)), path.times, SIGNAL_TOLERANCE, norm)
+        for curve, norm in zip(model.curves, signal_norms(model), strict=True)
     )
     return model.with_motion(time, placement, correction, header)
 
@@ -201,8 +201,8 @@ def _distinct_frames(model: Model, positions: Float) -> Index:
 def _frame_distances(model: Model, others: Index) -> Float:
     """Return distances ``(T,)`` of frames to other frames in shape and placement, in diagonals."""
     points, placements = model.time(model.times), model.placement(model.times)
-    shape_distances = shape_measure(model)(points - points[others])
-    return np.maximum(shape_distances, placement_measure(model)(placements - placements[others]))
+    shape_distances = shape_norm(model)(points - points[others])
+    return np.maximum(shape_distances, placement_norm(model)(placements - placements[others]))
 
 
 def _warn_if_far(path: Curve, positions: Float) -> None:
@@ -272,7 +272,7 @@ def drag(
     target = _check_target(to)
     time = snap_time(model, time)
     reach = _check_reach(model, reach)
-    plane = model.plane if plane is None else model.known(plane)
+    plane = model.plane if plane is None else model.check_plane(plane)
     if not plane.directions.any():
         raise SettingsError(
             "the embedding of the model is one point, as its shape does not change; there is nothing to drag"

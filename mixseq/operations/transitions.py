@@ -40,7 +40,7 @@ from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.public import public
 from mixseq.sequence.frame_rates import Seconds
 from mixseq.signals.curve import Curve
-from mixseq.signals.detail import Detail, build, encode
+from mixseq.signals.detail import Detail, build_model, encode_sequence
 from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
 from mixseq.spaces.base import ShapeSpace
@@ -64,11 +64,11 @@ def into(model: Model, space: ShapeSpace) -> Model:
     """
     if model.space is space:
         return model
-    common, _, to_space = space.joined(model.space)
+    common, _, to_space = space.merge(model.space)
     if common is space and to_space is not None:
         return replace(model, space=space, shapes=to_space(model.shapes))
     with one_blas_thread():
-        return build(encode(model.sample(), space), Detail())
+        return build_model(encode_sequence(model.sample(), space), Detail())
 
 
 def match_spaces(first: Model, second: Model) -> tuple[Model, Model]:
@@ -79,7 +79,7 @@ def match_spaces(first: Model, second: Model) -> tuple[Model, Model]:
     space.
     """
     _check_meshes(first, second)
-    space, *maps = first.space.joined(second.space)
+    space, *maps = first.space.merge(second.space)
     first, second = (
         into(model, space) if to_space is None else replace(model, space=space, shapes=to_space(model.shapes))
         for model, to_space in zip((first, second), maps, strict=True)
@@ -87,7 +87,7 @@ def match_spaces(first: Model, second: Model) -> tuple[Model, Model]:
     if _same_shapes(first, second):
         return first, replace(second, pose=first.pose, shapes=first.shapes)
     shapes = np.concatenate([first.shapes, second.shapes])
-    pose = PoseMap.of_weights(len(shapes))
+    pose = PoseMap.from_key_count(len(shapes))
     first, second = (
         replace(model, pose=pose, shapes=shapes, time=_key_weight_signal(model, start, len(shapes)))
         for model, start in ((first, 0), (second, len(first.shapes)))

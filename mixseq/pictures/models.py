@@ -418,7 +418,7 @@ def _content(
     if kind is None:
         charts = arranged(_coefficients(model, 2.7), _singular_values(model, 2.7))
         rows.append(arranged(_embedding(model, frames), charts, beside=True))
-        if model.space.decomposed:
+        if model.space.segmentation:
             rows.append(_parts(model, near, 5.0))
     if against is not None:
         own = kind == "error-vertices" and frames is not None

@@ -220,7 +220,7 @@ class SceneItem:
     @property
     def decomposition(self) -> Decomposition | None:
         """Parts and joints, if it is a model with parts."""
-        return self.model.space.decomposed if self.model is not None else None
+        return self.model.space.segmentation if self.model is not None else None
 
     def with_random_access(self, progress: Progress = silent) -> SceneItem:
         """Return the item with a streaming sequence copied, for random access."""

@@ -25,6 +25,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mixseq.choices import UNITS
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.mesh.measures import Diagonal
 from mixseq.mesh.polygons import Polygons, frozen
@@ -348,9 +349,6 @@ def blocks_of(points: LargeArray) -> Iterator[FloatArray]:
     for start in range(0, len(points), size):
         yield points[start : start + size]
 
-
-UNITS = {"mm": 0.001, "cm": 0.01, "m": 1.0, "km": 1000.0, "in": 0.0254, "ft": 0.3048, "yd": 0.9144}
-"""Units of length by name, in metres."""
 
 _UNITS_NOT_TOLD = ("Alembic",)
 """Formats without units in their files, whose writers cannot detect another unit."""

@@ -34,12 +34,12 @@ from scipy.sparse import csgraph
 from mixseq.mesh.topology import connected
 from mixseq.runtime.jit import compiled, inlined
 from mixseq.runtime.lazy import PickledWithoutCaches
-from mixseq.shells.solvers import Factor, factored_laplacian
+from mixseq.shells.solvers import Factor, factorise_laplacian
 from mixseq.types import Float, Index, IntArray, Mask
 
 
 @inlined
-def product(p: Float, q: Float, r: Float) -> None:
+def multiply(p: Float, q: Float, r: Float) -> None:
     """Write the product ``p q`` to r, which must not alias them."""
     r[0] = p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3]
     r[1] = p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2]
@@ -48,7 +48,7 @@ def product(p: Float, q: Float, r: Float) -> None:
 
 
 @inlined
-def product_with_inverse(p: Float, q: Float, r: Float) -> None:
+def multiply_by_inverse(p: Float, q: Float, r: Float) -> None:
     """Write the product ``p conj(q)`` to r, which must not alias them."""
     r[0] = p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3]
     r[1] = -p[0] * q[1] + p[1] * q[0] - p[2] * q[3] + p[3] * q[2]
@@ -57,7 +57,7 @@ def product_with_inverse(p: Float, q: Float, r: Float) -> None:
 
 
 @inlined
-def inverse_product(p: Float, q: Float, r: Float) -> None:
+def multiply_inverse_by(p: Float, q: Float, r: Float) -> None:
     """Write the product ``conj(p) q`` to r, which must not alias them."""
     r[0] = p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3]
     r[1] = p[0] * q[1] - p[1] * q[0] - p[2] * q[3] + p[3] * q[2]
@@ -66,7 +66,7 @@ def inverse_product(p: Float, q: Float, r: Float) -> None:
 
 
 @compiled
-def triangle_frames(x: Float, faces: Index) -> Float:
+def _triangle_frames(x: Float, faces: Index) -> Float:
     """Return the frames ``(m, 4)`` of triangles ``(m, 3)`` of vertices ``(n, 3)``; arbitrary ones without area."""
     frames = np.empty((len(faces), 4))
     r = np.empty((3, 3))
@@ -126,7 +126,7 @@ def _quaternion(r: Float, q: Float) -> None:
 
 
 @compiled
-def transitions(first: Float, second: Float, bends: Float) -> Float:
+def _hinge_rotations(first: Float, second: Float, bends: Float) -> Float:
     """Return the rotations ``R_z(first) R_x(bend) R_z(-second)`` ``(h, 4)`` across hinges ``(h,)``."""
     turns = np.empty((len(bends), 4))
     for k in range(len(bends)):
@@ -138,7 +138,7 @@ def transitions(first: Float, second: Float, bends: Float) -> Float:
 
 
 @compiled
-def chained(
+def _chain_frames(
     pairs: Index, turns: Float, weights: Float, order: Index, starts: Index, links: Index, frames: Float
 ) -> None:
     """Write frames ``(n, 4)`` in the order ``(k,)``, each the mean predicted by its links to earlier ones.
@@ -152,10 +152,10 @@ def chained(
         for place in range(starts[k], starts[k + 1]):
             pair = links[place]
             if pair >= 0:
-                product(frames[pairs[pair, 0]], turns[pair], seen)
+                multiply(frames[pairs[pair, 0]], turns[pair], seen)
             else:
                 pair = -1 - pair
-                product_with_inverse(frames[pairs[pair, 1]], turns[pair], seen)
+                multiply_by_inverse(frames[pairs[pair, 1]], turns[pair], seen)
             cosine = total[0] * seen[0] + total[1] * seen[1] + total[2] * seen[2] + total[3] * seen[3]
             square = total[0] ** 2 + total[1] ** 2 + total[2] ** 2 + total[3] ** 2
             # Both signs of a quaternion are the same rotation; links half a turn off the others are ignored.
@@ -168,7 +168,7 @@ def chained(
 
 
 @compiled
-def misfits(frames: Float, pairs: Index, turns: Float, weights: Float, count: int) -> Float:
+def averaging_right_side(frames: Float, pairs: Index, turns: Float, weights: Float, count: int) -> Float:
     """Return the right-hand side ``(count, 3)`` of a step of averaging: weighted axes of misfits, long as their sines.
 
     The first `count` frames move, the others are fixed. Arrays are real or complex.
@@ -177,8 +177,8 @@ def misfits(frames: Float, pairs: Index, turns: Float, weights: Float, count: in
     expected, off = np.empty(4, frames.dtype), np.empty(4, frames.dtype)
     for k in range(len(pairs)):
         i, j = pairs[k, 0], pairs[k, 1]
-        product(frames[i], turns[k], expected)
-        product_with_inverse(expected, frames[j], off)
+        multiply(frames[i], turns[k], expected)
+        multiply_by_inverse(expected, frames[j], off)
         scale = 2.0 * weights[k] * off[0]
         for c in range(3):
             if j < count:
@@ -189,7 +189,7 @@ def misfits(frames: Float, pairs: Index, turns: Float, weights: Float, count: in
 
 
 @compiled
-def turned_on(frames: Float, steps: Float) -> None:
+def _rotate_frames(frames: Float, steps: Float) -> None:
     """Rotate frames ``(n, 4)`` by rotation vectors ``(n, 3)``, in place."""
     turn, result = np.empty(4), np.empty(4)
     for v in range(len(frames)):
@@ -198,12 +198,12 @@ def turned_on(frames: Float, steps: Float) -> None:
         turn[0] = math.cos(0.5 * angle)
         for c in range(3):
             turn[1 + c] = scale * steps[v, c]
-        product(turn, frames[v], result)
+        multiply(turn, frames[v], result)
         frames[v] = result / math.sqrt(result[0] ** 2 + result[1] ** 2 + result[2] ** 2 + result[3] ** 2)
 
 
 @compiled
-def turned_sides(frames: Float, flat: Float) -> Float:
+def rotate_sides(frames: Float, flat: Float) -> Float:
     """Return the sides 01, 12, 20 ``(F, 3, 3)`` of flat triangles ``(F, 3, 2)`` with frames ``(F, 4)``."""
     sides = np.empty((len(flat), 3, 3))
     for f in range(len(flat)):
@@ -219,7 +219,7 @@ def turned_sides(frames: Float, flat: Float) -> Float:
     return sides
 
 
-SHORTEST = 1e-12
+MIN_SIDE_LENGTH = 1e-12
 """Least length of sides, in diagonals: side 01 defines the frame of a triangle."""
 
 
@@ -228,23 +228,23 @@ def flat_triangles(lengths: Float) -> Float:
 
     Triangles of interpolated lengths that break the triangle inequality are laid flat on a line.
     """
-    l01, l12, l20 = np.maximum(lengths, SHORTEST).T
+    l01, l12, l20 = np.maximum(lengths, MIN_SIDE_LENGTH).T
     x = np.clip((l01**2 + l20**2 - l12**2) / (2.0 * l01), -l20, l20)
     y = np.sqrt(l20**2 - x**2)
     zero = np.zeros_like(x)
     return np.stack([zero, zero, l01, zero, x, y], axis=1).reshape(-1, 3, 2)
 
 
-def frames_of(x: Float, faces: IntArray) -> Float:
+def triangle_frames(x: Float, faces: IntArray) -> Float:
     """Return the frames ``(m, 4)``, as quaternions, of triangles ``(m, 3)`` with vertices ``(n, 3)``.
 
     The normal of a triangle without area is any that is perpendicular to its first side.
     """
-    return np.asarray(triangle_frames(x, faces.astype(np.int64)))
+    return np.asarray(_triangle_frames(x, faces.astype(np.int64)))
 
 
 @dataclass(frozen=True, eq=False)
-class Hinges:
+class HingeFrames:
     """Hinges in the frames of their faces."""
 
     faces: IntArray  # (m, 3) triangles
@@ -252,33 +252,33 @@ class Hinges:
     hinge_faces: Index  # (h, 2) their faces
 
     @cached_property
-    def _ends(self) -> tuple[Index, Index]:
+    def _edge_corners(self) -> tuple[Index, Index]:
         """Corners ``(h, 2)`` of both faces where a hinge's edge starts and ends."""
         faces = self.faces[self.hinge_faces]  # (h, 2, 3)
         return tuple((faces == self.hinges[:, None, end : end + 1]).argmax(axis=2) for end in (0, 1))
 
     @cached_property
-    def backward(self) -> Mask:
+    def backward_mask(self) -> Mask:
         """Whether the sides ``(h, 2)`` of both faces run against the hinge's edge."""
-        start, end = self._ends
+        start, end = self._edge_corners
         return np.asarray((start + 1) % 3 != end)
 
     @cached_property
-    def sides(self) -> Index:
+    def side_ids(self) -> Index:
         """Side ``(h, 2)`` of the hinge's edge in both faces."""
-        return np.where(self.backward, self._ends[1], self._ends[0])
+        return np.where(self.backward_mask, self._edge_corners[1], self._edge_corners[0])
 
     @cached_property
     def reversed_normals(self) -> Float:
         """Half a turn ``(h,)`` where both faces run along the edge alike: their normals are on opposite sides."""
-        return np.where(self.backward[:, 1], 0.0, np.pi)
+        return np.where(self.backward_mask[:, 1], 0.0, np.pi)
 
-    def turns(self, flat: Float, angles: Float) -> Float:
+    def rotations(self, flat: Float, angles: Float) -> Float:
         """Return the rotations T ``(h, 4)`` across all hinges: flat ``(m, 3, 2)``; angles ``(h,)``."""
         side = np.roll(flat, -1, axis=1) - flat
         directions = np.arctan2(side[..., 1], side[..., 0])
-        seen = directions[self.hinge_faces, self.sides] + np.where(self.backward, np.pi, 0.0)
-        return np.asarray(transitions(seen[:, 0], seen[:, 1], angles + self.reversed_normals))
+        seen = directions[self.hinge_faces, self.side_ids] + np.where(self.backward_mask, np.pi, 0.0)
+        return np.asarray(_hinge_rotations(seen[:, 0], seen[:, 1], angles + self.reversed_normals))
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,37 +287,37 @@ class FrameGraph(PickledWithoutCaches):
 
     pairs: Index  # (h, 2) pairs of different frames
     weights: Float  # (h,) positive weights of the pairs
-    known: Mask  # (n,) frames from which chains start: at least one per component
+    known_mask: Mask  # (n,) frames from which chains start: at least one per component
 
     @cached_property
     def factor(self) -> Factor:
         """Factor of the matrix of averaging, in which known frames are held."""
-        return factored_laplacian(self.pairs, self.weights, np.where(self.known, 1.0, 0.0))
+        return factorise_laplacian(self.pairs, self.weights, np.where(self.known_mask, 1.0, 0.0))
 
     def constants(self) -> tuple[object, ...]:
         """Implement `PickledWithoutCaches.constants`."""
         return self.factor, self._layers
 
-    def averaged(self, frames: Float, turns: Float, rounds: int) -> Float:
+    def average(self, frames: Float, turns: Float, rounds: int) -> Float:
         """Return averaged frames ``(n, 4)`` with smaller misfits to rotations ``(h, 4)``."""
         frames = frames.copy()
         for _ in range(rounds):
-            right = misfits(frames, self.pairs, turns, self.weights, len(frames))
-            turned_on(frames, self.factor.solve(right))
+            right = averaging_right_side(frames, self.pairs, turns, self.weights, len(frames))
+            _rotate_frames(frames, self.factor.solve(right))
         return frames
 
-    def chained(self, turns: Float, known: Float) -> Float:
+    def chain(self, turns: Float, known: Float) -> Float:
         """Return frames ``(n, 4)`` chained from known quaternions ``(r, 4)``."""
-        frames = np.zeros((len(self.known), 4))
+        frames = np.zeros((len(self.known_mask), 4))
         frames[:, 0] = 1.0
-        frames[self.known] = known
-        chained(self.pairs, turns, self.weights, *self._layers, frames)
+        frames[self.known_mask] = known
+        _chain_frames(self.pairs, turns, self.weights, *self._layers, frames)
         return frames
 
     @cached_property
     def _layers(self) -> tuple[Index, Index, Index]:
         """Order, starts and links of `chained`, by breadth-first layers from the known frames."""
-        count, depth = len(self.known), np.where(self.known, 0, -1)
+        count, depth = len(self.known_mask), np.where(self.known_mask, 0, -1)
         source, target = np.concatenate([self.pairs, self.pairs[:, ::-1]]).T
         number = np.arange(len(self.pairs))
         link = np.concatenate([number, -1 - number])
@@ -334,7 +334,7 @@ class FrameGraph(PickledWithoutCaches):
         return order, np.concatenate([[0], np.cumsum(counts)]).astype(np.int64), link[used]
 
 
-def bridging(count: int, pairs: Index, sound: Mask) -> Mask:
+def bridging_mask(count: int, pairs: Index, sound: Mask) -> Mask:
     """Mark the sound pairs ``(h, 2)`` of ``count`` nodes, and a forest of others that connects what those do not."""
     ends = np.sort(connected(count, pairs[sound])[pairs], axis=1)
     apart = np.flatnonzero(ends[:, 0] != ends[:, 1])

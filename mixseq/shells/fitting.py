@@ -41,7 +41,7 @@ from mixseq.mesh.rotations import rotations_of
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.segmentation.joints import Joint
-from mixseq.shells.face_frames import Hinges, flat_triangles, frames_of
+from mixseq.shells.face_frames import HingeFrames, flat_triangles, triangle_frames
 from mixseq.shells.gauss_newton import BlockSparsePattern, ShellReport, ShellSettings
 from mixseq.shells.kernels import conjugate_gradients, shell_equations, shell_residuals
 from mixseq.shells.solvers import Factor, factorise
@@ -54,15 +54,15 @@ class NormalEquations:
 
     edges: Index  # (e', 2) edges with a free vertex
     hinges: Index  # (h', 4) hinges with a free vertex
-    free: Index  # (f,) the free vertices
-    number: Index  # (n,) place of every vertex among them, -1 if fixed
+    free_ids: Index  # (f,) the free vertices
+    free_index: Index  # (n,) place of every vertex among them, -1 if fixed
     pattern: BlockSparsePattern  # pattern of the matrix, one triple of unknowns for each free vertex
     edge_blocks: Index  # (e',) block that couples the two vertices of an edge, -1 if one is fixed
     # (h', 6) blocks that couple the vertices ba, ca, cb, da, db, dc of a hinge, -1 if one is fixed.
     hinge_blocks: Index
 
     @classmethod
-    def of(
+    def from_elements(
         cls, edges: Index, hinges: Index, free: Index, number: Index, threads: int | None = None
     ) -> NormalEquations:
         """Find the blocks of edges and hinges."""
@@ -70,15 +70,15 @@ class NormalEquations:
         p, o = np.tril_indices(4, -1)
         first, second = corners[:, p], corners[:, o]
         pairs = np.concatenate([ends, np.stack([first, second], axis=-1).reshape(-1, 2)])
-        pattern = BlockSparsePattern.of(len(free), pairs, threads)
+        pattern = BlockSparsePattern.from_pairs(len(free), pairs, threads)
         return cls(
             edges=np.ascontiguousarray(edges),
             hinges=np.ascontiguousarray(hinges),
-            free=free,
-            number=number,
+            free_ids=free,
+            free_index=number,
             pattern=pattern,
-            edge_blocks=pattern.block(*ends.T),
-            hinge_blocks=np.ascontiguousarray(pattern.block(first, second)),
+            edge_blocks=pattern.find_blocks(*ends.T),
+            hinge_blocks=np.ascontiguousarray(pattern.find_blocks(first, second)),
         )
 
 
@@ -91,11 +91,11 @@ class Patch(PickledWithoutCaches):
     face_edges: Index  # (m, 3) edge of the sides 01, 12, 20 of every face
     hinges: Index  # (h, 4) hinges a, b, c, d, in the order of the angles
     hinge_faces: Index  # (h, 2) their two faces
-    fixed: Mask  # (n,) vertices whose positions are given
+    fixed_mask: Mask  # (n,) vertices whose positions are given
     threads: int | None = None  # threads that factor one matrix; by default from its size
 
     @classmethod
-    def of_joint(cls, topology: Topology, joint: Joint, fixed: Mask) -> Patch:
+    def from_joint(cls, topology: Topology, joint: Joint, fixed: Mask) -> Patch:
         """Make the patch of a joint; `fixed` ``(n,)`` marks the joint's given vertices."""
         return cls(
             faces=joint.faces,
@@ -103,7 +103,7 @@ class Patch(PickledWithoutCaches):
             face_edges=np.searchsorted(joint.edge_ids, topology.face_edges[joint.face_ids]),
             hinges=np.searchsorted(joint.vertices, topology.hinges[joint.hinge_ids]),
             hinge_faces=np.searchsorted(joint.face_ids, topology.hinge_faces[joint.hinge_ids]),
-            fixed=fixed,
+            fixed_mask=fixed,
         )
 
     def constants(self) -> tuple[object, ...]:
@@ -111,58 +111,58 @@ class Patch(PickledWithoutCaches):
         return self.equations.pattern, self.frame_pattern, self.laplacian_factor
 
     @cached_property
-    def free(self) -> Index:
+    def free_ids(self) -> Index:
         """Unknown vertices."""
-        return np.flatnonzero(~self.fixed)
+        return np.flatnonzero(~self.fixed_mask)
 
     @cached_property
-    def free_number(self) -> Index:
+    def free_index(self) -> Index:
         """Place ``(n,)`` of every vertex among the free ones, -1 if fixed."""
-        number = np.full(len(self.fixed), -1, dtype=np.int64)
-        number[self.free] = np.arange(len(self.free))
+        number = np.full(len(self.fixed_mask), -1, dtype=np.int64)
+        number[self.free_ids] = np.arange(len(self.free_ids))
         return number
 
     @cached_property
-    def free_edges(self) -> Mask:
+    def free_edge_mask(self) -> Mask:
         """Mark the edges ``(e,)`` with a free vertex."""
-        return np.asarray(~self.fixed[self.edges].all(axis=1))
+        return np.asarray(~self.fixed_mask[self.edges].all(axis=1))
 
     @cached_property
-    def free_hinges(self) -> Mask:
+    def free_hinge_mask(self) -> Mask:
         """Mark the hinges ``(h,)`` with a free vertex."""
-        return np.asarray(~self.fixed[self.hinges].all(axis=1))
+        return np.asarray(~self.fixed_mask[self.hinges].all(axis=1))
 
     @cached_property
-    def fixed_faces(self) -> Mask:
+    def fixed_face_mask(self) -> Mask:
         """Mark the faces ``(m,)`` whose three vertices are fixed."""
-        return np.asarray(self.fixed[self.faces].all(axis=1))
+        return np.asarray(self.fixed_mask[self.faces].all(axis=1))
 
     @cached_property
-    def hinge_frames(self) -> Hinges:
+    def hinge_frames(self) -> HingeFrames:
         """The hinges in the frames of their faces."""
-        return Hinges(self.faces, self.hinges, self.hinge_faces)
+        return HingeFrames(self.faces, self.hinges, self.hinge_faces)
 
     @cached_property
     def equations(self) -> NormalEquations:
         """The normal equations of lengths and angles around the free vertices."""
-        return NormalEquations.of(
-            self.edges[self.free_edges],
-            self.hinges[self.free_hinges],
-            self.free,
-            self.free_number,
+        return NormalEquations.from_elements(
+            self.edges[self.free_edge_mask],
+            self.hinges[self.free_hinge_mask],
+            self.free_ids,
+            self.free_index,
             self.threads,
         )
 
     @cached_property
     def frame_pattern(self) -> BlockSparsePattern:
         """Block pattern of unknown frames of faces, coupled by hinges."""
-        count, pairs = int((self.face_number >= 0).sum()), self.face_number[self.hinge_faces]
-        return BlockSparsePattern.of(count, pairs, self.threads)
+        count, pairs = int((self.unknown_face_index >= 0).sum()), self.unknown_face_index[self.hinge_faces]
+        return BlockSparsePattern.from_pairs(count, pairs, self.threads)
 
     @cached_property
-    def face_number(self) -> Index:
+    def unknown_face_index(self) -> Index:
         """Place ``(m,)`` of every face among those with unknown frames; -1 for fixed faces, or for the first one."""
-        known = self.fixed_faces.copy()
+        known = self.fixed_face_mask.copy()
         known[0] |= not known.any()
         return np.where(known, -1, np.cumsum(~known) - 1)
 
@@ -171,7 +171,7 @@ class Patch(PickledWithoutCaches):
         """Graph Laplacian ``(n, n)``; an edge counts once per face."""
         starts = self.faces.reshape(-1)
         ends = np.roll(self.faces, -1, axis=1).reshape(-1)
-        size = (len(self.fixed), len(self.fixed))
+        size = (len(self.fixed_mask), len(self.fixed_mask))
         half = sparse.coo_array((np.ones(len(starts)), (starts, ends)), shape=size).tocsr()
         adjacency = (half + half.T).tocsr()
         return (sparse.diags_array(np.asarray(adjacency.sum(axis=1)).reshape(-1)) - adjacency).tocsr()
@@ -179,30 +179,30 @@ class Patch(PickledWithoutCaches):
     @cached_property
     def laplacian_factor(self) -> Factor:
         """Factor of the Laplacian's block of integrated vertices; constant over a sequence."""
-        return factorise(self.laplacian[self.integrated][:, self.integrated])
+        return factorise(self.laplacian[self.unknown_ids][:, self.unknown_ids])
 
     @cached_property
-    def integrated(self) -> Index:
+    def unknown_ids(self) -> Index:
         """Unknown vertices of the Poisson system: the free ones, but the first where nothing is fixed."""
-        return self.free if self.fixed.any() else self.free[1:]
+        return self.free_ids if self.fixed_mask.any() else self.free_ids[1:]
 
 
-CLOSE = 0.03
+CONJUGATE_GRADIENT_TOLERANCE = 0.03
 """Relative residual at which conjugate gradients stop; the next Gauss-Newton step corrects the rest."""
 
-MOST = 100
+MAX_CONJUGATE_GRADIENT_STEPS = 100
 """Largest number of conjugate gradient steps; beyond it the matrix is factored."""
 
-HOPELESS = 1e150
+MAX_SQUARABLE_RESIDUAL = 1e150
 """Largest residual of the volume whose square fits into double precision."""
 
-STUCK = 1e12
+MAX_DAMPING = 1e12
 """Damping at which the fit stops: the energy is not smooth here, or not finite."""
 
-HELD = 1e-2
+MAX_CONVERGED_DAMPING = 1e-2
 """Damping above which short steps do not indicate convergence."""
 
-LEVEL = 0.1
+LEVEL_ENERGY_RATIO = 0.1
 """Ratio of energies below which a step is not the last: a mesh fits exactly."""
 
 
@@ -213,7 +213,7 @@ class SoftConstraint(NamedTuple):
     weights: Float  # (f,) weights of the distances from there, per unit; empty for no constraints at all
 
 
-UNCONSTRAINED = SoftConstraint(np.zeros((0, 3)), np.zeros(0))
+NO_CONSTRAINT = SoftConstraint(np.zeros((0, 3)), np.zeros(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,7 +225,7 @@ class ShellProblem:
     angles: Float  # (h',) target angles of hinges with a free vertex, in radians
     length_weights: Float  # (e',) one over typical lengths
     bending: float  # weight of an angle in radians
-    soft: SoftConstraint = UNCONSTRAINED
+    constraint: SoftConstraint = NO_CONSTRAINT
     volume: float | None = None  # target volume, whose residual is the last one
     volume_weight: float = 1.0  # weight of the volume, over that of the reference
 
@@ -240,7 +240,7 @@ class ShellProblem:
     def residuals_and_energy(self, points: Float) -> tuple[Float, float]:
         """Return the residuals of points ``(n, 3)`` and the sum of their squares; infinite for a hopeless mesh."""
         rows = self.patch.equations
-        residuals = np.empty(len(rows.edges) + len(rows.hinges) + 3 * len(self.soft.weights))
+        residuals = np.empty(len(rows.edges) + len(rows.hinges) + 3 * len(self.constraint.weights))
         energy = shell_residuals(
             points,
             rows.edges,
@@ -249,30 +249,32 @@ class ShellProblem:
             self.angles,
             self.length_weights,
             self.bending,
-            rows.free,
-            self.soft.positions,
-            self.soft.weights,
+            rows.free_ids,
+            self.constraint.positions,
+            self.constraint.weights,
             residuals,
         )
         if self.volume is None:
             return residuals, float(energy)
         last = self.volume_weight * (volume(points, self.patch.faces) - self.volume)
-        square = last**2 if abs(last) < HOPELESS else np.inf  # Python raises where squares overflow
+        square = (
+            last**2 if abs(last) < MAX_SQUARABLE_RESIDUAL else np.inf
+        )  # Python raises where squares overflow
         return np.append(residuals, last), float(energy) + square
 
     def normal_equations(self, points: Float, residuals: Float) -> tuple[Float, Float]:
         """Values ``(N,)`` of ``J^T J`` in the patch's pattern, and ``J^T r`` ``(3 free,)``, without the volume."""
         rows = self.patch.equations
-        values, gradient = np.empty(len(rows.pattern.rows)), np.empty(3 * len(rows.free))
+        values, gradient = np.empty(len(rows.pattern.rows)), np.empty(3 * len(rows.free_ids))
         shell_equations(
             points,
             rows.edges,
             rows.hinges,
             self.length_weights,
             self.bending,
-            self.soft.weights,
+            self.constraint.weights,
             residuals,
-            rows.number,
+            rows.free_index,
             rows.edge_blocks,
             rows.hinge_blocks,
             rows.pattern.places,
@@ -281,12 +283,12 @@ class ShellProblem:
         )
         return values, gradient
 
-    def volume_row(self, points: Float) -> Float | None:
+    def volume_gradient(self, points: Float) -> Float | None:
         """Derivatives ``(3 free,)`` of the residual of the volume, if there is one."""
         if self.volume is None:
             return None
         slopes = self.volume_weight * volume_gradient(points, self.patch.faces)
-        return slopes[self.patch.free].reshape(-1)
+        return slopes[self.patch.free_ids].reshape(-1)
 
 
 def fit_shell(
@@ -294,48 +296,48 @@ def fit_shell(
 ) -> tuple[Float, ShellReport]:
     """Fit a patch to edge lengths and dihedral angles: start ``(n, 3)``; result ``(n, 3)``."""
     settings = settings or ShellSettings()
-    pattern, free = problem.patch.equations.pattern, problem.patch.free
+    pattern, free = problem.patch.equations.pattern, problem.patch.free_ids
     points = np.array(start, dtype=np.float64)
     residuals, energy = problem.residuals_and_energy(points)
     if not np.isfinite(energy):
         raise ReconstructionError(
             "lengths, angles, volumes or fixed vertices of a joint are not finite, or too large to be squared"
         )
-    damping, constrained = 1e-6, bool(problem.soft.weights.size)
+    damping, constrained = 1e-6, bool(problem.constraint.weights.size)
     for iteration in range(settings.iterations):
         if np.abs(residuals).max(initial=0.0) <= settings.exact:
             return points, ShellReport(energy, iteration, True)
         values, gradient = problem.normal_equations(points, residuals)
-        row, diagonal = problem.volume_row(points), values[pattern.diagonal]
+        row, diagonal = problem.volume_gradient(points), values[pattern.diagonal]
         if row is not None:
             gradient += residuals[-1] * row
         while True:
             values[pattern.diagonal] = diagonal + damping * diagonal + 1e-12 * diagonal.max(initial=0.0)
             if row is None:
-                step, constrained = _step(pattern, values, gradient, constrained)
+                step, constrained = _solve_step(pattern, values, gradient, constrained)
             else:
-                step = _step_with_row(pattern, values, gradient, row)
+                step = _solve_step_with_volume(pattern, values, gradient, row)
             promised = -float(gradient @ step)  # what the linear model gains, for small damping
             if promised <= settings.tolerance * energy:
-                return points, ShellReport(energy, iteration, damping <= HELD)
+                return points, ShellReport(energy, iteration, damping <= MAX_CONVERGED_DAMPING)
             candidate = points.copy()
             candidate[free] += step.reshape(-1, 3)
             new_residuals, new_energy = problem.residuals_and_energy(candidate)
             if new_energy < energy:
                 break
-            if not damping < STUCK:
+            if not damping < MAX_DAMPING:
                 return points, ShellReport(energy, iteration, False)
             damping *= 10.0
         gain = (energy - new_energy) / promised
-        level = new_energy > LEVEL * energy
+        level = new_energy > LEVEL_ENERGY_RATIO * energy
         points, residuals, energy = candidate, new_residuals, new_energy
-        if level and damping <= HELD and np.abs(step).max() <= settings.accuracy:
+        if level and damping <= MAX_CONVERGED_DAMPING and np.abs(step).max() <= settings.accuracy:
             return points, ShellReport(energy, iteration + 1, True)
         damping = max(damping * (0.2 if gain > 0.75 else 1.0 if gain > 0.25 else 4.0), 1e-10)
     return points, ShellReport(energy, settings.iterations, False)
 
 
-def _step(
+def _solve_step(
     pattern: BlockSparsePattern, values: Float, gradient: Float, constrained: bool
 ) -> tuple[Float, bool]:
     """Solve for a step, by conjugate gradients if `constrained`; return whether these are worth trying again.
@@ -346,48 +348,55 @@ def _step(
     if constrained:
         step = np.empty_like(gradient)
         steps = conjugate_gradients(
-            pattern.starts, pattern.rows, pattern.places, values, -gradient, CLOSE, MOST, step
+            pattern.starts,
+            pattern.rows,
+            pattern.places,
+            values,
+            -gradient,
+            CONJUGATE_GRADIENT_TOLERANCE,
+            MAX_CONJUGATE_GRADIENT_STEPS,
+            step,
         )
         if steps >= 0:
             return step, True
     return -pattern.analysis.factor(values).solve(gradient), False
 
 
-def _step_with_row(pattern: BlockSparsePattern, values: Float, gradient: Float, row: Float) -> Float:
+def _solve_step_with_volume(pattern: BlockSparsePattern, values: Float, gradient: Float, row: Float) -> Float:
     """Solve ``(A + row row^T) step = -gradient`` with the factor of A alone (Sherman and Morrison 1950)."""
     both = pattern.analysis.factor(values).solve(np.stack([-gradient, row], axis=1))
     step, along = both.T
     return np.asarray(step - along * (row @ step) / (1.0 + row @ along))
 
 
-NEAR = 0.5
+MAX_GUESS_RESIDUAL = 0.5
 """Largest weighted residual of a guess from which Gauss-Newton may start."""
 
 
 def linear_initialisation(patch: Patch, lengths: Float, angles: Float, positions: Float) -> Float:
     """Rebuild a patch ``(n, 3)`` linearly from lengths ``(e,)``, angles ``(h,)`` and fixed positions ``(n, 3)``."""
     local = flat_triangles(lengths[patch.face_edges])
-    frames = _frames(patch, local, angles, positions)
+    frames = _initial_frames(patch, local, angles, positions)
     sides = np.einsum("fij,fkj->fki", frames[:, :, :2], np.roll(local, -1, axis=1) - local)
     return integrate(patch, sides, positions)
 
 
-def _frames(patch: Patch, local: Float, angles: Float, positions: Float) -> Float:
+def _initial_frames(patch: Patch, local: Float, angles: Float, positions: Float) -> Float:
     known = np.zeros((len(patch.faces), 3, 3))
-    is_known = patch.fixed_faces.copy()
+    is_known = patch.fixed_face_mask.copy()
     if is_known.any():
-        known[is_known] = rotations_of(frames_of(positions, patch.faces[is_known]))
+        known[is_known] = rotations_of(triangle_frames(positions, patch.faces[is_known]))
     else:
         is_known[0] = True
         known[0] = np.eye(3)
-    number = patch.face_number
+    number = patch.unknown_face_index
     unknown = np.flatnonzero(number >= 0)
     if not unknown.size:
         return known
 
     # Rows of F (one per world coordinate) are independent: F_j - F_i T = 0 reads f_j - T^T f_i = 0 for rows f.
     i, j = patch.hinge_faces.T
-    turns = rotations_of(patch.hinge_frames.turns(local, angles))
+    turns = rotations_of(patch.hinge_frames.rotations(local, angles))
     right = np.zeros((unknown.size, 3, 3))  # (face, column of F, world coordinate)
     for target, source, turn in ((j, i, turns), (i, j, np.swapaxes(turns, 1, 2))):
         border = is_known[source] & ~is_known[target]
@@ -403,7 +412,7 @@ def _frames(patch: Patch, local: Float, angles: Float, positions: Float) -> Floa
     # -T^T couples row block j to column block i; below the diagonal is the higher number's row.
     turned = turns[inner]
     blocks = -np.where((second > first)[:, None, None], np.swapaxes(turned, 1, 2), turned)
-    places = pattern.places[pattern.block(first, second)][:, None, :] + np.arange(3)[:, None]
+    places = pattern.places[pattern.find_blocks(first, second)][:, None, :] + np.arange(3)[:, None]
     np.add.at(values, places, blocks)
     solution = pattern.analysis.factor(values).solve(right.reshape(-1, 3)).reshape(-1, 3, 3)
     known[unknown] = nearest_rotations(np.swapaxes(solution, 1, 2))
@@ -412,18 +421,18 @@ def _frames(patch: Patch, local: Float, angles: Float, positions: Float) -> Floa
 
 def integrate(patch: Patch, sides: Float, positions: Float) -> Float:
     """Solve for the vertices whose sides ``x_b - x_a`` are closest to ``(m, 3, 3)`` given ones."""
-    count = len(patch.fixed)
+    count = len(patch.fixed_mask)
     right = np.zeros((count, 3))
     np.add.at(right, patch.faces.reshape(-1), -sides.reshape(-1, 3))
     np.add.at(right, np.roll(patch.faces, -1, axis=1).reshape(-1), sides.reshape(-1, 3))
-    result = np.where(patch.fixed[:, None], positions, 0.0)
-    coupling = patch.laplacian[patch.integrated][:, patch.fixed]
-    right = right[patch.integrated] - coupling @ result[patch.fixed]
-    result[patch.integrated] = patch.laplacian_factor.solve(right)
+    result = np.where(patch.fixed_mask[:, None], positions, 0.0)
+    coupling = patch.laplacian[patch.unknown_ids][:, patch.fixed_mask]
+    right = right[patch.unknown_ids] - coupling @ result[patch.fixed_mask]
+    result[patch.unknown_ids] = patch.laplacian_factor.solve(right)
     return result
 
 
-def rebuild(
+def rebuild_patch(
     patch: Patch,
     lengths: Float,
     angles: Float,
@@ -431,7 +440,7 @@ def rebuild(
     positions: Float,
     settings: ShellSettings,
     guess: Float | None = None,
-    soft: SoftConstraint = UNCONSTRAINED,
+    soft: SoftConstraint = NO_CONSTRAINT,
 ) -> tuple[Float, ShellReport]:
     """Rebuild a patch ``(n, 3)`` from lengths ``(e',)`` and angles ``(h',)``, in radians, at its free vertices.
 
@@ -441,17 +450,17 @@ def rebuild(
     lengths = sound_lengths(lengths, weights)
     problem = ShellProblem(patch, lengths, angles, weights, settings.bending, soft)
     if guess is None:
-        return fit_shell(problem, _initial(problem, positions), settings)
+        return fit_shell(problem, _linear_start(problem, positions), settings)
     start = np.array(positions, dtype=np.float64)
-    start[patch.free] = guess
-    if not soft.weights.size and np.abs(problem.residuals(start)).max(initial=0.0) > NEAR:
-        start = min(_initial(problem, positions), start, key=problem.energy)
+    start[patch.free_ids] = guess
+    if not soft.weights.size and np.abs(problem.residuals(start)).max(initial=0.0) > MAX_GUESS_RESIDUAL:
+        start = min(_linear_start(problem, positions), start, key=problem.energy)
     return fit_shell(problem, start, settings)
 
 
-def _initial(problem: ShellProblem, positions: Float) -> Float:
+def _linear_start(problem: ShellProblem, positions: Float) -> Float:
     """Return the linear start; lengths and angles between fixed vertices are their own."""
     patch = problem.patch
     lengths, angles = edge_lengths(positions, patch.edges), dihedral_angles(positions, patch.hinges)
-    lengths[patch.free_edges], angles[patch.free_hinges] = problem.lengths, problem.angles
+    lengths[patch.free_edge_mask], angles[patch.free_hinge_mask] = problem.lengths, problem.angles
     return linear_initialisation(patch, lengths, angles, positions)

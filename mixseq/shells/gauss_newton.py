@@ -32,7 +32,7 @@ class BlockSparsePattern(PickledWithoutCaches):
     threads: int | None = None  # threads that factor one matrix; by default from its size
 
     @classmethod
-    def of(cls, count: int, pairs: Index, threads: int | None = None) -> BlockSparsePattern:
+    def from_pairs(cls, count: int, pairs: Index, threads: int | None = None) -> BlockSparsePattern:
         """Make the pattern of `count` triples of unknowns, coupled in pairs ``(k, 2)``; negative ones are ignored."""
         low, high = pairs.min(axis=1, initial=count), pairs.max(axis=1, initial=-1)
         coupled = (low >= 0) & (low < high)
@@ -53,14 +53,14 @@ class BlockSparsePattern(PickledWithoutCaches):
         return cls(starts, rows, places.astype(np.int64), keys, threads)
 
     @property
-    def count(self) -> int:
+    def block_count(self) -> int:
         """Number n of triples of unknowns."""
         return (len(self.starts) - 1) // 3
 
-    def block(self, i: Index, j: Index) -> Index:
+    def find_blocks(self, i: Index, j: Index) -> Index:
         """Return the block of `places` that couples i and j, -1 where one is negative."""
         low, high = np.minimum(i, j), np.maximum(i, j)
-        below = self.count + np.searchsorted(self.keys, self.count * low + high)
+        below = self.block_count + np.searchsorted(self.keys, self.block_count * low + high)
         return np.where(low < 0, -1, np.where(low == high, low, below)).astype(np.int64)
 
     def constants(self) -> tuple[object, ...]:

@@ -16,8 +16,8 @@ from mixseq.types import Float, Index
 
 Vector = tuple[float, float, float]
 
-TINY = 2.2250738585072014e-308
-TURN = 2.0 * math.pi
+SMALLEST_NORMAL_NUMBER = 2.2250738585072014e-308
+FULL_TURN = 2.0 * math.pi
 
 
 @inlined
@@ -49,7 +49,7 @@ def length(x: Float, a: int, b: int) -> float:
 def length_gradient(x: Float, a: int, b: int, scale: float, g: Float) -> None:
     """Write the gradient of the length of the edge ab by its two vertices, times `scale`, to ``g[:2]``."""
     e = side(x, a, b)
-    w = scale / max(math.sqrt(_dot(e, e)), TINY)
+    w = scale / max(math.sqrt(_dot(e, e)), SMALLEST_NORMAL_NUMBER)
     g[1, 0], g[1, 1], g[1, 2] = w * e[0], w * e[1], w * e[2]
     g[0, 0], g[0, 1], g[0, 2] = -g[1, 0], -g[1, 1], -g[1, 2]
 
@@ -78,9 +78,9 @@ def angle(x: Float, a: int, b: int, c: int, d: int) -> float:
 
 
 @inlined
-def wrapped(off: float) -> float:
+def wrap_angle(off: float) -> float:
     """Return an angle wrapped to (-pi, pi]."""
-    return off - TURN * math.ceil((off - math.pi) / TURN)
+    return off - FULL_TURN * math.ceil((off - math.pi) / FULL_TURN)
 
 
 @inlined
@@ -88,9 +88,12 @@ def _write_gradient(
     e: Vector, p: Vector, q: Vector, n: Vector, m: Vector, scale: float, near: float, far: float, g: Float
 ) -> None:
     """Write the gradient of an angle, times `scale`, as `angle_gradient` does."""
-    square = max(_dot(e, e), TINY)
+    square = max(_dot(e, e), SMALLEST_NORMAL_NUMBER)
     size = scale * math.sqrt(square)
-    first, second = -size / max(_dot(n, n), near, TINY), -size / max(_dot(m, m), far, TINY)
+    first, second = (
+        -size / max(_dot(n, n), near, SMALLEST_NORMAL_NUMBER),
+        -size / max(_dot(m, m), far, SMALLEST_NORMAL_NUMBER),
+    )
     g[2, 0], g[2, 1], g[2, 2] = first * n[0], first * n[1], first * n[2]
     g[3, 0], g[3, 1], g[3, 2] = second * m[0], second * m[1], second * m[2]
     tc, td = _dot(p, e) / square, _dot(q, e) / square  # where c and d stand along the edge
@@ -112,7 +115,7 @@ def angle_gradient(
 
 
 @inlined
-def misfit(
+def angle_misfit(
     x: Float,
     a: int,
     b: int,
@@ -131,10 +134,10 @@ def misfit(
     """
     e, p, q, n, m = _sides_and_normals(x, a, b, c, d)
     along, across = _opening(e, n, m)
-    size = max(math.sqrt(across * across + along * along), TINY)
+    size = max(math.sqrt(across * across + along * along), SMALLEST_NORMAL_NUMBER)
     off, even = (across * cosine - along * sine) / size, (along * cosine + across * sine) / size
     _write_gradient(e, p, q, n, m, scale * off, near, far, g)
-    if size == TINY:
+    if size == SMALLEST_NORMAL_NUMBER:
         return 0.0
     return off * off / (1.0 + even) if even > 0.0 else 1.0 - even
 
@@ -151,7 +154,7 @@ def lengths_and_angles(x: Float, edges: Index, hinges: Index) -> tuple[Float, Fl
 
 
 @compiled
-def energy(
+def shell_energy(
     x: Float,
     edges: Index,
     hinges: Index,
@@ -187,7 +190,7 @@ def energy(
         a, b, c, d = hinges[k, 0], hinges[k, 1], hinges[k, 2], hinges[k, 3]
         w *= w
         cosine, sine, near, far = turns[k, 0], turns[k, 1], smallest[k, 0], smallest[k, 1]
-        total += 2.0 * w * misfit(x, a, b, c, d, cosine, sine, w, near, far, g)
+        total += 2.0 * w * angle_misfit(x, a, b, c, d, cosine, sine, w, near, far, g)
         for p in range(4):
             for i in range(3):
                 gradient[hinges[k, p], i] += g[p, i]
@@ -195,17 +198,17 @@ def energy(
 
 
 @compiled
-def nearness(x: Float, hinges: Index, turns: Float) -> Float:
+def hinge_nearness(x: Float, hinges: Index, turns: Float) -> Float:
     """Return ``cos^2`` of half the error of hinges ``(H,)``: 1 without an error, 0 at half a turn."""
     near, g = np.empty(len(hinges)), np.empty((4, 3))
     for k in range(len(hinges)):
         a, b, c, d = hinges[k, 0], hinges[k, 1], hinges[k, 2], hinges[k, 3]
-        near[k] = 1.0 - 0.5 * misfit(x, a, b, c, d, turns[k, 0], turns[k, 1], 0.0, 1.0, 1.0, g)
+        near[k] = 1.0 - 0.5 * angle_misfit(x, a, b, c, d, turns[k, 0], turns[k, 1], 0.0, 1.0, 1.0, g)
     return near
 
 
 @compiled
-def gathered(faces: Index, weights: Float, sides: Float, right: Float) -> None:
+def add_weighted_sides(faces: Index, weights: Float, sides: Float, right: Float) -> None:
     """Add the weighted sides ``(F, 3, 3)`` of faces to the right-hand side ``(V, 3)`` of a Poisson system."""
     for f in range(len(faces)):
         for k in range(3):
@@ -243,7 +246,7 @@ def shell_residuals(
     first = len(edges)
     for k in range(len(hinges)):
         a, b, c, d = hinges[k, 0], hinges[k, 1], hinges[k, 2], hinges[k, 3]
-        r = bending * wrapped(angle(x, a, b, c, d) - angles[k])
+        r = bending * wrap_angle(angle(x, a, b, c, d) - angles[k])
         residuals[first + k] = r
         energy += r * r
     first += len(hinges)
@@ -256,7 +259,7 @@ def shell_residuals(
 
 
 @inlined
-def _couple(values: Float, places: Index, block: int, g: Float, p: int, o: int) -> None:
+def _add_coupling(values: Float, places: Index, block: int, g: Float, p: int, o: int) -> None:
     """Add the product of gradient p (rows) and gradient o (columns) to a block below the diagonal."""
     for j in range(3):
         at, factor = places[block, j], g[o, j]
@@ -266,7 +269,7 @@ def _couple(values: Float, places: Index, block: int, g: Float, p: int, o: int) 
 
 
 @inlined
-def _fold(values: Float, places: Index, block: int, g: Float, p: int, o: int) -> None:
+def _add_same_vertex(values: Float, places: Index, block: int, g: Float, p: int, o: int) -> None:
     """Add the products of two gradients of one vertex, as of a hinge whose faces have the same vertices."""
     for j in range(3):
         for i in range(j, 3):
@@ -274,7 +277,7 @@ def _fold(values: Float, places: Index, block: int, g: Float, p: int, o: int) ->
 
 
 @inlined
-def _square(values: Float, places: Index, block: int, g: Float, p: int) -> None:
+def _add_square(values: Float, places: Index, block: int, g: Float, p: int) -> None:
     """Add the product of gradient p with itself to a diagonal block."""
     for j in range(3):
         for i in range(j, 3):
@@ -312,9 +315,9 @@ def shell_equations(
             if v >= 0:
                 for i in range(3):
                     gradient[3 * v + i] += residuals[k] * g[p, i]
-                _square(values, places, v, g, p)
+                _add_square(values, places, v, g, p)
         if edge_blocks[k] >= 0:  # both gradients are the same but for the sign, whichever is the row
-            _couple(values, places, edge_blocks[k], g, 1, 0)
+            _add_coupling(values, places, edge_blocks[k], g, 1, 0)
     first = len(edges)
     for k in range(len(hinges)):
         a, b, c, d = hinges[k, 0], hinges[k, 1], hinges[k, 2], hinges[k, 3]
@@ -326,18 +329,18 @@ def shell_equations(
             if v >= 0:
                 for i in range(3):
                     gradient[3 * v + i] += r * g[p, i]
-                _square(values, places, v, g, p)
+                _add_square(values, places, v, g, p)
             for o in range(p):
                 block = hinge_blocks[k, pair]
                 pair += 1
                 if block >= 0:
                     other = number[hinges[k, o]]
                     if v > other:
-                        _couple(values, places, block, g, p, o)
+                        _add_coupling(values, places, block, g, p, o)
                     elif v < other:
-                        _couple(values, places, block, g, o, p)
+                        _add_coupling(values, places, block, g, o, p)
                     else:
-                        _fold(values, places, block, g, p, o)
+                        _add_same_vertex(values, places, block, g, p, o)
     first += len(hinges)
     for k in range(len(soft_weights)):
         for i in range(3):

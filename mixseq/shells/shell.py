@@ -12,7 +12,7 @@ start count less: they are folds, and steps that unfold them now and then make v
 The energy is lowered by gradients in the metric of one constant matrix, the Laplacian of the mesh with weights
 :math:`1 / \bar l_e^2` (after Liu, Bouaziz and Kavan 2017), in Chebyshev's steps: their lengths are fixed by the range
 of curvatures in that metric, which is found once. A step costs a gradient and a back-substitution, without a line
-search, and the result is as smooth as the start. The same matrix integrates sides of faces (`Shell.integrated`).
+search, and the result is as smooth as the start. The same matrix integrates sides of faces (`Shell.integrate`).
 """
 
 from __future__ import annotations
@@ -29,37 +29,37 @@ from mixseq.mesh.topology import Topology
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.shells import kernels
 from mixseq.shells.face_frames import flat_triangles
-from mixseq.shells.solvers import Factor, factored_laplacian
+from mixseq.shells.solvers import Factor, factorise_laplacian
 from mixseq.types import Float, Index, Mask
 
-ROUNDS = 15
+POWER_ITERATIONS = 15
 """Rounds of power iteration for the largest curvature."""
 
-SAFE = 1.3
+CURVATURE_SAFETY_FACTOR = 1.3
 """Safety factor of the largest curvature, which is estimated from below, in the reference."""
 
-RANGE = 30.0
+CURVATURE_RANGE = 30.0
 """Ratio of largest to least curvature that steps reduce; softer modes stay as in the start."""
 
-SLENDER = 0.25
+SLENDER_HEIGHT_RATIO = 0.25
 """Ratio of height to sides below which hinges of a triangle count less: noise would rotate them."""
 
-SHRUNK = 0.7
+MIN_AREA_RATIO = 0.7
 """Least share of a triangle's area in its gradient: smaller ones have larger curvatures, and steps shake vertices."""
 
-THIN = 1e-6
+ZERO_AREA_HEIGHT_RATIO = 1e-6
 """Ratio of height to sides below which a triangle has no area."""
 
-ROUNDED = 2.0**-19
+ROUNDED_HEIGHT = 2.0**-19
 """Height, in diagonals, below which a triangle has no area: reference frames may be rounded to half of it."""
 
-STEP = 1e-4
+RELATIVE_DIFFERENCE_STEP = 1e-4
 """Size of a difference quotient, relative to edges."""
 
-NEAR = 0.5
+MIN_HINGE_NEARNESS = 0.5
 """Least `nearness` of hinges, at an error of a right angle, at which zero energy means zero errors."""
 
-EXACT = 1e-8
+EXACT_MEAN_RESIDUAL = 1e-8
 """Mean weighted residual below which lengths and angles are those of the mesh, and no steps are taken."""
 
 
@@ -90,7 +90,7 @@ class Shell(PickledWithoutCaches):
 
     topology: Topology  # connectivity
     reference: Float  # (V, 3) a reference shape, in diagonals
-    typical: Float  # (E,) typical lengths of all edges, in diagonals
+    typical_lengths: Float  # (E,) typical lengths of all edges, in diagonals
     # (V,) weights of expected positions relative to those of the sides of faces: positive for at least one vertex of
     # every component.
     position_weights: Float
@@ -100,62 +100,71 @@ class Shell(PickledWithoutCaches):
 
     def constants(self) -> tuple[object, ...]:
         """Implement `PickledWithoutCaches.constants`."""
-        return self.factor, self.largest
+        return self.factor, self.max_curvature
 
     @cached_property
     def _faces(self) -> Index:
         return self.topology.faces.astype(np.int64)
 
     @cached_property
-    def stretch(self) -> Float:
+    def length_weights(self) -> Float:
         """Weights ``(E,)`` of lengths: inverse typical ones, 0 for edges without length."""
-        return length_weights(self.typical)
+        return length_weights(self.typical_lengths)
 
     @cached_property
-    def _longest(self) -> Float:
+    def _longest_sides(self) -> Float:
         """Typical lengths ``(F,)`` of the longest sides of faces."""
-        return np.asarray(np.maximum(self.typical[self.topology.face_edges].max(axis=1), NO_LENGTH))
+        return np.asarray(np.maximum(self.typical_lengths[self.topology.face_edges].max(axis=1), NO_LENGTH))
 
     @cached_property
-    def _normals(self) -> Float:
+    def _normal_lengths(self) -> Float:
         """Typical lengths ``(F,)`` of the normals of faces: twice their areas."""
-        flat = flat_triangles(self.typical[self.topology.face_edges])
+        flat = flat_triangles(self.typical_lengths[self.topology.face_edges])
         return np.asarray(flat[:, 1, 0] * flat[:, 2, 1])
 
     @cached_property
-    def thin(self) -> Index:
+    def degenerate_face_ids(self) -> Index:
         """Faces without area, whose frames do not determine their sides."""
-        return np.flatnonzero(self._normals <= np.maximum(THIN * self._longest, ROUNDED) * self._longest)
+        return np.flatnonzero(
+            self._normal_lengths
+            <= np.maximum(ZERO_AREA_HEIGHT_RATIO * self._longest_sides, ROUNDED_HEIGHT) * self._longest_sides
+        )
 
     @cached_property
-    def bend(self) -> Float:
+    def relative_angle_weights(self) -> Float:
         """Relative weights ``(H,)`` of angles, at most 1: less where a triangle is `SLENDER`."""
         faces = self.topology.hinge_faces
-        edge = np.maximum(self.typical[self.topology.hinge_edges], NO_LENGTH)
-        height = self._normals[faces].min(axis=1, initial=np.inf) / edge
-        return np.asarray(np.minimum(1.0, height / (SLENDER * self._longest[faces].max(axis=1, initial=0.0))))
+        edge = np.maximum(self.typical_lengths[self.topology.hinge_edges], NO_LENGTH)
+        height = self._normal_lengths[faces].min(axis=1, initial=np.inf) / edge
+        return np.asarray(
+            np.minimum(
+                1.0, height / (SLENDER_HEIGHT_RATIO * self._longest_sides[faces].max(axis=1, initial=0.0))
+            )
+        )
 
     @cached_property
-    def sound(self) -> Mask:
+    def sound_hinge_mask(self) -> Mask:
         """Mark the hinges ``(H,)`` of triangles with area."""
-        thin = np.isin(self.topology.hinge_faces, self.thin).any(axis=1)
-        return np.asarray((self.bend > THIN) & ~thin)
+        thin = np.isin(self.topology.hinge_faces, self.degenerate_face_ids).any(axis=1)
+        return np.asarray((self.relative_angle_weights > ZERO_AREA_HEIGHT_RATIO) & ~thin)
 
     @cached_property
-    def _bend(self) -> Float:
+    def _angle_weights(self) -> Float:
         """Weights ``(H,)`` of angles, zero for noise."""
-        return np.where(self.sound, self.bending * self.bend, 0.0)
+        return np.where(self.sound_hinge_mask, self.bending * self.relative_angle_weights, 0.0)
 
     @cached_property
-    def _smallest(self) -> Float:
+    def _min_squared_normals(self) -> Float:
         """Least squares ``(H, 2)`` of normals."""
-        return np.square(SHRUNK * self._normals[self.topology.hinge_faces])
+        return np.square(MIN_AREA_RATIO * self._normal_lengths[self.topology.hinge_faces])
 
     @cached_property
     def side_weights(self) -> Float:
         """Weights ``(F, 3)`` of the sides of faces: those of an edge add up to the squared weight of its length."""
-        weights = np.square(self.stretch)
-        weights = np.where(weights > 0, weights, np.square(1.0 / max(float(self.typical.max()), NO_LENGTH)))
+        weights = np.square(self.length_weights)
+        weights = np.where(
+            weights > 0, weights, np.square(1.0 / max(float(self.typical_lengths.max()), NO_LENGTH))
+        )
         return np.asarray((weights / self.topology.edge_face_counts)[self.topology.face_edges])
 
     @cached_property
@@ -169,34 +178,39 @@ class Shell(PickledWithoutCaches):
         i = np.concatenate([self._faces.reshape(-1), self.ties[:, 0]])
         j = np.concatenate([np.roll(self._faces, -1, axis=1).reshape(-1), self.ties[:, 1]])
         weights = np.concatenate([self.side_weights.reshape(-1), np.full(len(self.ties), self.tie_weight)])
-        return factored_laplacian(np.stack([i, j], axis=1), weights, self.tie_weight * self.position_weights)
+        return factorise_laplacian(np.stack([i, j], axis=1), weights, self.tie_weight * self.position_weights)
 
-    def integrated(self, sides: Float, expected: Float, tied: Float | None = None) -> Float:
+    def integrate(self, sides: Float, expected: Float, tied: Float | None = None) -> Float:
         """Solve for vertices ``(V, 3)`` from sides ``(F, 3, 3)`` of faces, and of ties ``(t, 3)`` if there are any."""
         right = (self.tie_weight * self.position_weights)[:, None] * expected
-        kernels.gathered(self._faces, self.side_weights, sides, right)
+        kernels.add_weighted_sides(self._faces, self.side_weights, sides, right)
         if tied is not None:
             np.add.at(right, self.ties[:, 1], self.tie_weight * tied)
             np.add.at(right, self.ties[:, 0], -self.tie_weight * tied)
         return self.factor.solve(right)
 
-    def relaxed(self, start: Float, lengths: Float, angles: Float, steps: int) -> Relaxed:
+    def relax(self, start: Float, lengths: Float, angles: Float, steps: int) -> Relaxed:
         """Relax a start ``(V, 3)`` towards lengths ``(E,)`` and angles ``(H,)``."""
-        turns = _turns(angles)
-        near = np.where(self.sound, kernels.nearness(start, self.topology.hinges, turns), 1.0)
-        bend = near * self._bend
-        gradient, energy = self._gradient(start, lengths, turns, bend)
+        turns = _cosines_and_sines(angles)
+        near = np.where(
+            self.sound_hinge_mask, kernels.hinge_nearness(start, self.topology.hinges, turns), 1.0
+        )
+        bend = near * self._angle_weights
+        gradient, energy = self._gradient_and_energy(start, lengths, turns, bend)
         if not np.isfinite(energy):
             raise ReconstructionError("lengths, angles or vertices are not finite")
-        if not steps or (self.agree(energy) and near.min(initial=1.0) > NEAR):
+        if not steps or (self.is_exact(energy) and near.min(initial=1.0) > MIN_HINGE_NEARNESS):
             return Relaxed(start, energy)
-        largest = SAFE * self.largest
-        middle, half = 0.5 * (largest + largest / RANGE), 0.5 * (largest - largest / RANGE)
+        largest = CURVATURE_SAFETY_FACTOR * self.max_curvature
+        middle, half = (
+            0.5 * (largest + largest / CURVATURE_RANGE),
+            0.5 * (largest - largest / CURVATURE_RANGE),
+        )
         ratio = half / middle
         step = self.factor.solve(gradient) / -middle
         x, left = start + step, energy
         for number in range(steps):
-            gradient, left = self._gradient(x, lengths, turns, bend)
+            gradient, left = self._gradient_and_energy(x, lengths, turns, bend)
             if number == steps - 1:
                 break
             before, ratio = ratio, 1.0 / (2.0 * middle / half - ratio)
@@ -204,40 +218,58 @@ class Shell(PickledWithoutCaches):
             x = x + step
         return Relaxed(x, left) if left < energy else Relaxed(start, energy)
 
-    def agree(self, energy: float) -> bool:
+    def is_exact(self, energy: float) -> bool:
         """Whether this energy is zero up to rounding."""
-        return energy <= 0.5 * EXACT**2 * (len(self.topology.edges) + len(self.topology.hinges))
+        return energy <= 0.5 * EXACT_MEAN_RESIDUAL**2 * (len(self.topology.edges) + len(self.topology.hinges))
 
     def energy(self, x: Float, lengths: Float, angles: Float) -> float:
         """Return the energy of a mesh ``(V, 3)``, with the full weight of all hinges."""
-        return self._gradient(x, lengths, _turns(angles), self._bend)[1]
+        return self._gradient_and_energy(x, lengths, _cosines_and_sines(angles), self._angle_weights)[1]
 
-    def _gradient(self, x: Float, lengths: Float, turns: Float, bend: Float) -> tuple[Float, float]:
+    def _gradient_and_energy(
+        self, x: Float, lengths: Float, turns: Float, bend: Float
+    ) -> tuple[Float, float]:
         """Gradient ``(V, 3)`` and energy, for cosines and sines ``(H, 2)`` of angles with weights ``(H,)``."""
         topology, gradient = self.topology, np.empty_like(x)
-        energy = kernels.energy(
-            x, topology.edges, topology.hinges, lengths, turns, self.stretch, bend, self._smallest, gradient
+        energy = kernels.shell_energy(
+            x,
+            topology.edges,
+            topology.hinges,
+            lengths,
+            turns,
+            self.length_weights,
+            bend,
+            self._min_squared_normals,
+            gradient,
         )
         return gradient, float(energy)
 
     @cached_property
-    def largest(self) -> float:
+    def max_curvature(self) -> float:
         """Largest curvature of the energy of the reference, in the metric of the matrix, by power iteration."""
         x, topology = self.reference, self.topology
-        lengths, turns = edge_lengths(x, topology.edges), _turns(dihedral_angles(x, topology.hinges))
+        lengths, turns = (
+            edge_lengths(x, topology.edges),
+            _cosines_and_sines(dihedral_angles(x, topology.hinges)),
+        )
         way, curvature = np.random.default_rng(0).normal(size=x.shape), 0.0
-        size = STEP * max(float(np.median(self.typical)), NO_LENGTH) * np.sqrt(len(x))
-        for _ in range(ROUNDS):
+        size = (
+            RELATIVE_DIFFERENCE_STEP
+            * max(float(np.median(self.typical_lengths)), NO_LENGTH)
+            * np.sqrt(len(x))
+        )
+        for _ in range(POWER_ITERATIONS):
             way *= size / max(float(np.linalg.norm(way)), NO_LENGTH)
             ahead, behind = (
-                self._gradient(x + sign * way, lengths, turns, self._bend)[0] for sign in (1, -1)
+                self._gradient_and_energy(x + sign * way, lengths, turns, self._angle_weights)[0]
+                for sign in (1, -1)
             )
             way = self.factor.solve(0.5 * (ahead - behind))
             curvature = float(np.linalg.norm(way)) / size
         return max(curvature, NO_LENGTH)
 
 
-def _turns(angles: Float) -> Float:
+def _cosines_and_sines(angles: Float) -> Float:
     """Cosines and sines ``(H, 2)`` of angles ``(H,)``."""
     with np.errstate(invalid="ignore"):  # detected by the energy
         return np.stack([np.cos(angles), np.sin(angles)], axis=1)

@@ -23,13 +23,13 @@ from scipy.sparse.linalg import splu
 from mixseq.errors import ReconstructionError
 from mixseq.types import Float, Index
 
-ALONE = 30_000
+MIN_ROWS_FOR_THREADS = 30_000
 """Number of rows below which matrices are factored by one thread: several are factored at the same time."""
 
-_MOST = 4
+_DEFAULT_THREADS = 4
 """Default number of threads of rslab."""
 
-_NEVER = 1 << 62
+_UNREACHABLE_WORK = 1 << 62
 """Amount of work from which rslab solves on its global pool, which a forked process cannot replace."""
 
 
@@ -64,7 +64,7 @@ def factorise(matrix: sparse.sparray) -> Factor:
     return analyse(lower.indptr.astype(np.int64), lower.indices.astype(np.int64)).factor(lower.data)
 
 
-def factored_laplacian(pairs: Index, weights: Float, position_weights: Float) -> Factor:
+def factorise_laplacian(pairs: Index, weights: Float, position_weights: Float) -> Factor:
     r"""Factor :math:`\sum_k w_k |x_{j_k} - x_{i_k}|^2 + \sum_v h_v |x_v|^2`: pairs ``(k, 2)``; h ``(n,)``."""
     (i, j), count = pairs.T, len(position_weights)
     degrees = np.bincount(i, weights, minlength=count) + np.bincount(j, weights, minlength=count)
@@ -81,7 +81,7 @@ def _rslab() -> Any | None:
     return rslab
 
 
-def _import_for_good() -> None:
+def _import_on_lasting_thread() -> None:
     """Import rslab on a thread that never ends: rslab crashes once its importing thread has ended."""
     done = threading.Event()
 
@@ -97,57 +97,60 @@ def _import_for_good() -> None:
         done.wait()
 
 
-_import_for_good()
+_import_on_lasting_thread()
 
 
-class _Pools:
+class _ThreadPools:
     """Numbers of threads requested of rslab in this process and its ancestors."""
 
     def __init__(self) -> None:
         self._used: frozenset[int] = frozenset()
         self._lost: frozenset[int] = frozenset()
 
-    def size(self, threads: int | None) -> int | None:
+    def request(self, threads: int | None) -> int | None:
         """Return the number of threads to request, for `threads` wanted."""
         if self._lost:
-            threads = next(size for size in count(threads or _MOST) if size not in self._lost)
-        self._used |= {threads} if threads else set(range(1, _MOST + 1))
+            threads = next(size for size in count(threads or _DEFAULT_THREADS) if size not in self._lost)
+        self._used |= {threads} if threads else set(range(1, _DEFAULT_THREADS + 1))
         return threads
 
-    def lose(self) -> None:
+    def mark_lost(self) -> None:
         """Mark the pools of the parent process as lost."""
         self._lost |= self._used
 
 
-_pools = _Pools()
+_pools = _ThreadPools()
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_pools.lose)
+    os.register_at_fork(after_in_child=_pools.mark_lost)
 
 
-def _singular(error: Exception) -> ReconstructionError:
+def _singular_error(error: Exception) -> ReconstructionError:
     return ReconstructionError(f"a linear system has no unique solution: {error}")
 
 
 class _RslabAnalysis:
     def __init__(self, rslab: Any, starts: Index, rows: Index, threads: int | None) -> None:
         size = len(starts) - 1
-        self._threads = 1 if threads is None and size < ALONE else threads
+        self._threads = 1 if threads is None and size < MIN_ROWS_FOR_THREADS else threads
         self._symbolic = None
         if size:
             pattern = sparse.csc_array((np.ones(len(rows)), rows, starts), shape=(size, size))
             self._symbolic = rslab.analyze(
-                pattern, path="ldlt", threads=_pools.size(self._threads), solve_par_min_work=_NEVER
+                pattern,
+                path="ldlt",
+                threads=_pools.request(self._threads),
+                solve_par_min_work=_UNREACHABLE_WORK,
             )
 
     def factor(self, values: Float) -> Factor:
         if self._symbolic is None:
             return Factor(lambda right: right)
         if not np.isfinite(values).all():
-            raise _singular(ValueError("values are not finite"))
+            raise _singular_error(ValueError("values are not finite"))
         try:
-            factor = self._symbolic.factor(values, threads=_pools.size(self._threads))
+            factor = self._symbolic.factor(values, threads=_pools.request(self._threads))
         except RuntimeError as error:
-            raise _singular(error) from None
+            raise _singular_error(error) from None
         return Factor(lambda right: (factor.solve if right.ndim == 1 else factor.solve_many)(right))
 
 
@@ -183,4 +186,4 @@ class _SuperLUAnalysis:
         try:
             return Factor(splu(matrix, "MMD_AT_PLUS_A", 0.0, relax=1, options=options).solve)
         except RuntimeError as error:
-            raise _singular(error) from None
+            raise _singular_error(error) from None

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from scipy.interpolate import BSpline
 
 
-CLOSEST = 1e-100
+MIN_KNOT_SPACING = 1e-100
 """Least time between knots, in seconds, whose third power is still a divisor in double precision."""
 
 
@@ -55,11 +55,11 @@ class Curve:
         apart = np.diff(times)
         if not (np.isfinite(times).all() and np.isfinite(values).all() and (apart > 0).all()):
             raise SettingsError("the knots of a curve must be finite and increase")
-        if (apart < CLOSEST).any():
+        if (apart < MIN_KNOT_SPACING).any():
             knot = int(np.argmin(apart))
             raise SettingsError(
-                f"knots {knot} and {knot + 1} of a curve are {apart[knot]:g} s apart; {CLOSEST:g} s or more are "
-                "expected"
+                f"knots {knot} and {knot + 1} of a curve are {apart[knot]:g} s apart; "
+                f"{MIN_KNOT_SPACING:g} s or more are expected"
             )
         object.__setattr__(self, "times", frozen(times))
         object.__setattr__(self, "values", frozen(values))

@@ -20,7 +20,7 @@ from mixseq.types import Float
 
 Decoded = TypeVar("Decoded")
 
-FRAMES = 4
+FRAMES_PER_BLOCK = 4
 """Frames decoded at once, per thread."""
 
 
@@ -116,7 +116,7 @@ class Decodable(ABC):
         SettingsError
             If a time is outside the sequence, there is no such frame, or fps is not positive.
         """
-        header = self.header_at(times if frames is None else self._times_of(frames, times), fps)
+        header = self.header_at(times if frames is None else self._times_of_frames(frames, times), fps)
         if velocities:
             moving = list(self.moving_blocks(header.times, progress=progress))
             points, speeds = (np.concatenate(arrays) for arrays in zip(*moving, strict=True))
@@ -124,7 +124,7 @@ class Decodable(ABC):
         points = np.concatenate(list(self.blocks(header.times, progress=progress)))
         return MeshSequence.from_header(header, points)
 
-    def _times_of(self, frames: Iterable[int], times: ArrayLike | None) -> Float:
+    def _times_of_frames(self, frames: Iterable[int], times: ArrayLike | None) -> Float:
         numbers = np.fromiter(frames, dtype=np.int64)
         if times is not None:
             raise SettingsError("give either times or frames")
@@ -141,29 +141,31 @@ class Decodable(ABC):
         fps = None if fps is None else exact_rate(fps, self.header.fps)
         if times is None and fps is not None:
             times = frame_times(self.times[0], self.times[-1], fps)
-        return self.header.with_times(self.times if times is None else self.inside(times), fps)
+        return self.header.with_times(self.times if times is None else self.clip_times(times), fps)
 
     def blocks(
         self,
         times: ArrayLike,
-        size: int = FRAMES,
+        size: int = FRAMES_PER_BLOCK,
         progress: Progress = silent,
         workers: Executor | None = None,
     ) -> Iterator[Float]:
         """Decode frames at `times` in blocks ``(B, V, 3)``, B <= size; the same bits for any blocks and workers."""
-        return _decoded(_points, self, self.inside(times), size, progress, workers)
+        return _decode_blocks(_decode_points, self, self.clip_times(times), size, progress, workers)
 
     def moving_blocks(
         self,
         times: ArrayLike,
-        size: int = FRAMES,
+        size: int = FRAMES_PER_BLOCK,
         progress: Progress = silent,
         workers: Executor | None = None,
     ) -> Iterator[tuple[Float, Float]]:
         """Decode frames in blocks of points and velocities, in units per second, ``(B, V, 3)`` each."""
-        return _decoded(_moving_points, self, self.inside(times), size, progress, workers)
+        return _decode_blocks(
+            _decode_points_and_velocities, self, self.clip_times(times), size, progress, workers
+        )
 
-    def inside(self, times: ArrayLike) -> Float:
+    def clip_times(self, times: ArrayLike) -> Float:
         """Return times ``(N,)``, rounded to the ends, or raise `SettingsError` if one is outside the model."""
         wanted = np.atleast_1d(np.asarray(times, dtype=np.float64))
         first, last = self.start, self.end
@@ -178,7 +180,7 @@ class Decodable(ABC):
         return np.clip(wanted, first, last)
 
 
-def _decoded(
+def _decode_blocks(
     decode: Callable[[Decodable, Float], Decoded],
     model: Decodable,
     times: Float,
@@ -197,15 +199,15 @@ def _decoded(
         progress(done, len(times), "decoding frames")
 
 
-def _points(model: Decodable, times: Float) -> Float:
+def _decode_points(model: Decodable, times: Float) -> Float:
     """Return the points ``(N, V, 3)`` at times ``(N,)``."""
     points = model.space.decode(model.curve(times))
     return points if model.residual_layer is None else points + model.residual_layer.at(times)
 
 
-def _moving_points(model: Decodable, times: Float) -> tuple[Float, Float]:
+def _decode_points_and_velocities(model: Decodable, times: Float) -> tuple[Float, Float]:
     """Return points and velocities ``(N, V, 3)`` at times ``(N,)``."""
-    points, speeds = model.space.decode_moving(model.curve(times), model.rates(times))
+    points, speeds = model.space.decode_with_velocities(model.curve(times), model.rates(times))
     if model.residual_layer is None:
         return points, speeds
     return points + model.residual_layer.at(times), speeds + model.residual_layer.rates(times)

@@ -36,29 +36,29 @@ from mixseq.sequence.sequence import (
     largest_coordinate,
 )
 from mixseq.signals.curve import Curve
-from mixseq.signals.decoding import FRAMES
+from mixseq.signals.decoding import FRAMES_PER_BLOCK
 from mixseq.signals.model import Model
 from mixseq.signals.modes import Modes, principal_modes
 from mixseq.signals.pose import PoseMap
 from mixseq.spaces.base import ShapeSpace
-from mixseq.spaces.temporal import Operator, Poses, Rows, chosen, with_middles
+from mixseq.spaces.temporal import FrameWeights, Poses, TemporalOperator, insert_midpoints, select_operator
 from mixseq.types import Float, FloatArray, Index, evenly
 
-Measure = Callable[[Float], Float]
+DeviationNorm = Callable[[Float], Float]
 """Map of the deviations ``(T, k)`` of a curve to their sizes ``(T,)``."""
 
 
-def largest(weights: Float) -> Measure:
+def max_norm(weights: Float) -> DeviationNorm:
     """Return the measure of the largest coordinate, with weights ``(k,)``."""
     return lambda deviations: np.asarray(np.abs(deviations * weights).max(axis=1, initial=0.0))
 
 
-def rms_of_vertices(count: int) -> Measure:
+def rms_over_vertices(count: int) -> DeviationNorm:
     """Return the measure of scores: root mean square over a number of vertices."""
     return lambda scores: np.asarray(np.linalg.norm(scores, axis=1) / np.sqrt(count))
 
 
-def fit_curve(times: Float, values: Float, tolerance: float, measure: Measure) -> Curve:
+def fit_curve(times: Float, values: Float, tolerance: float, measure: DeviationNorm) -> Curve:
     """Fit a curve with few knots to values ``(T, k)`` at times ``(T,)``, within a tolerance."""
     candidates = np.arange(2, len(times) - 2)  # those of the not-a-knot spline through all values
     chosen = np.zeros(0, dtype=np.int64)
@@ -92,7 +92,7 @@ def least_squares_curve(times: Float, values: Float, inner: Float) -> Curve:
     return Curve(sites, make_lsq_spline(times, values, knots, k=3)(sites))
 
 
-def choose_keys(scores: Float) -> Index:
+def choose_key_frames(scores: Float) -> Index:
     """Choose frames ``(r + 1,)`` as key shapes for points of pose space ``(T, r)``."""
     size = np.abs(scores).max(initial=0.0) or 1.0
     corners = np.concatenate([np.full((1, len(scores)), size), scores.T])
@@ -100,7 +100,7 @@ def choose_keys(scores: Float) -> Index:
     return np.sort(pivots[: scores.shape[1] + 1]).astype(np.int64)
 
 
-def key_map(keys: Float) -> PoseMap:
+def key_pose_map(keys: Float) -> PoseMap:
     """Make the pose map of key shapes at points of pose space ``(K, r)``."""
     corners = np.concatenate(
         [np.ones((1, len(keys))), keys.T]
@@ -111,28 +111,28 @@ def key_map(keys: Float) -> PoseMap:
     return PoseMap(offset + (1 - offset.sum()) / len(keys), matrix - matrix.mean(axis=1, keepdims=True))
 
 
-OPERATOR_SAMPLES = 256
+OPERATOR_VERTICES = 256
 """Number of vertices from which the temporal operator is chosen."""
 
-SMALLEST_SCORE = 1e-200
+MIN_SCORE_SCALE = 1e-200
 """Least scale of a mode's scores, in diagonals, for rounding."""
 
 CORRECTION_STEP = 2.0**-24
 """Rounding step of corrections of exact models, which are zero at the frames, in diagonals and radians."""
 
 
-class Between(NamedTuple):
+class InterpolatedPoses(NamedTuple):
     """Predictions at and between frames, interpolated by cubic splines."""
 
     times: Float  # (2T - 1,) frames and the middles between them, in seconds
-    rows: Rows  # weights of the frames there
-    quarters: Float  # (4T - 3,) frames and the quarters between them, in seconds
-    targets: Float  # (4T - 3, ...) poses of parts as seen from their bodies, at the quarters
+    weights: FrameWeights  # weights of the frames there
+    quarter_times: Float  # (4T - 3,) frames and the quarters between them, in seconds
+    part_poses: Float  # (4T - 3, ...) poses of parts as seen from their bodies, at the quarters
     placement: Float  # (4T - 3, P) placements at the quarters
 
 
 @dataclass(frozen=True, eq=False)
-class Encoded:
+class EncodedSequence:
     """A sequence as vectors of a shape space."""
 
     header: SequenceHeader  # mesh and times
@@ -142,12 +142,12 @@ class Encoded:
     # (T, C) coordinates of sampled vertices, used to select the temporal operator.
     samples: Float
     pose: PoseForm = "modes"  # form of the key shapes
-    in_body: bool = False  # whether poses of parts are predicted as seen from their bodies, too
+    in_body_axes: bool = False  # whether poses of parts are predicted as seen from their bodies, too
 
     @cached_property
-    def operator(self) -> Operator:
+    def operator(self) -> TemporalOperator:
         """Temporal operator that predicts the samples best."""
-        return chosen(self.header.times, self.samples)
+        return select_operator(self.header.times, self.samples)
 
     @cached_property
     def poses(self) -> Float:
@@ -168,46 +168,50 @@ class Encoded:
         return principal_modes(self.shapes, self.space.shape_weights)
 
     @cached_property
-    def between(self) -> Between:
+    def interpolated(self) -> InterpolatedPoses:
         """Predictions between the frames."""
-        times = with_middles(self.header.times)
-        quarters = with_middles(times)
-        found = self.space.predicted_poses(self.operator, self.poses, self.placement, quarters, self.in_body)
-        return Between(times, self.operator.at(times), quarters, *found)
+        times = insert_midpoints(self.header.times)
+        quarters = insert_midpoints(times)
+        found = self.space.interpolate_poses(
+            self.operator, self.poses, self.placement, quarters, self.in_body_axes
+        )
+        return InterpolatedPoses(times, self.operator.weights_at(times), quarters, *found)
 
 
-def encode(
+def encode_sequence(
     sequence: FrameStore | MeshSequence,
     space: ShapeSpace,
     pose: PoseForm = "modes",
     workers: Executor = serially,
     progress: Progress = silent,
-) -> Encoded:
+) -> EncodedSequence:
     """Encode all frames of a sequence in a space."""
     count, size = len(sequence.points), space.shape_dim
     placed = slice(size, size + space.placement_dim)
     shapes = new_large_array((count, size))
     placement = np.empty((count, space.placement_dim))
-    some = evenly(sequence.header.vertex_count, OPERATOR_SAMPLES)
+    some = evenly(sequence.header.vertex_count, OPERATOR_VERTICES)
     samples = np.empty((count, 3 * len(some)))
     previous, done = None, 0
-    for apart, sampled in workers(_encoded, (space, some), blocks_of(sequence.points)):
+    for apart, sampled in workers(_encode_block, (space, some), blocks_of(sequence.points)):
         vectors = space.unwrap(apart, previous)
         rows = slice(done, done + len(vectors))
         shapes[rows], placement[rows], samples[rows] = vectors[:, :size], vectors[:, placed], sampled
         previous, done = vectors[-1], rows.stop
         progress(done, count, "encoding frames")
-    turns, centres = space.poses(placement)
-    steady = space.placements(Poses(continued(turns), centres))  # what is interpolated in time must not jump
-    held = space.held(samples.reshape(count, -1, 3), some, steady).reshape(count, -1)
-    return Encoded(sequence.header, space, shapes, steady, held, pose)
+    turns, centres = space.unpack_placements(placement)
+    steady = space.pack_placements(
+        Poses(continued(turns), centres)
+    )  # what is interpolated in time must not jump
+    held = space.to_body_axes(samples.reshape(count, -1, 3), some, steady).reshape(count, -1)
+    return EncodedSequence(sequence.header, space, shapes, steady, held, pose)
 
 
-def _encoded(shared: tuple[ShapeSpace, Index], points: FloatArray) -> tuple[Float, Float]:
+def _encode_block(shared: tuple[ShapeSpace, Index], points: FloatArray) -> tuple[Float, Float]:
     """Return vectors and samples of a block of frames, each frame independent of others."""
     space, vertices = shared
     samples = points[:, vertices].astype(np.float64)
-    return space.encode_apart(points), samples.reshape(len(points), -1)
+    return space.encode_independently(points), samples.reshape(len(points), -1)
 
 
 @dataclass(frozen=True)
@@ -224,25 +228,25 @@ class Detail:
     step: float = 0.0
 
 
-def build(encoded: Encoded, detail: Detail) -> Model:
+def build_model(encoded: EncodedSequence, detail: Detail) -> Model:
     """Make the model of an encoded sequence."""
     times = encoded.header.times
-    rank = _rank(encoded, detail)
+    rank = _choose_rank(encoded, detail)
     modes = encoded.modes.first(rank)
     if encoded.pose == "modes":
         pose, shapes = modes.pose_map(), modes.key_shapes()
     else:
-        frames = choose_keys(modes.scores)
-        pose = key_map(modes.scores[frames])
+        frames = choose_key_frames(modes.scores)
+        pose = key_pose_map(modes.scores[frames])
         shapes = encoded.shapes[frames]
     if detail.step:  # weights add up to one: so errors of the first key shape are not magnified
-        steps = detail.step * encoded.space.coarseness
-        shapes = _rounded(shapes[:1], steps) + _rounded(shapes - shapes[:1], steps)
-    corrections = partial(_corrections, encoded.space, pose, shapes[:, encoded.pose_columns])
+        steps = detail.step * encoded.space.rounding_step_ratios
+        shapes = _round(shapes[:1], steps) + _round(shapes - shapes[:1], steps)
+    corrections = partial(_pose_corrections, encoded.space, pose, shapes[:, encoded.pose_columns])
     if detail.knots is not None:
-        curves = _with_knots(encoded, modes.scores, corrections, _inner_knots(detail.knots, times))
+        curves = _fit_curves_with_knots(encoded, modes.scores, corrections, _check_knots(detail.knots, times))
     else:
-        curves = _within_slack(encoded, modes.scores, corrections, detail)
+        curves = _fit_curves_within_slack(encoded, modes.scores, corrections, detail)
     return Model(encoded.header, encoded.space, curves[0], pose, shapes, *curves[1:])
 
 
@@ -250,54 +254,58 @@ Corrections = Callable[[Curve, Float, Float], Float]
 """Map of a time signal, times ``(N,)`` and part poses there ``(N, ...)`` to corrections ``(N, C)``."""
 
 
-def _corrections(
+def _pose_corrections(
     space: ShapeSpace, pose: PoseMap, key_poses: Float, time: Curve, times: Float, targets: Float
 ) -> Float:
     """Return the `Corrections` of shapes blended of key shapes with part poses ``(K, pose_dim)``."""
-    return space.corrections(pose.weights(time(times)) @ key_poses, targets)
+    return space.pose_corrections(pose.weights(time(times)) @ key_poses, targets)
 
 
-def _with_knots(
-    encoded: Encoded, scores: Float, corrections: Corrections, inner: Float
+def _fit_curves_with_knots(
+    encoded: EncodedSequence, scores: Float, corrections: Corrections, inner: Float
 ) -> tuple[Curve, Curve, Curve]:
     """Return curves of time, placement and correction with inner knots ``(n,)``."""
     times = encoded.header.times
     time = least_squares_curve(times, scores, inner)
     placement = least_squares_curve(times, encoded.placement, inner)
-    parts, _ = encoded.space.predicted_poses(
+    parts, _ = encoded.space.interpolate_poses(
         encoded.operator, encoded.poses, encoded.placement, times, in_body=False
     )
     return time, placement, least_squares_curve(times, corrections(time, times, parts), inner)
 
 
-def _within_slack(
-    encoded: Encoded, scores: Float, corrections: Corrections, detail: Detail
+def _fit_curves_within_slack(
+    encoded: EncodedSequence, scores: Float, corrections: Corrections, detail: Detail
 ) -> tuple[Curve, Curve, Curve]:
     """Return curves of time, placement and correction within slack of frames and predictions, rounded."""
     slack, step, space = detail.slack, detail.step, encoded.space
-    sites, rows, quarters, targets, placed = encoded.between
+    sites, rows, quarters, targets, placed = encoded.interpolated
     # Scores of modes that hardly count are small, but lengths and angles, which weigh little, change with them.
-    sizes = 2.0 ** np.floor(np.log2(np.maximum(np.abs(scores).max(axis=0), SMALLEST_SCORE)))
-    time = _curve(sites, rows.of(scores), slack, rms_of_vertices(encoded.header.vertex_count), step * sizes)
+    sizes = 2.0 ** np.floor(np.log2(np.maximum(np.abs(scores).max(axis=0), MIN_SCORE_SCALE)))
+    time = _fit_rounded_curve(
+        sites, rows.interpolate(scores), slack, rms_over_vertices(encoded.header.vertex_count), step * sizes
+    )
     of_placement, of_correction = np.split(space.weights[space.shape_dim :], [space.placement_dim])
-    placement = _curve(quarters, placed, slack, largest(of_placement), step)
+    placement = _fit_rounded_curve(quarters, placed, slack, max_norm(of_placement), step)
     values = corrections(time, quarters, targets)
     if step and not slack:
         step = max(step, CORRECTION_STEP)
-    return time, placement, _curve(quarters, values, slack, largest(of_correction), step)
+    return time, placement, _fit_rounded_curve(quarters, values, slack, max_norm(of_correction), step)
 
 
-def _curve(times: Float, values: Float, slack: float, measure: Measure, step: float | Float) -> Curve:
+def _fit_rounded_curve(
+    times: Float, values: Float, slack: float, measure: DeviationNorm, step: float | Float
+) -> Curve:
     curve = fit_curve(times, values, slack, measure) if slack > 0 else Curve(times, values)
-    return Curve(curve.times, _rounded(curve.values, step)) if np.any(step) else curve
+    return Curve(curve.times, _round(curve.values, step)) if np.any(step) else curve
 
 
-def _rounded(values: Float, step: float | Float) -> Float:
+def _round(values: Float, step: float | Float) -> Float:
     """Round to multiples of a step, or of one per column."""
     return np.asarray(np.round(values / step) * step)
 
 
-def _rank(encoded: Encoded, detail: Detail) -> int:
+def _choose_rank(encoded: EncodedSequence, detail: Detail) -> int:
     """Return the given number of modes, or the least one with all frames within the slack."""
     scores = encoded.modes.scores
     if detail.rank is not None:
@@ -311,7 +319,7 @@ def _rank(encoded: Encoded, detail: Detail) -> int:
     return rank
 
 
-def _inner_knots(knots: int | ArrayLike, times: Float) -> Float:
+def _check_knots(knots: int | ArrayLike, times: Float) -> Float:
     most = max(len(times) - 4, 0)
     if isinstance(knots, int | np.integer):
         if not 0 <= knots <= most:
@@ -338,27 +346,27 @@ def _inner_knots(knots: int | ArrayLike, times: Float) -> Float:
     return inner
 
 
-LOSSLESS_TO_THE_EYE = 5e-4
+VISUALLY_LOSSLESS_TOLERANCE = 5e-4
 """Default tolerance in diagonals: half a pixel, where a mesh fills a picture of 1000 pixels."""
 
-EXACT = 1e-8
+EXACT_TOLERANCE = 1e-8
 """Tolerance of exact models in diagonals, for rounding; near the origin the error is some 1e-15."""
 
-EXACT_STEP = 2.0**-38
+EXACT_ROUNDING_STEP = 2.0**-38
 """Rounding step of signals of exact models, in diagonals: frames are off by some 1e-11."""
 
-STEPS = 64
+TOLERANCE_TO_STEP_RATIO = 64
 """Ratio of the tolerance to the rounding step of signals; the step is refined where it is too coarse."""
 
-ENOUGH = 0.6
+SUFFICIENT_ERROR_RATIO = 0.6
 """Ratio of error to tolerance above which a model is not made coarser."""
 
-ROUNDS = 7
+MAX_TRIAL_MODELS = 7
 """Largest number of models that are tried before the finest one."""
 
 
-def within(
-    encoded: Encoded,
+def fit_within_tolerance(
+    encoded: EncodedSequence,
     sequence: FrameStore | MeshSequence,
     tolerance: float,
     progress: Progress = silent,
@@ -371,11 +379,11 @@ def within(
     """
     low, high, slack = 0.0, np.inf, tolerance / 4
     best: Model | None = None
-    step = 2.0 ** np.floor(np.log2(tolerance / STEPS))
+    step = 2.0 ** np.floor(np.log2(tolerance / TOLERANCE_TO_STEP_RATIO))
     errors: dict[bytes, float] = {}  # of tried models: short sequences have few
-    for number in range(ROUNDS):
-        progress(number, ROUNDS, "choosing modes and knots")
-        model = build(encoded, Detail(slack=slack, step=step))
+    for number in range(MAX_TRIAL_MODELS):
+        progress(number, MAX_TRIAL_MODELS, "choosing modes and knots")
+        model = build_model(encoded, Detail(slack=slack, step=step))
         signals = _digest(model)
         if signals not in errors:
             errors[signals] = largest_error(model, sequence, 2 * tolerance, workers)
@@ -384,17 +392,21 @@ def within(
         error = errors[signals]
         if error <= tolerance:
             low, best = slack, model
-            if error > ENOUGH * tolerance or len(model.shapes) == 1 or number > ROUNDS // 2:
+            if (
+                error > SUFFICIENT_ERROR_RATIO * tolerance
+                or len(model.shapes) == 1
+                or number > MAX_TRIAL_MODELS // 2
+            ):
                 break
         else:
             high = slack
         scaled = slack * float(np.clip(0.8 * tolerance / max(error, tolerance / 100), 0.1, 10.0))
         slack = scaled if low < scaled < high else float(np.sqrt(max(low, high / 100) * high))
-    progress(ROUNDS, ROUNDS, "choosing modes and knots")
+    progress(MAX_TRIAL_MODELS, MAX_TRIAL_MODELS, "choosing modes and knots")
     if best is not None:
         return best
-    finest = build(encoded, Detail(step=min(step, EXACT_STEP)))
-    return made_sure(finest, sequence, tolerance, workers)
+    finest = build_model(encoded, Detail(step=min(step, EXACT_ROUNDING_STEP)))
+    return verify_tolerance(finest, sequence, tolerance, workers)
 
 
 def _digest(model: Model) -> bytes:
@@ -406,7 +418,7 @@ def _digest(model: Model) -> bytes:
     return digest.digest()
 
 
-def made_sure(
+def verify_tolerance(
     model: Model,
     sequence: FrameStore | MeshSequence,
     promise: float,
@@ -449,7 +461,7 @@ def largest_error(
     # Every 4th frame first, then those between: violations occur at many frames.
     frames = np.concatenate([np.arange(first, len(sequence.points), 4) for first in (0, 2, 1, 3)])
     largest, done = 0.0, 0
-    size = min(FRAMES, block_size(sequence.header.vertex_count))
+    size = min(FRAMES_PER_BLOCK, block_size(sequence.header.vertex_count))
     for block in model.blocks(model.times[frames], size, workers=workers):
         apart = block - sequence.points[frames[done : done + len(block)]]
         error = float(np.sqrt(np.einsum("tvi,tvi->tv", apart, apart).max())) / unit

@@ -24,34 +24,34 @@ from mixseq.sequence.sequence import Frames, check_frames, frame_store
 from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.shells.kernels import lengths_and_angles
 from mixseq.signals.detail import (
-    EXACT,
-    EXACT_STEP,
-    LOSSLESS_TO_THE_EYE,
-    ROUNDS,
+    EXACT_ROUNDING_STEP,
+    EXACT_TOLERANCE,
+    MAX_TRIAL_MODELS,
+    VISUALLY_LOSSLESS_TOLERANCE,
     Detail,
-    Encoded,
-    build,
-    encode,
-    made_sure,
-    within,
+    EncodedSequence,
+    build_model,
+    encode_sequence,
+    fit_within_tolerance,
+    verify_tolerance,
 )
 from mixseq.signals.model import Model
 from mixseq.spaces.edge import EdgeSettings
-from mixseq.spaces.making import MAKING, MixedSettings, SpaceOptions, make_space, space_settings
+from mixseq.spaces.making import SPACE_STAGES, MixedSettings, SpaceOptions, make_space, space_settings
 from mixseq.spaces.mixed.mixed_space import MixedBlocks, MixedSpace
-from mixseq.spaces.temporal import Rows
+from mixseq.spaces.temporal import FrameWeights
 from mixseq.types import Float, Index, evenly
 
-MAX_TRIAL_FRAMES = 16
+MAX_VALIDATION_FRAMES = 16
 """Largest number of frames that are left out, one by one."""
 
-MAX_TRIAL_VERTICES = 2_000_000
+MAX_VALIDATION_VERTICES = 2_000_000
 """Largest number of vertices of all frames that are left out."""
 
-MIN_TRIAL_FRAMES = 3
+MIN_VALIDATION_FRAMES = 3
 """Least number of frames that are left out, for meshes of any size."""
 
-SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
+CANDIDATE_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Shares of lengths and angles to choose from."""
 
 SUFFICIENT_GAIN = 0.8
@@ -61,82 +61,94 @@ ERROR_FLOOR = 1e-12
 """Errors below this, in diagonals or radians, are rounding."""
 
 
-def tuned(encoded: Encoded, frames: LargeArray) -> Encoded:
+def tune_interpolation(encoded: EncodedSequence, frames: LargeArray) -> EncodedSequence:
     """Choose how parts are predicted between frames ``(T, V, 3)``, and the share of lengths and angles."""
     space = encoded.space
     if not isinstance(space, MixedSpace) or space.placement == "free" or len(frames) < 4:
         return encoded
-    trial = Trial.of(encoded, space, frames)
-    in_body = len(space.decomposition.parts) > 1 and trial.better_in_body()
+    trial = CrossValidation.from_sequence(encoded, space, frames)
+    in_body = len(space.decomposition.parts) > 1 and trial.improves_in_body_axes()
     if not space.joint_faces.any() or space.projection.steps:
-        return replace(encoded, in_body=in_body)
-    share = trial.best_share(in_body)
+        return replace(encoded, in_body_axes=in_body)
+    share = trial.choose_share(in_body)
     return replace(
-        encoded, in_body=in_body, space=replace(space, projection=replace(space.projection, share=share))
+        encoded, in_body_axes=in_body, space=replace(space, projection=replace(space.projection, share=share))
     )
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class CrossValidation:
     """Frames that are left out, and their predictions."""
 
-    encoded: Encoded  # the encoded sequence
+    encoded: EncodedSequence  # the encoded sequence
     space: MixedSpace  # its mixed shape space
-    frames: Index  # (n,) left-out frames
-    rows: Rows  # weights of the others
+    frame_ids: Index  # (n,) left-out frames
+    weights: FrameWeights  # weights of the others
     points: Float  # (n, V, 3) their points, in diagonals
 
     @classmethod
-    def of(cls, encoded: Encoded, space: MixedSpace, frames: LargeArray) -> Trial:
+    def from_sequence(
+        cls, encoded: EncodedSequence, space: MixedSpace, frames: LargeArray
+    ) -> CrossValidation:
         """Leave some inner frames ``(T, V, 3)`` out."""
-        left, rows = encoded.operator.left_out()
-        most = int(np.clip(MAX_TRIAL_VERTICES // space.vertex_count, MIN_TRIAL_FRAMES, MAX_TRIAL_FRAMES))
+        left, rows = encoded.operator.leave_one_out()
+        most = int(
+            np.clip(
+                MAX_VALIDATION_VERTICES // space.vertex_count, MIN_VALIDATION_FRAMES, MAX_VALIDATION_FRAMES
+            )
+        )
         some = evenly(len(left), most)
         points = frames[left[some]].astype(np.float64) / space.scale
-        return cls(encoded, space, left[some], rows.at(some), points)
+        return cls(encoded, space, left[some], rows.select(some), points)
 
-    def better_in_body(self) -> bool:
+    def improves_in_body_axes(self) -> bool:
         """Whether predictions in bodies improve positions, lengths and angles on the whole."""
-        world, body = (self._errors(self.space.posed(self._vectors(way))) for way in (False, True))
+        world, body = (
+            self._rms_errors(self.space.skin(self._interpolated_vectors(way))) for way in (False, True)
+        )
         return bool(np.log(np.maximum(body, ERROR_FLOOR) / np.maximum(world, ERROR_FLOOR)).sum() < 0.0)
 
-    def best_share(self, in_body: bool) -> float:
+    def choose_share(self, in_body: bool) -> float:
         """Return the share of lengths and angles that nearly minimises the larger of their two errors."""
-        blocks = self.space.split(self._vectors(in_body))
-        posed = self.space.posed(self.space.join(blocks))
-        plain = np.maximum(self._errors(posed)[1:], ERROR_FLOOR)
+        blocks = self.space.split(self._interpolated_vectors(in_body))
+        posed = self.space.skin(self.space.join(blocks))
+        plain = np.maximum(self._rms_errors(posed)[1:], ERROR_FLOOR)
         scores = []
-        for share in SHARES:
+        for share in CANDIDATE_SHARES:
             rows = zip(posed, blocks.lengths, blocks.angles, strict=True)
-            moved = np.stack([self.space.joints.project(x, le, an, share) for x, le, an in rows])
-            scores.append(float((self._errors(moved)[1:] / plain).max()))
+            moved = np.stack([self.space.joint_projection.project(x, le, an, share) for x, le, an in rows])
+            scores.append(float((self._rms_errors(moved)[1:] / plain).max()))
         gain = 1.0 - min(scores)
         return next(
             s
-            for s, score in zip(SHARES, scores, strict=True)
+            for s, score in zip(CANDIDATE_SHARES, scores, strict=True)
             if 1.0 - score >= SUFFICIENT_GAIN * gain - 1e-12
         )
 
     @cached_property
-    def _shapes(self) -> Float:
+    def _interpolated_shapes(self) -> Float:
         """Shapes ``(n, S)`` of the frames, from the others, frame by frame to save memory."""
-        shapes = np.zeros((len(self.frames), self.space.shape_dim))
-        for number, (frames, weights) in enumerate(zip(self.rows.frames, self.rows.weights, strict=True)):
+        shapes = np.zeros((len(self.frame_ids), self.space.shape_dim))
+        for number, (frames, weights) in enumerate(
+            zip(self.weights.frame_ids, self.weights.weights, strict=True)
+        ):
             for frame, weight in zip(frames, weights, strict=True):
                 shapes[number] += weight * self.encoded.shapes[frame : frame + 1][0]
         return shapes
 
-    def _vectors(self, in_body: bool) -> Float:
+    def _interpolated_vectors(self, in_body: bool) -> Float:
         """Vectors ``(n, D)`` of the frames, from the others."""
         space, encoded = self.space, self.encoded
-        prediction = space.pose_prediction(encoded.operator, encoded.poses, encoded.placement, in_body)
-        placed, found = prediction.of(self.rows)
-        seen = space.articulation.with_relations(found)
-        shapes = space.split(np.pad(self._shapes, ((0, 0), (0, space.placement_dim + space.correction_dim))))
-        none = np.zeros((len(self.frames), space.correction_dim))
+        prediction = space.pose_interpolation(encoded.operator, encoded.poses, encoded.placement, in_body)
+        placed, found = prediction.interpolate(self.weights)
+        seen = space.articulation.add_relations(found)
+        shapes = space.split(
+            np.pad(self._interpolated_shapes, ((0, 0), (0, space.placement_dim + space.correction_dim)))
+        )
+        none = np.zeros((len(self.frame_ids), space.correction_dim))
         return space.join(MixedBlocks(*shapes[:3], *seen, *placed, none))
 
-    def _errors(self, points: Float) -> Float:
+    def _rms_errors(self, points: Float) -> Float:
         """Root mean square errors of positions, relative lengths and angles in frames ``(n, V, 3)``."""
         squares = np.zeros(3)
         topology = self.space.topology
@@ -154,10 +166,10 @@ class Trial:
         return np.sqrt(squares / len(points))
 
 
-STAGES = 2 + MAKING
+FIT_STAGES = 2 + SPACE_STAGES
 """Stages of progress, without the search of a tolerance: reading frames, making the space, encoding frames."""
 
-_MARGIN = 10.0
+_FRAME_TO_SHELL_TOLERANCE_RATIO = 10.0
 """Ratio of the tolerance of frames to that of fits to lengths and angles."""
 
 
@@ -265,30 +277,38 @@ def fit(
     """
     check_frames(sequence)
     knots, pose = settings.pop("knots", None), settings.pop("pose", "modes")
-    _check(exact, tolerance, rank, knots, pose)
+    _check_options(exact, tolerance, rank, knots, pose)
     chosen = space_settings(space, placement=placement, parts=parts, joint_width=joint_width, **settings)
-    wanted = LOSSLESS_TO_THE_EYE if tolerance is None else float(tolerance)
+    wanted = VISUALLY_LOSSLESS_TOLERANCE if tolerance is None else float(tolerance)
     is_reduced = rank is not None or knots is not None
     match chosen:
         case MixedSettings() if is_reduced:
             chosen = replace(chosen, purpose="reduced")
         case EdgeSettings(projection="dso", shell=None):
-            chosen = replace(chosen, shell=ShellSettings(accuracy=wanted / _MARGIN))
-    rounds = 1 if exact else 0 if is_reduced else ROUNDS
-    stages = Stages(progress, STAGES + rounds, sequence.header.frame_count)
+            chosen = replace(chosen, shell=ShellSettings(accuracy=wanted / _FRAME_TO_SHELL_TOLERANCE_RATIO))
+    rounds = 1 if exact else 0 if is_reduced else MAX_TRIAL_MODELS
+    stages = Stages(progress, FIT_STAGES + rounds, sequence.header.frame_count)
     work = workers or on_threads()
     with one_blas_thread():
         frames = frame_store(sequence, stages.at(0))
-        shape_space = make_space(frames, space, chosen, work, stages.at(1, MAKING))
-        encoded = tuned(encode(frames, shape_space, pose, work, stages.at(1 + MAKING)), frames.points)
+        shape_space = make_space(frames, space, chosen, work, stages.at(1, SPACE_STAGES))
+        encoded = tune_interpolation(
+            encode_sequence(frames, shape_space, pose, work, stages.at(1 + SPACE_STAGES)), frames.points
+        )
         if exact:
-            return made_sure(build(encoded, Detail(step=EXACT_STEP)), frames, EXACT, work, stages.at(STAGES))
+            return verify_tolerance(
+                build_model(encoded, Detail(step=EXACT_ROUNDING_STEP)),
+                frames,
+                EXACT_TOLERANCE,
+                work,
+                stages.at(FIT_STAGES),
+            )
         if is_reduced:
-            return build(encoded, Detail(rank=rank, knots=knots))
-        return within(encoded, frames, wanted, stages.at(STAGES, ROUNDS), work)
+            return build_model(encoded, Detail(rank=rank, knots=knots))
+        return fit_within_tolerance(encoded, frames, wanted, stages.at(FIT_STAGES, MAX_TRIAL_MODELS), work)
 
 
-def _check(
+def _check_options(
     exact: bool,
     tolerance: float | None,
     rank: int | None,

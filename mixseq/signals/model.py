@@ -25,7 +25,7 @@ from mixseq.runtime.parallel import one_blas_thread
 from mixseq.sequence.header import SequenceHeader
 from mixseq.signals.curve import Curve
 from mixseq.signals.decoding import Decodable, ResidualLayer
-from mixseq.signals.pose import Plane, PoseMap, plane_of
+from mixseq.signals.pose import Plane, PoseMap, fit_plane
 from mixseq.spaces.base import ShapeSpace
 from mixseq.types import Float
 
@@ -169,18 +169,18 @@ class Model(Decodable, PickledWithoutCaches):
 
     def curve(self, times: ArrayLike) -> Float:
         """Return the vectors ``(N, D)`` of the space at times ``(N,)`` in seconds; see `__call__`."""
-        inside = self.inside(times)
-        shapes = self._blended(self.pose.weights(self.time(inside)))
+        inside = self.clip_times(times)
+        shapes = self._blend_shapes(self.pose.weights(self.time(inside)))
         return np.concatenate([shapes, self.placement(inside), self.correction(inside)], axis=1)
 
     def rates(self, times: ArrayLike) -> Float:
         """Return the derivatives ``(N, D)`` of `curve` by time, per second."""
-        inside = self.inside(times)
-        shapes = self._blended(self.pose.rates(self.time.derivative(inside)))
+        inside = self.clip_times(times)
+        shapes = self._blend_shapes(self.pose.rates(self.time.derivative(inside)))
         others = self.placement.derivative(inside), self.correction.derivative(inside)
         return np.concatenate([shapes, *others], axis=1)
 
-    def _blended(self, weights: Float) -> Float:
+    def _blend_shapes(self, weights: Float) -> Float:
         """Return sums of key shapes ``(N, S)``, row by row: a frame is independent of others."""
         blended = np.empty((len(weights), self.shapes.shape[1]))
         with one_blas_thread():
@@ -227,15 +227,15 @@ class Model(Decodable, PickledWithoutCaches):
         SettingsError
             If a time is outside the model, or the plane is of other key shapes.
         """
-        origin, axes, _ = self.plane if plane is None else self.known(plane)
-        weights = self.pose.weights(self.time(self.inside(times)))
+        origin, axes, _ = self.plane if plane is None else self.check_plane(plane)
+        weights = self.pose.weights(self.time(self.clip_times(times)))
         return np.asarray((weights - origin) @ axes)
 
-    def known(self, plane: Plane) -> Plane:
-        """Return a plane that fits this model; raises what `Plane.checked` does."""
-        return plane.checked(len(self.shapes), self.time.dim)
+    def check_plane(self, plane: Plane) -> Plane:
+        """Return a plane that fits this model; raises what `Plane.check` does."""
+        return plane.check(len(self.shapes), self.time.dim)
 
     @cached_property
     def plane(self) -> Plane:
         """The plane of `embedding`."""
-        return plane_of(self.time(self.times), self.pose, self.shapes, self.space.embedding_weights)
+        return fit_plane(self.time(self.times), self.pose, self.shapes, self.space.embedding_weights)

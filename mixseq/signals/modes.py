@@ -27,7 +27,7 @@ from mixseq.types import Float, Index
 NEGLIGIBLE_MODE = 1e-15
 """Ratio to the largest mode below which modes are rounding errors."""
 
-FAINTEST = 1e-9
+MIN_WEIGHT_RATIO = 1e-9
 """Least weight of a coordinate relative to the largest, where frames outnumber coordinates and weights are divisors."""
 
 Deviations = Callable[[int], Iterator[tuple[slice, Float]]]
@@ -49,7 +49,7 @@ class Modes:
 
     def pose_map(self) -> PoseMap:
         """Return the map from scores to the weights of the mean and of the mean plus one deviation each."""
-        return PoseMap.of_modes(np.sqrt(len(self.scores)) / self.sizes)
+        return PoseMap.from_modes(np.sqrt(len(self.scores)) / self.sizes)
 
     def key_shapes(self) -> Float:
         """Return the key shapes ``(1 + r, D)`` of `pose_map`: the mean, and the mean plus one deviation per mode."""
@@ -64,10 +64,14 @@ class Modes:
 def principal_modes(vectors: LargeArray, metric: Float) -> Modes:
     """Find all modes of vectors ``(T, D)`` in a metric ``(D,)``, at most D, and one fewer than frames."""
     count, dim = vectors.shape
-    return _of_frames(vectors, metric) if count <= dim else _of_coordinates(vectors, metric)
+    return (
+        _modes_from_frame_products(vectors, metric)
+        if count <= dim
+        else _modes_from_coordinate_products(vectors, metric)
+    )
 
 
-def _of_frames(vectors: LargeArray, metric: Float) -> Modes:
+def _modes_from_frame_products(vectors: LargeArray, metric: Float) -> Modes:
     """Find modes from the products of frames, ``(T, T)``."""
     count, dim = vectors.shape
     mean = np.empty(dim)
@@ -90,18 +94,18 @@ def _of_frames(vectors: LargeArray, metric: Float) -> Modes:
     for columns, block in deviations(directions):
         squares += np.einsum("rd,rd,d->r", block, block, np.square(metric[columns]))
     sizes = np.sqrt(count) * np.sqrt(squares)
-    order = _largest_first(sizes)
+    order = _significant_modes(sizes)
     sizes, directions = sizes[order], directions[order]
     scores = (directions * sizes[:, None]).T
     return Modes(scores, sizes, mean, lambda rank: deviations(directions[:rank]))
 
 
-def _of_coordinates(vectors: LargeArray, metric: Float) -> Modes:
+def _modes_from_coordinate_products(vectors: LargeArray, metric: Float) -> Modes:
     """Find modes from the products of coordinates, ``(D, D)``."""
     count, dim = vectors.shape
     blocks = [slice(start, start + dim) for start in range(0, count, dim)]
     mean = sum((vectors[rows].sum(axis=0) for rows in blocks), start=np.zeros(dim)) / count
-    weights = np.maximum(metric, FAINTEST * (metric.max(initial=0.0) or 1.0))
+    weights = np.maximum(metric, MIN_WEIGHT_RATIO * (metric.max(initial=0.0) or 1.0))
     gram = np.zeros((dim, dim))
     for rows in blocks:
         weighted = (vectors[rows] - mean) * weights
@@ -112,7 +116,7 @@ def _of_coordinates(vectors: LargeArray, metric: Float) -> Modes:
         scores[rows] = ((vectors[rows] - mean) * weights) @ axes
     signs = np.where(scores.max(axis=0, initial=0.0) < -scores.min(axis=0, initial=0.0), -1.0, 1.0)
     sizes = np.sqrt(np.einsum("tr,tr->r", scores, scores))
-    order = _largest_first(sizes)
+    order = _significant_modes(sizes)
     scores, sizes = scores[:, order] * signs[order], sizes[order]
     directions = (axes[:, order] * signs[order]).T
 
@@ -122,7 +126,7 @@ def _of_coordinates(vectors: LargeArray, metric: Float) -> Modes:
     return Modes(scores, sizes, mean, deviations)
 
 
-def _largest_first(sizes: Float) -> Index:
+def _significant_modes(sizes: Float) -> Index:
     """Return the modes above rounding errors, largest first."""
     there = sizes > NEGLIGIBLE_MODE * sizes.max(initial=0.0)
     return np.flatnonzero(there)[np.argsort(-sizes[there], kind="stable")]

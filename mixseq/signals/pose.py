@@ -92,28 +92,28 @@ class PoseMap:
         return rates
 
     @classmethod
-    def of_modes(cls, steps: Float) -> PoseMap:
+    def from_modes(cls, steps: Float) -> PoseMap:
         """Make the map of key shapes that are the origin, and one point ``1 / steps`` along each of k coordinates."""
         matrix = np.diag(steps)
         return cls(np.eye(len(steps) + 1)[0], np.hstack([-matrix.sum(axis=1, keepdims=True), matrix]))
 
     @classmethod
-    def of_weights(cls, count: int) -> PoseMap:
+    def from_key_count(cls, count: int) -> PoseMap:
         """Make the map whose coordinates are the weights of all key shapes but the first."""
         return cls(np.eye(count)[0], np.eye(count)[1:] - np.eye(count)[0])
 
 
-def straight_modes(scores: Float, mean: Float, directions: Float) -> tuple[PoseMap, Float]:
+def pose_signal_from_modes(scores: Float, mean: Float, directions: Float) -> tuple[PoseMap, Float]:
     """Make the pose signal and key shapes ``(1 + r, D)`` of ``mean + scores @ directions``: scores ``(T, r)``."""
     sizes = np.sqrt(np.square(scores).mean(axis=0))
     sizes = np.where(sizes > 0, sizes, 1.0)
-    return PoseMap.of_modes(1 / sizes), np.concatenate([mean[None], mean + sizes[:, None] * directions])
+    return PoseMap.from_modes(1 / sizes), np.concatenate([mean[None], mean + sizes[:, None] * directions])
 
 
 NEGLIGIBLE_SPREAD = 1e-12
 """Ratio to the largest spread of frames below which a spread is a rounding error."""
 
-FLAT = 1e-4
+MIN_STEP_SPREAD = 1e-4
 """Least spread of frames along an axis, in diagonals and relative to the largest, from which steps are computed."""
 
 
@@ -124,7 +124,7 @@ class Plane(NamedTuple):
     axes: Float  # (K, 2) ``(weights - origin) @ axes`` are coordinates in the plane; zero without a spread
     directions: Float  # (k, 2) least steps in pose space by one along each axis; zero without a spread
 
-    def checked(self, shapes: int, coordinates: int) -> Plane:
+    def check(self, shapes: int, coordinates: int) -> Plane:
         """Return the plane if it fits numbers of key shapes and pose coordinates; else raise `SettingsError`."""
         if (len(self.origin), len(self.directions)) != (shapes, coordinates):
             raise SettingsError(
@@ -135,7 +135,7 @@ class Plane(NamedTuple):
         return self
 
 
-def plane_of(points: Float, pose: PoseMap, shapes: Float, metric: Float) -> Plane:
+def fit_plane(points: Float, pose: PoseMap, shapes: Float, metric: Float) -> Plane:
     """Find the main plane of blended shapes: points ``(T, k)``; shapes ``(K, S)``; metric ``(S,)``."""
     weights = pose.weights(points)
     origin = weights.mean(axis=0)
@@ -145,19 +145,19 @@ def plane_of(points: Float, pose: PoseMap, shapes: Float, metric: Float) -> Plan
     if len(points) <= shapes.shape[1]:
         sizes, frames = np.linalg.eigh(spread @ gram @ spread.T)
     else:
-        sizes, frames = _of_many(spread, gram)
+        sizes, frames = _principal_frames(spread, gram)
     axes, directions = np.zeros((len(origin), 2)), np.zeros((points.shape[1], 2))
     for column in range(min(2, len(sizes))):
         size, frame = sizes[-1 - column], frames[:, -1 - column]
         if size > NEGLIGIBLE_SPREAD**2 * max(sizes[-1], np.finfo(np.float64).tiny):
             frame = frame * np.sign(frame[np.abs(frame).argmax()])
             axes[:, column] = gram @ (spread.T @ frame) / np.sqrt(size)
-            if size > FLAT**2 * max(sizes[-1], len(points)):
+            if size > MIN_STEP_SPREAD**2 * max(sizes[-1], len(points)):
                 directions[:, column] = (points - points.mean(axis=0)).T @ frame / np.sqrt(size)
     return Plane(origin, axes, directions)
 
 
-def _of_many(spread: Float, gram: Float) -> tuple[Float, Float]:
+def _principal_frames(spread: Float, gram: Float) -> tuple[Float, Float]:
     """Return `eigh` of ``(spread L)^T (spread L)`` ``(K, K)`` with ``gram = L L^T``, without a T x T matrix."""
     squares, axes = np.linalg.eigh(gram)
     placed = spread @ (axes * np.sqrt(np.maximum(squares, 0.0)))

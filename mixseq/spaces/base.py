@@ -16,7 +16,7 @@ from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.parallel import Executor
 from mixseq.runtime.progress import Progress, silent
 from mixseq.sequence.sequence import blocks_of
-from mixseq.spaces.temporal import Operator, Poses, predicted_alone
+from mixseq.spaces.temporal import Poses, TemporalOperator, interpolate_poses
 from mixseq.types import Float, FloatArray, Index
 
 if TYPE_CHECKING:
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     from mixseq.shells.gauss_newton import ShellReport
 
 
-ANGLE = 0.3
+ANGLE_WEIGHT = 0.3
 """Weight of a radian relative to the length of the hinge's edge, in the metrics of all spaces with both."""
 
-SMALLEST = 1e-3
+MIN_GYRATION_RADIUS = 1e-3
 """Least radius of gyration of a part, in diagonals."""
 
 
@@ -36,15 +36,15 @@ def radii_of_gyration(shapes: Float, parts: Sequence[Index]) -> Float:
     squares = np.square(shapes).sum(axis=1)
     sizes = [len(vertices) for vertices in parts]
     starts = np.cumsum([0, *sizes[:-1]])
-    return np.maximum(np.sqrt(np.add.reduceat(squares, starts) / sizes), SMALLEST)
+    return np.maximum(np.sqrt(np.add.reduceat(squares, starts) / sizes), MIN_GYRATION_RADIUS)
 
 
-def mean_lengths(
+def mean_edge_lengths(
     points: LargeArray, edges: NDArray[np.integer], scale: float, workers: Executor, progress: Progress
 ) -> Float:
     """Return mean lengths ``(E,)`` of edges ``(E, 2)`` over frames ``(T, V, 3)``, in units of the scale."""
     total, done = np.zeros(len(edges)), 0
-    for block in workers(_lengths, edges, blocks_of(points)):
+    for block in workers(_edge_lengths_of_block, edges, blocks_of(points)):
         for lengths in block:  # one by one: the sum must not depend on the blocks
             total += lengths
         done += len(block)
@@ -52,14 +52,14 @@ def mean_lengths(
     return total / (done * scale)
 
 
-def _lengths(edges: NDArray[np.integer], points: FloatArray) -> list[Float]:
+def _edge_lengths_of_block(edges: NDArray[np.integer], points: FloatArray) -> list[Float]:
     return [edge_lengths(frame.astype(np.float64), edges) for frame in points]
 
 
-Carry = Callable[[Float], Float]
+ShapeMap = Callable[[Float], Float]
 """Map of shapes ``(K, S)`` of one space to the same shapes of another space."""
 
-DIFFERENCE = 1e-4
+DIFFERENCE_STEP = 1e-4
 """Step of difference quotients, relative to the size of a vector in the metric."""
 
 
@@ -113,7 +113,7 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         return self.weights[: self.shape_dim]
 
     @property
-    def coarseness(self) -> Float:
+    def rounding_step_ratios(self) -> Float:
         """Rounding steps ``(S,)`` of a shape over that of positions: powers of two."""
         return np.ones(self.shape_dim)
 
@@ -133,7 +133,7 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         return 0
 
     @property
-    def decomposed(self) -> Decomposition | None:
+    def segmentation(self) -> Decomposition | None:
         """Parts and joints of the mesh, None in spaces without parts."""
         return None
 
@@ -142,7 +142,7 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         """Length P of the placement in a vector."""
         return 4 * self.rotation_count + 3 * self.centre_count
 
-    def poses(self, placements: Float) -> Poses:
+    def unpack_placements(self, placements: Float) -> Poses:
         """Return quaternions and centres of placements ``(T, placement_dim)``."""
         turns, centres = np.split(placements, [4 * self.rotation_count], axis=1)
         count = len(placements)
@@ -150,40 +150,42 @@ class ShapeSpace(PickledWithoutCaches, ABC):
             turns.reshape(count, self.rotation_count, 4), centres.reshape(count, self.centre_count, 3)
         )
 
-    def placements(self, poses: Poses) -> Float:
+    def pack_placements(self, poses: Poses) -> Float:
         """Return the placements ``(T, placement_dim)`` of quaternions and centres; the inverse of `poses`."""
         return np.concatenate([block.reshape(len(block), -1) for block in poses], axis=1)
 
-    def predicted_poses(
-        self, operator: Operator, poses: Float, placements: Float, times: Float, in_body: bool
+    def interpolate_poses(
+        self, operator: TemporalOperator, poses: Float, placements: Float, times: Float, in_body: bool
     ) -> tuple[Float, Float]:
         """Predict part poses relative to bodies ``(N, ...)``, for `corrections`, and placements ``(N, P)``.
 
         Poses ``(T, pose_dim)`` and placements ``(T, P)`` are those of the frames; ``in_body`` adds predictions in body
         axes. Here rotations are chained, centres are weighted sums (`mixseq.spaces.temporal`), and there are no parts.
         """
-        placed = self.placements(predicted_alone(operator.at(times), self.poses(placements)))
+        placed = self.pack_placements(
+            interpolate_poses(operator.weights_at(times), self.unpack_placements(placements))
+        )
         return np.zeros((len(times), 0)), placed
 
-    def held(self, points: Float, vertices: Index, placements: Float) -> Float:
+    def to_body_axes(self, points: Float, vertices: Index, placements: Float) -> Float:
         """Return points ``(T, n, 3)`` of vertices ``(n,)`` in the axes of placements ``(T, P)``; here unchanged."""
         return points
 
-    def signs(self, poses: Float, before: Float) -> Float:
+    def quaternion_signs(self, poses: Float, before: Float) -> Float:
         """Return the signs ``(pose_dim,)``, 1 or -1, that bring quaternions of poses nearest to those before."""
         return np.ones(self.pose_dim)
 
-    def corrections(self, poses: Float, targets: Float) -> Float:
+    def pose_corrections(self, poses: Float, targets: Float) -> Float:
         """Return corrections ``(N, C)`` from poses ``(N, pose_dim)`` of shapes to target poses."""
         return np.zeros((len(poses), 0))
 
-    def with_shape(self, points: Float) -> tuple[ShapeSpace, Carry]:
+    def extend(self, points: Float) -> tuple[ShapeSpace, ShapeMap]:
         """Return a space that contains this one and a shape ``(V, 3)``, and the map to it; here this space."""
-        return self, unchanged
+        return self, identity_map
 
-    def joined(self, other: ShapeSpace) -> tuple[ShapeSpace, Carry | None, Carry | None]:
+    def merge(self, other: ShapeSpace) -> tuple[ShapeSpace, ShapeMap | None, ShapeMap | None]:
         """Return a space of the shapes of both, and the maps to it, None to encode again; here this space."""
-        return self, unchanged, unchanged if other is self else None
+        return self, identity_map, identity_map if other is self else None
 
     def encode(self, points: FloatArray, previous: Float | None = None) -> Float:
         """Encode frames as vectors.
@@ -204,10 +206,14 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         SettingsError
             If the points are not numeric, not finite, or not those of the mesh.
         """
-        frames = self._checked_points(points)
-        return self.unwrap(self.encode_apart(frames), previous) if len(frames) else np.zeros((0, self.dim))
+        frames = self._check_points(points)
+        return (
+            self.unwrap(self.encode_independently(frames), previous)
+            if len(frames)
+            else np.zeros((0, self.dim))
+        )
 
-    def _checked_points(self, points: FloatArray) -> FloatArray:
+    def _check_points(self, points: FloatArray) -> FloatArray:
         """Return points as frames ``(T, V, 3)``, or raise `SettingsError`."""
         frames = np.asarray(points)
         if frames.dtype.kind not in "fiu":
@@ -224,14 +230,14 @@ class ShapeSpace(PickledWithoutCaches, ABC):
             raise SettingsError(f"frame {int(finite.argmin())} has points that are not finite")
         return frames
 
-    def checked(self, vectors: Any) -> Any:
+    def check_vectors(self, vectors: Any) -> Any:
         """Return vectors ``(T, D)`` of this space, or raise `SettingsError`."""
         if np.ndim(vectors) != 2 or np.shape(vectors)[1] != self.dim:
             raise SettingsError(f"vectors have shape {np.shape(vectors)}; (T, {self.dim}) is expected")
         return vectors
 
     @abstractmethod
-    def encode_apart(self, points: FloatArray) -> Float:
+    def encode_independently(self, points: FloatArray) -> Float:
         """Encode frames ``(T, V, 3)`` as vectors ``(T, D)``, each independently; `unwrap` makes them continuous."""
 
     def unwrap(self, vectors: Float, previous: Float | None = None) -> Float:
@@ -276,17 +282,17 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         """Decode as `decode` does, accurately enough to subtract points of nearly equal vectors."""
         return self.decode(vectors)
 
-    def decode_moving(self, vectors: Float, rates: Float) -> tuple[Float, Float]:
+    def decode_with_velocities(self, vectors: Float, rates: Float) -> tuple[Float, Float]:
         """Decode vectors and rates ``(T, D)`` to points and velocities ``(T, V, 3)``; here by central differences."""
         here = self.decode(vectors)
         size = np.abs(rates * self.weights).max(axis=1, initial=0.0)
-        step = np.divide(DIFFERENCE, size, out=np.zeros_like(size), where=size > 0)
+        step = np.divide(DIFFERENCE_STEP, size, out=np.zeros_like(size), where=size > 0)
         change = step[:, None] * rates
         ahead, behind = (self.decode_for_differences(v) for v in (vectors + change, vectors - change))
         inverse = np.divide(0.5, step, out=np.zeros_like(step), where=step > 0)
         return here, (ahead - behind) * inverse[:, None, None]
 
 
-def unchanged(shapes: Float) -> Float:
-    """Return shapes unchanged: the `Carry` between spaces with the same vectors."""
+def identity_map(shapes: Float) -> Float:
+    """Return shapes unchanged: the `ShapeMap` between spaces with the same vectors."""
     return shapes

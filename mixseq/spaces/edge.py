@@ -54,25 +54,25 @@ from mixseq.runtime.progress import Progress, silent
 from mixseq.segmentation.joints import make_joint
 from mixseq.shells.face_frames import (
     FrameGraph,
-    Hinges,
-    bridging,
+    HingeFrames,
+    bridging_mask,
     flat_triangles,
-    frames_of,
-    turned_sides,
+    rotate_sides,
+    triangle_frames,
 )
 from mixseq.shells.fitting import Patch, ShellProblem, fit_shell, linear_initialisation
 from mixseq.shells.gauss_newton import ShellReport, ShellSettings
-from mixseq.shells.shell import THIN, Relaxation, Relaxed, Shell
-from mixseq.spaces.base import ANGLE
+from mixseq.shells.shell import ZERO_AREA_HEIGHT_RATIO, Relaxation, Relaxed, Shell
+from mixseq.spaces.base import ANGLE_WEIGHT
 from mixseq.spaces.pieces import Pieces, PosedSpace
 from mixseq.types import Float, FloatArray, Index, IntArray
 
 
-class Wanted(NamedTuple):
+class ShellTargets(NamedTuple):
     """Targets of a mesh, and their weights."""
 
     lengths: Float  # (E,) edge lengths
-    weights: Float  # (E,) weights of the lengths: one over the typical length
+    length_weights: Float  # (E,) weights of the lengths: one over the typical length
     angles: Float  # (H,) dihedral angles of all hinges in radians, whole turns do not matter
     volumes: Float  # (p,) volumes of the pieces; empty without a volume term
     volume_weights: Float  # (p,) weights of the volumes, over the typical volume; 0 for sheets
@@ -87,17 +87,19 @@ class EdgeProjection(Protocol):
     def prepared(self) -> Self:
         """Compute what all frames share, as `PickledWithoutCaches.prepared`."""
 
-    def fit(self, wanted: Wanted, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
+    def fit(self, wanted: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Fit rows ``(N, 3)``, pieces in any pose; raises `ReconstructionError` if lengths or angles are not finite."""
 
 
-FLAT = 1e-3
+MIN_VOLUME_RATIO = 1e-3
 """Least ratio of volume to area to the 3/2 of a surface with a volume term; that of a sphere is 0.094."""
 
 
 def is_sheet(points: FloatArray, faces: IntArray) -> bool:
     """Return whether a surface has too little volume for a volume term; see the module."""
-    return bool(abs(volume(points, faces)) <= FLAT * float(triangle_areas(points, faces).sum()) ** 1.5)
+    return bool(
+        abs(volume(points, faces)) <= MIN_VOLUME_RATIO * float(triangle_areas(points, faces).sum()) ** 1.5
+    )
 
 
 class ShellPiece(NamedTuple):
@@ -117,26 +119,26 @@ class DiscreteShell(PickledWithoutCaches):
     pieces: Pieces  # its hinge-connected pieces
 
     @cached_property
-    def shells(self) -> tuple[ShellPiece | None, ...]:
+    def shell_pieces(self) -> tuple[ShellPiece | None, ...]:
         """All pieces; None for vertices without faces."""
         nowhere = np.zeros(self.topology.vertex_count, dtype=bool)
         shells: list[ShellPiece | None] = []
-        for rows, faces in zip(self.pieces.slices, self.pieces.faces, strict=True):
+        for rows, faces in zip(self.pieces.row_slices, self.pieces.faces, strict=True):
             if not len(faces):
                 shells.append(None)
                 continue
             mask = np.zeros(len(self.topology.faces), dtype=bool)
             mask[faces] = True
             whole = make_joint(self.topology, mask, nowhere)
-            patch = Patch.of_joint(self.topology, whole, np.zeros(len(whole.vertices), dtype=bool))
+            patch = Patch.from_joint(self.topology, whole, np.zeros(len(whole.vertices), dtype=bool))
             shells.append(ShellPiece(rows, patch, whole.edge_ids, whole.hinge_ids))
         return tuple(shells)
 
     def constants(self) -> list[object]:
         """Implement `PickledWithoutCaches.constants`."""
-        return [piece.patch for piece in self.shells if piece is not None]
+        return [piece.patch for piece in self.shell_pieces if piece is not None]
 
-    def volumes(self, x: FloatArray) -> Float:
+    def piece_volumes(self, x: FloatArray) -> Float:
         """Return the volumes ``(p,)`` of the pieces of a frame ``(V, 3)``, 0 of single vertices; see `volume`."""
         return np.array([volume(*surface) for surface in self._surfaces(x)])
 
@@ -145,20 +147,20 @@ class DiscreteShell(PickledWithoutCaches):
         surfaces = self._surfaces(x)
         return np.array([0.0 if is_sheet(*surface) else 1.0 / abs(volume(*surface)) for surface in surfaces])
 
-    def areas(self, x: FloatArray) -> Float:
+    def piece_areas(self, x: FloatArray) -> Float:
         """Return the areas ``(p,)`` of the pieces of a frame ``(V, 3)``."""
         return np.array([float(triangle_areas(*surface).sum()) for surface in self._surfaces(x)])
 
     def _surfaces(self, x: FloatArray) -> list[tuple[FloatArray, Index]]:
         """Return the vertices of every piece in a frame ``(V, 3)``, and its triangles."""
         none = np.zeros((0, 3), dtype=np.int64)
-        pairs = zip(self.pieces.vertices, self.shells, strict=True)
+        pairs = zip(self.pieces.vertices, self.shell_pieces, strict=True)
         return [(x[own], none if piece is None else piece.patch.faces) for own, piece in pairs]
 
-    def fit(self, wanted: Wanted, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
+    def fit(self, wanted: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Implement `EdgeProjection.fit`."""
         rows, reports = np.zeros_like(self.pieces.shapes), []
-        for number, piece in enumerate(self.shells):
+        for number, piece in enumerate(self.shell_pieces):
             if piece is None:
                 continue
             problem = self.problem(number, piece, wanted, settings)
@@ -168,10 +170,10 @@ class DiscreteShell(PickledWithoutCaches):
         return rows, reports
 
     def problem(
-        self, number: int, piece: ShellPiece, wanted: Wanted, settings: ShellSettings
+        self, number: int, piece: ShellPiece, wanted: ShellTargets, settings: ShellSettings
     ) -> ShellProblem:
         """Return the fitting problem of one piece."""
-        weights = wanted.weights[piece.edge_ids]
+        weights = wanted.length_weights[piece.edge_ids]
         has_volume = wanted.volumes.size > 0 and bool(wanted.volume_weights[number])
         return ShellProblem(
             patch=piece.patch,
@@ -184,17 +186,17 @@ class DiscreteShell(PickledWithoutCaches):
         )
 
 
-ROUNDS = 10
+AVERAGING_ROUNDS = 10
 """Rounds of rotation averaging of chained frames."""
 
-CYCLES = 4
+MAX_CYCLES = 4
 """Largest number of cycles of steps; in between, frames of the mesh are averaged once."""
 
-STEPS = 20
+STEPS_PER_CYCLE = 20
 """Relaxation steps per cycle."""
 
 
-class _Rows(NamedTuple):
+class _PieceMesh(NamedTuple):
     """The mesh with pieces that share no vertices; its faces are those of the mesh."""
 
     topology: Topology  # connectivity of the rows
@@ -208,73 +210,86 @@ class RelaxedShell(PickledWithoutCaches):
 
     topology: Topology  # connectivity of the mesh
     pieces: Pieces  # its hinge-connected pieces, with shapes of typical lengths
-    typical: Float  # (E,) typical lengths of all edges
+    typical_lengths: Float  # (E,) typical lengths of all edges
     bending: float  # weight of an angle in radians against a relative length
 
     @cached_property
-    def _rows(self) -> _Rows:
+    def _piece_mesh(self) -> _PieceMesh:
         topology = Topology(self.pieces.face_rows(self.topology), len(self.pieces.shapes))
         # Pieces share no edges: both tables have the same ones. Hinges are in the order of edges, then of faces.
         edge_ids = np.empty(len(topology.edges), dtype=np.int64)
         edge_ids[topology.face_edges] = self.topology.face_edges
         hinge_ids = np.argsort(np.argsort(edge_ids[topology.hinge_edges], kind="stable"))
-        return _Rows(topology, edge_ids, hinge_ids)
+        return _PieceMesh(topology, edge_ids, hinge_ids)
 
     @cached_property
     def shell(self) -> Shell:
         """The mesh as a shell, with one fixed vertex per piece."""
-        topology, edge_ids, _ = self._rows
+        topology, edge_ids, _ = self._piece_mesh
         position_weights = np.zeros(topology.vertex_count)
-        position_weights[[rows.start for rows in self.pieces.slices]] = 1.0
-        return Shell(topology, self.pieces.shapes, self.typical[edge_ids], position_weights, self.bending)
+        position_weights[[rows.start for rows in self.pieces.row_slices]] = 1.0
+        return Shell(
+            topology, self.pieces.shapes, self.typical_lengths[edge_ids], position_weights, self.bending
+        )
 
     @cached_property
-    def _crossing(self) -> Index:
+    def _bridging_hinge_ids(self) -> Index:
         """Hinges ``(h,)`` between frames: the sound ones, and others where they alone connect faces."""
-        hinge_faces = self._rows.topology.hinge_faces
-        return np.flatnonzero(bridging(len(self.topology.faces), hinge_faces, self.shell.sound))
+        hinge_faces = self._piece_mesh.topology.hinge_faces
+        return np.flatnonzero(
+            bridging_mask(len(self.topology.faces), hinge_faces, self.shell.sound_hinge_mask)
+        )
 
     @cached_property
-    def graph(self) -> FrameGraph:
+    def frame_graph(self) -> FrameGraph:
         """Frames of all faces; chains start in the middle of every piece."""
-        pairs = self._rows.topology.hinge_faces[self._crossing].astype(np.int64)
+        pairs = self._piece_mesh.topology.hinge_faces[self._bridging_hinge_ids].astype(np.int64)
         known = np.zeros(len(self.topology.faces), dtype=bool)
-        known[_middles(len(known), pairs)] = True
-        return FrameGraph(pairs, np.maximum(self.shell.bend[self._crossing], THIN), known)
+        known[_central_nodes(len(known), pairs)] = True
+        return FrameGraph(
+            pairs,
+            np.maximum(self.shell.relative_angle_weights[self._bridging_hinge_ids], ZERO_AREA_HEIGHT_RATIO),
+            known,
+        )
 
     @cached_property
-    def hinges(self) -> Hinges:
+    def hinges(self) -> HingeFrames:
         """The hinges of the mesh."""
-        topology = self._rows.topology
-        return Hinges(topology.faces, topology.hinges, topology.hinge_faces)
+        topology = self._piece_mesh.topology
+        return HingeFrames(topology.faces, topology.hinges, topology.hinge_faces)
 
     def constants(self) -> tuple[object, ...]:
         """Implement `PickledWithoutCaches.constants`."""
-        return self.graph, self.shell
+        return self.frame_graph, self.shell
 
-    def fit(self, wanted: Wanted, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
+    def fit(self, wanted: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Implement `EdgeProjection.fit`; of the settings only the tolerance is used."""
-        topology, edge_ids, hinge_ids = self._rows
-        lengths = sound_lengths(wanted.lengths, wanted.weights)[edge_ids]
+        topology, edge_ids, hinge_ids = self._piece_mesh
+        lengths = sound_lengths(wanted.lengths, wanted.length_weights)[edge_ids]
         angles = wanted.angles[hinge_ids]
         flat = flat_triangles(lengths[topology.face_edges])
-        turns = self.hinges.turns(flat, angles)[self._crossing]
-        known = np.tile([1.0, 0.0, 0.0, 0.0], (int(np.count_nonzero(self.graph.known)), 1))
-        frames = self.graph.averaged(self.graph.chained(turns, known), turns, ROUNDS)
+        turns = self.hinges.rotations(flat, angles)[self._bridging_hinge_ids]
+        known = np.tile([1.0, 0.0, 0.0, 0.0], (int(np.count_nonzero(self.frame_graph.known_mask)), 1))
+        frames = self.frame_graph.average(self.frame_graph.chain(turns, known), turns, AVERAGING_ROUNDS)
         best, steps = Relaxed(self.pieces.shapes, np.inf), 0
-        for _ in range(CYCLES):
-            start = self.shell.integrated(turned_sides(frames, flat), best.points)
-            points, steps = self.shell.relaxed(start, lengths, angles, STEPS).points, steps + STEPS
+        for _ in range(MAX_CYCLES):
+            start = self.shell.integrate(rotate_sides(frames, flat), best.points)
+            points, steps = (
+                self.shell.relax(start, lengths, angles, STEPS_PER_CYCLE).points,
+                steps + STEPS_PER_CYCLE,
+            )
             found = Relaxed(points, self.shell.energy(points, lengths, angles))
-            done = self.shell.agree(found.energy) or found.energy > (1.0 - settings.tolerance) * best.energy
+            done = (
+                self.shell.is_exact(found.energy) or found.energy > (1.0 - settings.tolerance) * best.energy
+            )
             best = min(found, best, key=lambda each: each.energy)
             if done:
                 break
-            frames = self.graph.averaged(frames_of(best.points, topology.faces), turns, 1)
+            frames = self.frame_graph.average(triangle_frames(best.points, topology.faces), turns, 1)
         return best.points, [ShellReport(2.0 * best.energy, steps, True)]
 
 
-def _middles(count: int, pairs: Index) -> Index:
+def _central_nodes(count: int, pairs: Index) -> Index:
     """Return one node for every component connected by pairs ``(h, 2)``, in the middle of its longest path."""
     graph = sparse.coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count)).tocsr()
     component = connected(count, pairs)
@@ -347,11 +362,11 @@ class EdgeSpace(PosedSpace):
     def projection(self) -> EdgeProjection:
         """The projection of lengths and angles to a mesh."""
         if self.settings.projection == "dso":
-            return self.discrete
+            return self.discrete_shell
         return RelaxedShell(self.topology, self.pieces, self.reference_lengths, Relaxation().bending)
 
     @cached_property
-    def discrete(self) -> DiscreteShell:
+    def discrete_shell(self) -> DiscreteShell:
         """The mesh as a discrete shell, which measures volumes."""
         return DiscreteShell(self.topology, self.pieces)
 
@@ -359,17 +374,19 @@ class EdgeSpace(PosedSpace):
     def _volume_weights(self) -> Float:
         """Weights ``(p,)`` of the volumes of all pieces, 0 for sheets; empty without volume terms."""
         told = self.settings.volume > 0
-        return self.settings.volume * self.discrete.volume_weights(self.reference) if told else np.zeros(0)
+        return (
+            self.settings.volume * self.discrete_shell.volume_weights(self.reference) if told else np.zeros(0)
+        )
 
     @property
-    def sizes(self) -> tuple[int, int, int]:
+    def block_sizes(self) -> tuple[int, int, int]:
         """Numbers of lengths, angles and volumes of a shape."""
         return len(self.topology.edges), len(self.topology.hinges), len(self._volume_weights)
 
     @property
     def shape_dim(self) -> int:
         """Implement `PosedSpace.shape_dim`."""
-        return sum(self.sizes)
+        return sum(self.block_sizes)
 
     @property
     def paper_dimension(self) -> int:
@@ -381,17 +398,19 @@ class EdgeSpace(PosedSpace):
         """Implement `PosedSpace.shape_metric`; a change of volume moves vertices by its ratio to the area."""
         lengths, volumes = edge_lengths(self.reference, self.topology.edges), np.zeros(0)
         if len(self._volume_weights):
-            areas = self.discrete.areas(self.reference)
+            areas = self.discrete_shell.piece_areas(self.reference)
             volumes = np.divide(1.0, areas, out=np.zeros_like(areas), where=areas > 0)
-        return np.concatenate([np.ones(len(lengths)), ANGLE * lengths[self.topology.hinge_edges], volumes])
+        return np.concatenate(
+            [np.ones(len(lengths)), ANGLE_WEIGHT * lengths[self.topology.hinge_edges], volumes]
+        )
 
     def constants(self) -> tuple[object, ...]:
         """Implement `PickledWithoutCaches.constants`."""
         return self.projection, self._volume_weights, self.pieces.radii
 
-    def shape_of(self, x: Float) -> Float:
-        """Implement `PosedSpace.shape_of`."""
-        volumes = self.discrete.volumes(x) if len(self._volume_weights) else np.zeros(0)
+    def measure_shape(self, x: Float) -> Float:
+        """Implement `PosedSpace.measure_shape`."""
+        volumes = self.discrete_shell.piece_volumes(x) if len(self._volume_weights) else np.zeros(0)
         lengths, angles = edge_lengths(x, self.topology.edges), dihedral_angles(x, self.topology.hinges)
         return np.concatenate([lengths, angles, volumes])
 
@@ -405,15 +424,15 @@ class EdgeSpace(PosedSpace):
         result[:, angles] = unwrap_angles(result[:, angles], before)
         return result
 
-    def rebuilt(self, shape: Float) -> Float:
-        """Implement `PosedSpace.rebuilt`."""
-        return self.projection.fit(self.wanted(shape), self.shell)[0]
+    def rebuild_rows(self, shape: Float) -> Float:
+        """Implement `PosedSpace.rebuild_rows`."""
+        return self.projection.fit(self.targets(shape), self.shell)[0]
 
-    def wanted(self, shape: Float) -> Wanted:
+    def targets(self, shape: Float) -> ShellTargets:
         """Return the target lengths, angles and volumes of a shape ``(S,)``."""
-        lengths, angles, volumes = np.split(shape, np.cumsum(self.sizes)[:-1])
+        lengths, angles, volumes = np.split(shape, np.cumsum(self.block_sizes)[:-1])
         weights = length_weights(self.reference_lengths)
-        return Wanted(lengths, weights, angles, volumes, self._volume_weights)
+        return ShellTargets(lengths, weights, angles, volumes, self._volume_weights)
 
     def decode_for_differences(self, vectors: Float) -> Float:
         """Implement `ShapeSpace.decode_for_differences`."""
@@ -426,8 +445,8 @@ class EdgeSpace(PosedSpace):
         reports: list[list[ShellReport]] = []
 
         def rebuilt(shape: Float) -> Float:
-            rows, report = self.projection.fit(self.wanted(shape), shell or self.shell)
+            rows, report = self.projection.fit(self.targets(shape), shell or self.shell)
             reports.append(report)
             return rows
 
-        return self.decoded(vectors, rebuilt, progress), reports
+        return self._decode_with(vectors, rebuilt, progress), reports

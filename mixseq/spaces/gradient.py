@@ -17,7 +17,7 @@ A vector is ``[rotation vectors (F, 3) | stretches (F, 6) | centres]``. The norm
 are rotations of the surface. Affine maps of the reference are reproduced; their blends are blends of matrices for
 uniform scales on any mesh, and for stretches along the axes of a box's faces.
 
-*Vertices from their differences* (`Integration`). Given the sides ``ij`` of a mesh, the vertices are
+*Vertices from their differences* (`PoissonSystem`). Given the sides ``ij`` of a mesh, the vertices are
 
 .. math:: \min_x \sum_{ij} w_{ij} \, | x_j - x_i - s_{ij} |^2 ,
 
@@ -50,67 +50,69 @@ from mixseq.types import Float, FloatArray, Index
 
 
 @dataclass(frozen=True, eq=False)
-class Integration(PickledWithoutCaches):
+class PoissonSystem(PickledWithoutCaches):
     """The Poisson system of given sides."""
 
     # (S, 2) pairs i, j of vertices; a pair may be there more than once, or name one vertex twice.
-    sides: Index
+    edges: Index
     # (S,) weights w. Single ones may be negative, if L is positive semidefinite all the same (obtuse triangles).
     weights: Float
-    count: int  # number n of vertices
+    vertex_count: int  # number n of vertices
 
     def constants(self) -> tuple[object, ...]:
         """Implement `PickledWithoutCaches.constants`."""
-        return (self.factor,) if self.solved.size else ()
+        return (self.factor,) if self.unknown_ids.size else ()
 
     @cached_property
     def incidence(self) -> sparse.csr_array:
         """The matrix B ``(S, n)``: -1 at a side's first vertex, +1 at its second."""
-        number = len(self.sides)
+        number = len(self.edges)
         value = np.tile([-1.0, 1.0], number)
-        places = (np.repeat(np.arange(number), 2), self.sides.reshape(-1))
-        return sparse.coo_array((value, places), shape=(number, self.count)).tocsr()
+        places = (np.repeat(np.arange(number), 2), self.edges.reshape(-1))
+        return sparse.coo_array((value, places), shape=(number, self.vertex_count)).tocsr()
 
     @cached_property
-    def weighted(self) -> sparse.csr_array:
+    def weighted_incidence(self) -> sparse.csr_array:
         """The matrix ``B^T W`` ``(n, S)``."""
         return sparse.csr_array(self.incidence.T @ sparse.diags_array(self.weights))
 
     @cached_property
-    def solved(self) -> Index:
+    def unknown_ids(self) -> Index:
         """Unknown vertices: all but the first of every component."""
-        component = connected(self.count, self.sides)
-        return np.setdiff1d(np.arange(self.count), np.unique(component, return_index=True)[1])
+        component = connected(self.vertex_count, self.edges)
+        return np.setdiff1d(np.arange(self.vertex_count), np.unique(component, return_index=True)[1])
 
     @cached_property
     def factor(self) -> Factor:
         """Factor of the Laplacian of the unknown vertices."""
-        laplacian = sparse.csr_array(self.weighted @ self.incidence)
-        return factorise(laplacian[self.solved][:, self.solved])
+        laplacian = sparse.csr_array(self.weighted_incidence @ self.incidence)
+        return factorise(laplacian[self.unknown_ids][:, self.unknown_ids])
 
-    def vertices(self, differences: Float) -> Float:
+    def solve(self, differences: Float) -> Float:
         """Solve for the vertices ``(n, 3)`` with sides ``x_j - x_i`` closest to differences ``(S, 3)``."""
-        if differences.shape != (len(self.sides), 3):
+        if differences.shape != (len(self.edges), 3):
             raise SettingsError(
-                f"differences have shape {differences.shape}; one for each side is expected, ({len(self.sides)}, 3)"
+                f"differences have shape {differences.shape}; one for each side is expected, ({len(self.edges)}, 3)"
             )
-        result = np.zeros((self.count, 3))
-        if self.solved.size:
-            result[self.solved] = self.factor.solve((self.weighted @ differences)[self.solved])
+        result = np.zeros((self.vertex_count, 3))
+        if self.unknown_ids.size:
+            result[self.unknown_ids] = self.factor.solve(
+                (self.weighted_incidence @ differences)[self.unknown_ids]
+            )
         return result
 
 
-UPPER = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
+SYMMETRIC_ENTRIES = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
 """Rows and columns of the six numbers of a symmetric matrix, its diagonal first."""
 
-FULL = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
+SYMMETRIC_ENTRY_IDS = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
 """Index of each matrix entry among the six numbers."""
 
 
-class Gradients(NamedTuple):
+class GradientBlocks(NamedTuple):
     """The blocks of T vectors of S_f."""
 
-    turns: Float  # (T, F, 3) rotation vectors from the reference, face by face
+    rotation_vectors: Float  # (T, F, 3) rotation vectors from the reference, face by face
     stretches: Float  # (T, F, 6) stretches: xx, yy, zz, xy, xz, yz
     centres: Float  # (T, p, 3) centres of the pieces, in diagonals
 
@@ -127,47 +129,50 @@ class GradientSpace(ShapeSpace):
     @cached_property
     def pieces(self) -> Pieces:
         """The hinge-connected pieces of the mesh."""
-        return Pieces.of(self.topology, self.reference)
+        return Pieces.from_mesh(self.topology, self.reference)
 
     @cached_property
-    def faces(self) -> Index:
+    def face_rows(self) -> Index:
         """Rows ``(F, 3)`` of the faces' corners; pieces share none."""
         return self.pieces.face_rows(self.topology)
 
     @cached_property
-    def edges(self) -> Index:
+    def side_rows(self) -> Index:
         """Rows ``(3F, 2)`` of the sides 01, 12, 20 of all faces."""
-        return np.stack([self.faces, np.roll(self.faces, -1, axis=1)], axis=2).reshape(-1, 2)
+        return np.stack([self.face_rows, np.roll(self.face_rows, -1, axis=1)], axis=2).reshape(-1, 2)
 
     @cached_property
-    def triangles(self) -> Float:
+    def reference_triangles(self) -> Float:
         """The reference triangles ``(F, 3, 3)``: two sides and the fourth vertex, in columns."""
-        return with_area(self.completed(self.reference))
+        return with_area(self.complete_triangles(self.reference))
 
     @cached_property
-    def inverses(self) -> Float:
+    def inverse_triangles(self) -> Float:
         """Inverses ``(F, 3, 3)`` of the reference triangles."""
-        return np.asarray(np.linalg.inv(self.triangles))
+        return np.asarray(np.linalg.inv(self.reference_triangles))
 
     @cached_property
-    def sides(self) -> Float:
+    def reference_sides(self) -> Float:
         """Sides 01, 12, 20 of the reference triangles ``(F, 3, 3)``, in columns."""
-        first, second = self.triangles[:, :, 0], self.triangles[:, :, 1]
+        first, second = self.reference_triangles[:, :, 0], self.reference_triangles[:, :, 1]
         return np.stack([first, second - first, -second], axis=2)
 
     @cached_property
-    def integration(self) -> Integration:
+    def poisson_system(self) -> PoissonSystem:
         """The Poisson system of the reference triangles."""
-        following, before = np.roll(self.sides, -1, axis=2), np.roll(self.sides, 1, axis=2)
+        following, before = (
+            np.roll(self.reference_sides, -1, axis=2),
+            np.roll(self.reference_sides, 1, axis=2),
+        )
         # The angle opposite to a side is that between the other two, of which one is turned around.
         cosines = -np.sum(following * before, axis=1)
-        areas = np.linalg.norm(np.cross(self.sides[:, :, 0], self.sides[:, :, 1]), axis=1)
+        areas = np.linalg.norm(np.cross(self.reference_sides[:, :, 0], self.reference_sides[:, :, 1]), axis=1)
         cotangents = cosines / areas[:, None]
-        return Integration(self.edges, 0.5 * cotangents.reshape(-1), len(self.pieces.row_vertices))
+        return PoissonSystem(self.side_rows, 0.5 * cotangents.reshape(-1), len(self.pieces.vertex_of_row))
 
     def constants(self) -> tuple[object, ...]:
         """Implement `PickledWithoutCaches.constants`."""
-        return (self.integration,)
+        return (self.poisson_system,)
 
     @property
     def vertex_count(self) -> int:  # type: ignore[override]
@@ -187,27 +192,27 @@ class GradientSpace(ShapeSpace):
     @property
     def weights(self) -> Float:
         """Metric ``(D,)``: numbers of a face weigh the root mean square of its sides; off-diagonals count twice."""
-        sizes = np.sqrt(np.square(self.sides).sum(axis=1).mean(axis=1))
+        sizes = np.sqrt(np.square(self.reference_sides).sum(axis=1).mean(axis=1))
         stretches = np.outer(sizes, [1.0, 1.0, 1.0, np.sqrt(2), np.sqrt(2), np.sqrt(2)])
         return np.concatenate([np.repeat(sizes, 3), stretches.reshape(-1), np.ones(self.placement_dim)])
 
-    def encode_apart(self, points: FloatArray) -> Float:
-        """Implement `ShapeSpace.encode_apart`."""
+    def encode_independently(self, points: FloatArray) -> Float:
+        """Implement `ShapeSpace.encode_independently`."""
         result = np.empty((len(points), self.dim))
         for vector, frame in zip(result, points, strict=True):
             x = frame.astype(np.float64) / self.scale
-            gradients = self.completed(x) @ self.inverses
+            gradients = self.complete_triangles(x) @ self.inverse_triangles
             rotations = nearest_rotations(gradients)
             stretches = np.swapaxes(rotations, 1, 2) @ gradients
-            blocks = vectors(rotations), stretches[:, *UPPER], self.pieces.centres(x)
+            blocks = vectors(rotations), stretches[:, *SYMMETRIC_ENTRIES], self.pieces.measure_centres(x)
             np.concatenate([block.reshape(-1) for block in blocks], out=vector)
         return result
 
     def unwrap(self, vectors: Float, previous: Float | None = None) -> Float:
         """Implement `ShapeSpace.unwrap`."""
-        before = None if previous is None else self.split(previous[None]).turns[0]
+        before = None if previous is None else self.split(previous[None]).rotation_vectors[0]
         blocks = self.split(vectors)
-        return self.join(blocks._replace(turns=unwrap(blocks.turns, before)))
+        return self.join(blocks._replace(rotation_vectors=unwrap(blocks.rotation_vectors, before)))
 
     def decode(self, vectors: Float, progress: Progress = silent) -> Float:
         """Implement `ShapeSpace.decode`."""
@@ -215,30 +220,30 @@ class GradientSpace(ShapeSpace):
         wrong = np.flatnonzero(~np.isfinite(vectors).all(axis=1))
         if wrong.size:
             raise ReconstructionError(f"vector {wrong[0]} is not finite")
-        points = np.empty((len(blocks.turns), self.vertex_count, 3))
+        points = np.empty((len(blocks.rotation_vectors), self.vertex_count, 3))
         with one_blas_thread():
             for number, (turns, stretches, centres) in enumerate(zip(*blocks, strict=True)):
-                gradients = matrices(turns) @ stretches[:, FULL]
-                sides = np.swapaxes(gradients @ self.sides, 1, 2).reshape(-1, 3)
-                rows = self.integration.vertices(sides)
-                points[number] = self.pieces.centred(rows, centres) * self.scale
+                gradients = matrices(turns) @ stretches[:, SYMMETRIC_ENTRY_IDS]
+                sides = np.swapaxes(gradients @ self.reference_sides, 1, 2).reshape(-1, 3)
+                rows = self.poisson_system.solve(sides)
+                points[number] = self.pieces.translate(rows, centres) * self.scale
                 progress(number + 1, len(points), "decoding frames")
         return points
 
-    def completed(self, x: Float) -> Float:
+    def complete_triangles(self, x: Float) -> Float:
         """Return the matrices D ``(F, 3, 3)`` of the faces of a frame ``(V, 3)`` in diagonals."""
-        return completed(x[self.pieces.row_vertices], self.faces, self.edges)
+        return completed(x[self.pieces.vertex_of_row], self.face_rows, self.side_rows)
 
-    def split(self, vectors: Float) -> Gradients:
+    def split(self, vectors: Float) -> GradientBlocks:
         """Return the blocks of vectors ``(T, D)``; raises what `checked` does."""
         count, faces = len(vectors), len(self.topology.faces)
-        turns, stretches, centres = np.split(self.checked(vectors), [3 * faces, 9 * faces], axis=1)
-        return Gradients(
+        turns, stretches, centres = np.split(self.check_vectors(vectors), [3 * faces, 9 * faces], axis=1)
+        return GradientBlocks(
             turns.reshape(count, faces, 3),
             stretches.reshape(count, faces, 6),
             centres.reshape(count, len(self.pieces), 3),
         )
 
-    def join(self, blocks: Gradients) -> Float:
+    def join(self, blocks: GradientBlocks) -> Float:
         """Return the vectors ``(T, D)`` of blocks; the inverse of `split`."""
         return np.concatenate([block.reshape(len(block), -1) for block in blocks], axis=1)

@@ -29,11 +29,11 @@ import numpy as np
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.triangle_mesh import FLAT, across, unit, vertex_normals
 from mixseq.shells.gauss_newton import BlockSparsePattern
-from mixseq.spaces.gradient import Integration
+from mixseq.spaces.gradient import PoissonSystem
 from mixseq.spaces.pieces import PosedSpace
 from mixseq.types import Float, Index
 
-PER_EDGE = 15
+NUMBERS_PER_EDGE = 15
 """Numbers per edge: nine of the connection, three from either end."""
 
 
@@ -44,54 +44,56 @@ class LRISpace(PosedSpace):
     name = "lri"
 
     @cached_property
-    def faces(self) -> Index:
+    def face_rows(self) -> Index:
         """Rows ``(F, 3)`` of the faces' corners; pieces share none."""
         return self.pieces.face_rows(self.topology)
 
     @cached_property
-    def edges(self) -> Index:
+    def edge_rows(self) -> Index:
         """Edges ``(E, 2)`` as pairs of rows i < j, without those of triangles with repeated corners."""
         piece = np.empty(len(self.topology.edges), dtype=np.int64)
         piece[self.topology.face_edges] = self.topology.component_of_face[:, None]
-        rows = self.pieces.rows_of(piece[:, None], self.topology.edges)
+        rows = self.pieces.find_rows(piece[:, None], self.topology.edges)
         return rows[rows[:, 0] < rows[:, 1]]
 
     @cached_property
-    def towards(self) -> Index:
+    def reference_half_edges(self) -> Index:
         """Half-edge ``(N,)`` of each vertex that is longest in the reference's tangent plane, -1 without an edge.
 
         Half-edge e goes along edge e, half-edge E + e back.
         """
         rows = self.pieces.shapes
-        starts, lengths, _ = self._tangents(rows, vertex_normals(rows, self.faces, self.edges))
+        starts, lengths, _ = self._tangents(rows, vertex_normals(rows, self.face_rows, self.edge_rows))
         order = np.lexsort((-lengths, starts))
-        return self._first(order, starts[order])
+        return self._first_of_vertices(order, starts[order])
 
     @cached_property
-    def integration(self) -> Integration:
+    def poisson_system(self) -> PoissonSystem:
         """The Poisson system of the vertices."""
-        return Integration(self.edges, np.ones(len(self.edges)), len(self.pieces.row_vertices))
+        return PoissonSystem(self.edge_rows, np.ones(len(self.edge_rows)), len(self.pieces.vertex_of_row))
 
     @cached_property
-    def number(self) -> Index:
+    def unknown_index(self) -> Index:
         """Place ``(N,)`` of every frame among the unknown ones, -1 if fixed."""
-        number = np.full(len(self.pieces.row_vertices), -1, dtype=np.int64)
-        number[self.integration.solved] = np.arange(len(self.integration.solved))
+        number = np.full(len(self.pieces.vertex_of_row), -1, dtype=np.int64)
+        number[self.poisson_system.unknown_ids] = np.arange(len(self.poisson_system.unknown_ids))
         return number
 
     @cached_property
-    def pattern(self) -> BlockSparsePattern:
+    def frame_pattern(self) -> BlockSparsePattern:
         """Block pattern of frames coupled by edges."""
-        return BlockSparsePattern.of(len(self.integration.solved), self.number[self.edges])
+        return BlockSparsePattern.from_pairs(
+            len(self.poisson_system.unknown_ids), self.unknown_index[self.edge_rows]
+        )
 
     def constants(self) -> tuple[object, ...]:
         """Implement `PickledWithoutCaches.constants`."""
-        return self.integration, self.pattern
+        return self.poisson_system, self.frame_pattern
 
     @property
     def shape_dim(self) -> int:
         """Fifteen numbers per edge."""
-        return PER_EDGE * len(self.edges)
+        return NUMBERS_PER_EDGE * len(self.edge_rows)
 
     @property
     def shape_metric(self) -> Float:
@@ -99,27 +101,29 @@ class LRISpace(PosedSpace):
 
         A rotation by one radian changes M by the square root of two; every edge counts twice.
         """
-        i, j = self.edges.T
+        i, j = self.edge_rows.T
         lengths = np.linalg.norm(self.pieces.shapes[j] - self.pieces.shapes[i], axis=1)
         return np.concatenate([np.repeat(lengths, 9), np.ones(6 * len(lengths))]) * float(np.sqrt(0.5))
 
-    def frames(self, rows: Float) -> Float:
+    def vertex_frames(self, rows: Float) -> Float:
         """Return the frames ``(N, 3, 3)`` of vertices ``(N, 3)``, piece after piece; axes are the columns.
 
         Where the direction `towards` has no length, the first one of at least half the largest length replaces it, or
         an axis of the world.
         """
-        normals = vertex_normals(rows, self.faces, self.edges)
+        normals = vertex_normals(rows, self.face_rows, self.edge_rows)
         starts, lengths, tangents = self._tangents(rows, normals)
         longest = np.zeros(len(rows))
         np.maximum.at(longest, starts, lengths)
         half = np.flatnonzero(lengths >= 0.5 * longest[starts])
         order = half[np.argsort(starts[half], kind="stable")]
-        other = self._first(order, starts[order])
+        other = self._first_of_vertices(order, starts[order])
 
         chosen = other
         if len(starts):
-            chosen = np.where(lengths[self.towards] > FLAT * longest, self.towards, other)
+            chosen = np.where(
+                lengths[self.reference_half_edges] > FLAT * longest, self.reference_half_edges, other
+            )
         first = np.zeros((len(rows), 3))
         first[chosen >= 0] = unit(tangents[chosen[chosen >= 0]])
         bare = ~first.any(axis=1)
@@ -129,34 +133,34 @@ class LRISpace(PosedSpace):
         second = np.cross(normals, first)
         return np.stack([first, second, normals], axis=2)
 
-    def shape_of(self, x: Float) -> Float:
-        """Implement `PosedSpace.shape_of`."""
-        rows = x[self.pieces.row_vertices]
-        frames = self.frames(rows)
-        i, j = self.edges.T
+    def measure_shape(self, x: Float) -> Float:
+        """Implement `PosedSpace.measure_shape`."""
+        rows = x[self.pieces.vertex_of_row]
+        frames = self.vertex_frames(rows)
+        i, j = self.edge_rows.T
         edges = rows[j] - rows[i]
         connections = np.swapaxes(frames[i], 1, 2) @ frames[j]
-        ends = np.stack([_in_axes(frames[i], edges), _in_axes(frames[j], -edges)], axis=1)
+        ends = np.stack([_to_frame_axes(frames[i], edges), _to_frame_axes(frames[j], -edges)], axis=1)
         return np.concatenate([connections.reshape(-1), ends.reshape(-1)])
 
-    def rebuilt(self, shape: Float) -> Float:
-        """Implement `PosedSpace.rebuilt`."""
-        count = len(self.edges)
+    def rebuild_rows(self, shape: Float) -> Float:
+        """Implement `PosedSpace.rebuild_rows`."""
+        count = len(self.edge_rows)
         connections, ends = shape[: 9 * count].reshape(-1, 3, 3), shape[9 * count :].reshape(-1, 2, 3)
-        frames = self._solved_frames(connections)
-        i, j = self.edges.T
+        frames = self._solve_frames(connections)
+        i, j = self.edge_rows.T
         ahead, back = (np.einsum("eab,eb->ea", frames[k], ends[:, side]) for side, k in enumerate((i, j)))
         # Both constrain the same edge, and least squares need their mean alone.
-        return self.integration.vertices((ahead - back) / 2)
+        return self.poisson_system.solve((ahead - back) / 2)
 
-    def _solved_frames(self, connections: Float) -> Float:
+    def _solve_frames(self, connections: Float) -> Float:
         """Solve for frames ``(N, 3, 3)`` with connections ``(E, 3, 3)`` in the least-squares sense."""
-        result = np.tile(np.eye(3), (len(self.number), 1, 1))
-        solved = self.integration.solved
+        result = np.tile(np.eye(3), (len(self.unknown_index), 1, 1))
+        solved = self.poisson_system.unknown_ids
         if not solved.size:
             return result
         # Rows of F (one per coordinate of the world) are independent: F_j - F_i M = 0 reads f_j - M^T f_i = 0.
-        i, j = self.number[self.edges].T
+        i, j = self.unknown_index[self.edge_rows].T
         there, back = np.swapaxes(connections, 1, 2), connections
         diagonal = np.tile(np.zeros((3, 3)), (len(solved), 1, 1))
         right = np.zeros_like(diagonal)  # (frame, column of F, coordinate of the world)
@@ -164,17 +168,17 @@ class LRISpace(PosedSpace):
             free = target >= 0
             blocks = np.eye(3) + into @ np.swapaxes(into, 1, 2)
             # f_target - into f_source, and f_source - into^T f_target.
-            _add(diagonal, target[free], blocks[free])
+            _add_blocks(diagonal, target[free], blocks[free])
             border = free & (source < 0)
-            _add(right, target[border], 2.0 * into[border])
+            _add_blocks(right, target[border], 2.0 * into[border])
 
-        pattern = self.pattern
+        pattern = self.frame_pattern
         values = np.zeros(len(pattern.rows))
         for column in range(3):
             for row in range(column, 3):
                 values[pattern.places[: len(solved), column] + row] = diagonal[:, row, column]
         inner = (i >= 0) & (j >= 0)
-        places = pattern.places[pattern.block(i[inner], j[inner])]
+        places = pattern.places[pattern.find_blocks(i[inner], j[inner])]
         for column in range(3):  # j is the greater one, and its rows are below the diagonal
             for row in range(3):
                 values[places[:, column] + row] = -2.0 * there[inner, row, column]
@@ -184,26 +188,26 @@ class LRISpace(PosedSpace):
 
     def _tangents(self, rows: Float, normals: Float) -> tuple[Index, Float, Float]:
         """Return start vertices, tangential lengths ``(2E,)`` and tangential directions of half-edges."""
-        starts, ends = np.concatenate([self.edges, self.edges[:, ::-1]]).T
+        starts, ends = np.concatenate([self.edge_rows, self.edge_rows[:, ::-1]]).T
         edges = rows[ends] - rows[starts]
         normal = normals[starts]
         tangents = edges - normal * np.sum(edges * normal, axis=1, keepdims=True)
         return starts, np.linalg.norm(tangents, axis=1), tangents
 
-    def _first(self, half_edges: Index, starts: Index) -> Index:
+    def _first_of_vertices(self, half_edges: Index, starts: Index) -> Index:
         """Return the first half-edge ``(N,)`` of every vertex, -1 without one; `starts` ascend."""
-        result = np.full(len(self.pieces.row_vertices), -1, dtype=np.int64)
+        result = np.full(len(self.pieces.vertex_of_row), -1, dtype=np.int64)
         vertices, first = np.unique(starts, return_index=True)
         result[vertices] = half_edges[first]
         return result
 
 
-def _in_axes(frames: Float, vectors: Float) -> Float:
+def _to_frame_axes(frames: Float, vectors: Float) -> Float:
     """Return vectors ``(n, 3)`` in the axes of frames ``(n, 3, 3)``."""
     return np.asarray(np.einsum("nba,nb->na", frames, vectors))
 
 
-def _add(sums: Float, places: Index, blocks: Float) -> None:
+def _add_blocks(sums: Float, places: Index, blocks: Float) -> None:
     """Add blocks ``(m, 3, 3)`` to sums ``(n, 3, 3)`` at their places ``(m,)``."""
     count = len(sums)
     for row in range(3):

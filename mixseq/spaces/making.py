@@ -18,7 +18,7 @@ from mixseq.segmentation.joints import Observed, Watched, decompose, frames_to_l
 from mixseq.segmentation.methods import Segmentation, chosen, segment, segment_by_labels
 from mixseq.sequence.sequence import FrameStore, MeshSequence, blocks_of, bounding_diagonal
 from mixseq.shells.gauss_newton import ShellSettings
-from mixseq.spaces.base import ShapeSpace, mean_lengths
+from mixseq.spaces.base import ShapeSpace, mean_edge_lengths
 from mixseq.spaces.edge import EdgeSettings, EdgeSpace
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.spaces.lri import LRISpace
@@ -26,7 +26,7 @@ from mixseq.spaces.mixed.construction import Purpose, mixed_space
 from mixseq.spaces.mixed.mixed_space import MixedSpace
 from mixseq.spaces.vertex import VertexSpace
 
-MAKING = 3
+SPACE_STAGES = 3
 """Number of stages; each counts as much progress as one pass over all frames."""
 
 
@@ -61,13 +61,13 @@ class SpaceOptions(TypedDict, total=False):
 def space_settings(name: SpaceName, **given: Any) -> SpaceSettings:
     """Make the settings of a space from the options by name."""
     _check_name(name)
-    known = _defaults(name)
+    known = _default_options(name)
     for setting, value in given.items():
-        owners = [other for other in SPACES if setting in _defaults(other)]
+        owners = [other for other in SPACES if setting in _default_options(other)]
         if not owners:
-            names = sorted({setting for space in SPACES for setting in _defaults(space)})
+            names = sorted({setting for space in SPACES for setting in _default_options(space)})
             raise SettingsError(f"there is no setting {setting}; settings of spaces are {', '.join(names)}")
-        default = _defaults(owners[0])[setting]
+        default = _default_options(owners[0])[setting]
         chosen = value is not default and not (np.ndim(value) == 0 and value == default)
         if chosen and setting not in known:
             others = " or ".join(f"space={other!r}" for other in owners)
@@ -86,7 +86,7 @@ _SETTINGS: dict[SpaceName, type[SpaceSettings]] = {
 }
 
 
-def _defaults(name: SpaceName) -> dict[str, Any]:
+def _default_options(name: SpaceName) -> dict[str, Any]:
     """Return the options of a space by name, with their defaults."""
     found = {field.name: field.default for field in fields(_SETTINGS[name])}
     found.pop("purpose", None)  # follows from what the space is for
@@ -113,7 +113,9 @@ def make_space(
             f"settings are {type(settings).__name__}; the {name} space takes {_SETTINGS[name].__name__}"
         )
     if isinstance(settings, MixedSettings):
-        return _mixed(frames, settings, workers, Stages(progress, MAKING, len(frames.points)))
+        return _make_mixed_space(
+            frames, settings, workers, Stages(progress, SPACE_STAGES, len(frames.points))
+        )
     header, points = frames.header, frames.points
     first = points[:1][0].astype(np.float64)
     scale = bounding_diagonal(first) or 1.0
@@ -129,13 +131,13 @@ def make_space(
         raise SettingsError(
             f"projection {settings.projection!r} has no use for shell; leave it out, or choose projection='dso'"
         )
-    lengths = mean_lengths(points, topology.edges, scale, workers, progress)
+    lengths = mean_edge_lengths(points, topology.edges, scale, workers, progress)
     return EdgeSpace(
         topology, scale, reference, lengths, replace(settings, shell=settings.shell or ShellSettings())
     )
 
 
-def part_of_faces(
+def segment_faces(
     frames: FrameStore | MeshSequence, settings: MixedSettings, topology: Topology
 ) -> NDArray[np.int64]:
     """Return the part ``(F,)`` of every triangle in the mixed space, given or found."""
@@ -147,21 +149,21 @@ def part_of_faces(
     return segment(some, topology, name, None if parts is None else int(parts), details)
 
 
-def _mixed(
+def _make_mixed_space(
     frames: FrameStore | MeshSequence, settings: MixedSettings, workers: Executor, stages: Stages
 ) -> MixedSpace:
     """Find parts, grow joints between them, and register the parts."""
     header, points = frames.header, frames.points
     stages.at(0)(0, 1, "finding parts")
     topology = Topology(header.faces, header.vertex_count)
-    labels = part_of_faces(frames, settings, topology)
+    labels = segment_faces(frames, settings, topology)
     watched = Watched.of(topology, labels, points[frames_to_look_at(len(points))])
-    observed = gather(_told(workers(observe, watched, blocks_of(points)), len(points), stages.at(1)))
+    observed = gather(_with_progress(workers(observe, watched, blocks_of(points)), len(points), stages.at(1)))
     decomposition = decompose(topology, labels, settings.joint_width, observed)
     return mixed_space(points, topology, decomposition, settings.placement, settings.purpose, stages.at(2))
 
 
-def _told(blocks: Iterator[Observed], frames: int, progress: Progress) -> Iterator[Observed]:
+def _with_progress(blocks: Iterator[Observed], frames: int, progress: Progress) -> Iterator[Observed]:
     done = 0
     for block in blocks:
         yield block

@@ -26,7 +26,7 @@ from mixseq.types import Float, FloatArray, Index
 
 
 @compiled
-def centred_parts(x: Float, vertices: Index, ends: Index, shapes: Float) -> tuple[Float, Float, Float]:
+def centre_parts(x: Float, vertices: Index, ends: Index, shapes: Float) -> tuple[Float, Float, Float]:
     """Return centred part vertices ``(N, 3)``, centres ``(p, 3)``, and products with shapes ``(p, 3, 3)``."""
     moved = np.empty((len(vertices), 3))
     centres, covariances = np.zeros((len(ends), 3)), np.zeros((len(ends), 3, 3))
@@ -48,7 +48,7 @@ def centred_parts(x: Float, vertices: Index, ends: Index, shapes: Float) -> tupl
 
 
 @compiled
-def turned_back(moved: Float, ends: Index, rotations: Float) -> Float:
+def rotate_back(moved: Float, ends: Index, rotations: Float) -> Float:
     """Return part vertices ``(N, 3)`` rotated by the inverse rotations of parts ``(p, 3, 3)``."""
     result = np.empty((len(moved), 3))
     start = 0
@@ -61,21 +61,21 @@ def turned_back(moved: Float, ends: Index, rotations: Float) -> Float:
     return result
 
 
-def registered(shapes: Float, parts: Sequence[Index], x: FloatArray) -> tuple[Float, Float, Float]:
+def register_parts(shapes: Float, parts: Sequence[Index], x: FloatArray) -> tuple[Float, Float, Float]:
     """Register parts of a frame to mean shapes ``(N, 3)``; return aligned vertices, rotations and centres per part."""
     ends = np.cumsum([len(vertices) for vertices in parts])
     vertices = np.concatenate(parts)
-    moved, centres, covariances = centred_parts(
+    moved, centres, covariances = centre_parts(
         np.ascontiguousarray(x, dtype=np.float64), vertices, ends, shapes
     )
     rotations = aligning_rotations(covariances)
-    return turned_back(moved, ends, rotations), rotations, centres
+    return rotate_back(moved, ends, rotations), rotations, centres
 
 
-THIN = 1e-3
+MIN_WIDTH_RATIO = 1e-3
 """Ratio of width to length below which a piece is a line."""
 
-WIDTH = 0.1
+ADDED_WIDTH_RATIO = 0.1
 """Width given to lines, relative to their length."""
 
 
@@ -92,7 +92,7 @@ class Pieces:
     shapes: Float  # (N, 3) rows of the reference, every piece about its centre
 
     @classmethod
-    def of(cls, topology: Topology, reference: FloatArray) -> Pieces:
+    def from_mesh(cls, topology: Topology, reference: FloatArray) -> Pieces:
         """Find the pieces of a mesh; poses are relative to the reference ``(V, 3)``."""
         owner = topology.component_of_face
         order = np.argsort(owner, kind="stable")
@@ -108,29 +108,29 @@ class Pieces:
         return len(self.vertices)
 
     @cached_property
-    def row_vertices(self) -> Index:
+    def vertex_of_row(self) -> Index:
         """Vertex ``(N,)`` of every row."""
         return np.concatenate(self.vertices)
 
     @cached_property
-    def owner(self) -> Index:
+    def piece_of_row(self) -> Index:
         """Piece ``(N,)`` of every row."""
         return np.repeat(np.arange(len(self)), [len(each) for each in self.vertices])
 
-    def rows_of(self, pieces: Index, vertices: Index) -> Index:
+    def find_rows(self, pieces: Index, vertices: Index) -> Index:
         """Return the rows of vertices in given pieces; arrays broadcast."""
-        count = int(self.row_vertices.max(initial=-1)) + 1
+        count = int(self.vertex_of_row.max(initial=-1)) + 1
         # Rows ascend by piece, then by vertex.
-        rows = np.searchsorted(self.owner * count + self.row_vertices, pieces * count + vertices)
+        rows = np.searchsorted(self.piece_of_row * count + self.vertex_of_row, pieces * count + vertices)
         return np.asarray(rows, dtype=np.int64)
 
     def face_rows(self, topology: Topology) -> Index:
         """Return the rows ``(F, 3)`` of the corners of all faces, each in its own piece."""
         owner = topology.component_of_face.astype(np.int64)
-        return self.rows_of(owner[:, None], topology.faces.astype(np.int64))
+        return self.find_rows(owner[:, None], topology.faces.astype(np.int64))
 
     @cached_property
-    def slices(self) -> list[slice]:
+    def row_slices(self) -> list[slice]:
         """The rows of every piece."""
         ends = np.cumsum([len(each) for each in self.vertices])
         return [slice(int(end) - len(each), int(end)) for end, each in zip(ends, self.vertices, strict=True)]
@@ -141,44 +141,46 @@ class Pieces:
         return radii_of_gyration(self.shapes, self.vertices)
 
     @cached_property
-    def steady(self) -> Float:
+    def registration_shapes(self) -> Float:
         """Shapes ``(N, 3)`` for registration, with width added to lines and points to fix their rotation."""
-        return np.concatenate([_with_width(self.shapes[each]) for each in self.slices])
+        return np.concatenate([_with_width(self.shapes[each]) for each in self.row_slices])
 
-    def poses(self, x: FloatArray) -> tuple[Float, Float]:
+    def measure_poses(self, x: FloatArray) -> tuple[Float, Float]:
         """Return rotations ``(p, 3, 3)`` from the reference, and centres ``(p, 3)``, of the pieces of a frame."""
-        _, rotations, centres = self._registered(self.vertices, x)
+        _, rotations, centres = self._register(self.vertices, x)
         return rotations, centres
 
     def place(self, rows: Float, rotations: Float, centres: Float) -> Float:
         """Move rows ``(N, 3)`` by rotations ``(p, 3, 3)`` and centres ``(p, 3)`` to ``(V, 3)``; inverts `poses`."""
-        upright, _, _ = self._registered(self._own_rows, rows)
-        return self.merged(np.einsum("nij,nj->ni", rotations[self.owner], upright) + centres[self.owner])
+        upright, _, _ = self._register(self._rows_of_pieces, rows)
+        return self.merge_rows(
+            np.einsum("nij,nj->ni", rotations[self.piece_of_row], upright) + centres[self.piece_of_row]
+        )
 
-    def centred(self, rows: Float, centres: Float) -> Float:
+    def translate(self, rows: Float, centres: Float) -> Float:
         """Translate pieces, rows ``(N, 3)``, to centres ``(p, 3)``; returns vertices ``(V, 3)``."""
-        return self.merged(rows + (centres - self._means(rows))[self.owner])
+        return self.merge_rows(rows + (centres - self._mean_rows(rows))[self.piece_of_row])
 
-    def centres(self, x: Float) -> Float:
+    def measure_centres(self, x: Float) -> Float:
         """Return the centres ``(p, 3)`` of the pieces of a frame ``(V, 3)``."""
-        return self._means(x[self.row_vertices])
+        return self._mean_rows(x[self.vertex_of_row])
 
-    def merged(self, rows: Float) -> Float:
+    def merge_rows(self, rows: Float) -> Float:
         """Return vertices ``(V, 3)`` of posed rows ``(N, 3)``; the mean where several share one."""
-        counts = np.bincount(self.row_vertices)
-        return summed(rows, self.row_vertices, len(counts)) / counts[:, None]
+        counts = np.bincount(self.vertex_of_row)
+        return summed(rows, self.vertex_of_row, len(counts)) / counts[:, None]
 
     @cached_property
-    def _own_rows(self) -> list[Index]:
-        return [np.arange(each.start, each.stop) for each in self.slices]
+    def _rows_of_pieces(self) -> list[Index]:
+        return [np.arange(each.start, each.stop) for each in self.row_slices]
 
-    def _registered(self, vertices: Sequence[Index], x: FloatArray) -> tuple[Float, Float, Float]:
+    def _register(self, vertices: Sequence[Index], x: FloatArray) -> tuple[Float, Float, Float]:
         """Register pieces twice: lines in a frame first near the identity, then exactly."""
-        upright, rotations, centres = registered(self.steady, vertices, x)
-        upright, further, _ = registered(self.steady, self._own_rows, upright)
+        upright, rotations, centres = register_parts(self.registration_shapes, vertices, x)
+        upright, further, _ = register_parts(self.registration_shapes, self._rows_of_pieces, upright)
         return upright, rotations @ further, centres
 
-    def _means(self, rows: Float) -> Float:
+    def _mean_rows(self, rows: Float) -> Float:
         sizes = np.array([len(each) for each in self.vertices])
         sums = np.add.reduceat(rows, np.cumsum([0, *sizes[:-1]]), axis=0)
         return np.asarray(sums / sizes[:, None])
@@ -190,7 +192,7 @@ def _with_width(shape: Float) -> Float:
     Offsets have neither a mean nor a moment along the line, so that a rigidly moving line has exactly that pose.
     """
     _, sizes, axes = np.linalg.svd(shape, full_matrices=False)
-    if len(shape) < 3 or sizes[1] > THIN * sizes[0]:
+    if len(shape) < 3 or sizes[1] > MIN_WIDTH_RATIO * sizes[0]:
         return shape
     number = np.arange(len(shape), dtype=np.float64)
     if sizes[0] == 0:  # any shape: this is a helix
@@ -201,7 +203,9 @@ def _with_width(shape: Float) -> Float:
     offsets -= along * (along @ offsets) / (along @ along)
     side = np.eye(3)[np.abs(axes[0]).argmin()]
     side -= axes[0] * (axes[0] @ side)
-    return np.asarray(shape + WIDTH * sizes[0] * np.outer(offsets, side) / np.linalg.norm(offsets))
+    return np.asarray(
+        shape + ADDED_WIDTH_RATIO * sizes[0] * np.outer(offsets, side) / np.linalg.norm(offsets)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +222,7 @@ class PosedSpace(ShapeSpace):
     @cached_property
     def pieces(self) -> Pieces:
         """The pieces of the mesh."""
-        return Pieces.of(self.topology, self.reference)
+        return Pieces.from_mesh(self.topology, self.reference)
 
     @property
     def vertex_count(self) -> int:  # type: ignore[override]
@@ -236,11 +240,11 @@ class PosedSpace(ShapeSpace):
         """Weights ``(S,)`` of the shape, as in `weights`."""
 
     @abstractmethod
-    def shape_of(self, x: Float) -> Float:
+    def measure_shape(self, x: Float) -> Float:
         """Return the shape ``(S,)`` of a frame ``(V, 3)`` in diagonals, invariant under rigid motions."""
 
     @abstractmethod
-    def rebuilt(self, shape: Float) -> Float:
+    def rebuild_rows(self, shape: Float) -> Float:
         """Return rows ``(N, 3)`` of all pieces with a shape ``(S,)``, each in any pose; see `Pieces`."""
 
     def unwrap_shapes(self, shapes: Float, previous: Float | None) -> Float:
@@ -268,13 +272,13 @@ class PosedSpace(ShapeSpace):
         turns = np.repeat(2.0 * self.pieces.radii, 4)
         return np.concatenate([self.shape_metric, turns, np.ones(3 * len(self.pieces))])
 
-    def encode_apart(self, points: FloatArray) -> Float:
-        """Implement `ShapeSpace.encode_apart`."""
+    def encode_independently(self, points: FloatArray) -> Float:
+        """Implement `ShapeSpace.encode_independently`."""
         result = np.empty((len(points), self.dim))
         for vector, frame in zip(result, points, strict=True):
             x = frame.astype(np.float64) / self.scale
-            rotations, centres = self.pieces.poses(x)
-            blocks = self.shape_of(x), quaternions(rotations).reshape(-1), centres.reshape(-1)
+            rotations, centres = self.pieces.measure_poses(x)
+            blocks = self.measure_shape(x), quaternions(rotations).reshape(-1), centres.reshape(-1)
             np.concatenate(blocks, out=vector)
         return result
 
@@ -289,23 +293,23 @@ class PosedSpace(ShapeSpace):
 
     def decode(self, vectors: Float, progress: Progress = silent) -> Float:
         """Implement `ShapeSpace.decode`."""
-        return self.decoded(vectors, self.rebuilt, progress)
+        return self._decode_with(vectors, self.rebuild_rows, progress)
 
-    def decoded(self, vectors: Float, rebuild: Callable[[Float], Float], progress: Progress) -> Float:
+    def _decode_with(self, vectors: Float, rebuild: Callable[[Float], Float], progress: Progress) -> Float:
         """Decode vectors ``(T, D)`` by a function from a shape ``(S,)`` to rows ``(N, 3)`` in any pose."""
         shapes, turns, centres = self.split(np.asarray(vectors, dtype=np.float64))
         points = np.empty((len(shapes), self.topology.vertex_count, 3))
         with one_blas_thread():
             for number, shape in enumerate(shapes):
-                points[number] = self.placed(rebuild(shape), turns[number], centres[number])
+                points[number] = self.place_pieces(rebuild(shape), turns[number], centres[number])
                 progress(number + 1, len(shapes), "decoding frames")
         return points
 
-    def placed(self, rows: Float, turns: Float, centres: Float) -> Float:
+    def place_pieces(self, rows: Float, turns: Float, centres: Float) -> Float:
         """Pose pieces ``(N, 3)`` in diagonals; returns vertices ``(V, 3)`` in units of the sequence."""
         return self.pieces.place(rows, rotations_of(turns), centres) * self.scale
 
     def split(self, vectors: Float) -> tuple[Float, Float, Float]:
         """Return shapes ``(T, S)``, quaternions ``(T, p, 4)``, centres ``(T, p, 3)``; raises what `checked` does."""
-        shapes = self.checked(vectors)[:, : self.shape_dim]
-        return shapes, *self.poses(vectors[:, self.shape_dim :])
+        shapes = self.check_vectors(vectors)[:, : self.shape_dim]
+        return shapes, *self.unpack_placements(vectors[:, self.shape_dim :])

@@ -40,11 +40,11 @@ import numpy as np
 from mixseq.mesh.rotations import continued, inverse, normalised, powers, product
 from mixseq.types import Float, Index, evenly
 
-Ends = Literal["natural", "not-a-knot"]
+EndCondition = Literal["natural", "not-a-knot"]
 """End conditions: zero second derivatives, or one cubic through the first two intervals and the last two."""
 
 
-def spline_weights(knots: Float, times: Float, ends: Ends) -> Float:
+def spline_weights(knots: Float, times: Float, ends: EndCondition) -> Float:
     """Return the weights ``(N, m)`` of values at two or more knots ``(m,)`` in the spline at times ``(N,)``."""
     steps = np.diff(knots)
     system, right = np.diag(np.ones(len(knots))), np.zeros((len(knots), len(knots)))
@@ -70,81 +70,86 @@ def spline_weights(knots: Float, times: Float, ends: Ends) -> Float:
     return np.asarray(weights)
 
 
-LENGTHS = (np.inf, 8.0, 5.6, 4.0, 2.8, 2.0, 1.4, 1.0)
+CANDIDATE_LENGTH_SCALES = (np.inf, 8.0, 5.6, 4.0, 2.8, 2.0, 1.4, 1.0)
 """Candidate lengths, in mean steps between frames."""
 
-WINDOW = 48
+WINDOW_FRAMES = 48
 """Number of nearest frames with weights."""
 
-LEFT_OUT = 96
+MAX_LEFT_OUT_FRAMES = 96
 """Largest number of evenly spread frames that are left out."""
 
-ROUNDING = 2.0**-30
+REGULAR_SPACING_TOLERANCE = 2.0**-30
 """Deviation from whole steps, in steps, below which frames are regularly spaced."""
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class FrameWeights:
     """Weights of frames at N times."""
 
-    frames: Index  # (N, m) frames with a weight, in the order of time
+    frame_ids: Index  # (N, m) frames with a weight, in the order of time
     weights: Float  # (N, m) their weights; rows add up to one
-    count: int  # number T of all frames
+    frame_count: int  # number T of all frames
 
-    def at(self, some: Index | slice) -> Rows:
+    def select(self, some: Index | slice) -> FrameWeights:
         """Return the weights at some of the times."""
-        return Rows(self.frames[some], self.weights[some], self.count)
+        return FrameWeights(self.frame_ids[some], self.weights[some], self.frame_count)
 
-    def of(self, values: Float) -> Float:
+    def interpolate(self, values: Float) -> Float:
         """Return values ``(N, ...)`` of a quantity with values ``(T, ...)`` at the frames."""
-        flat = values.reshape(self.count, -1)
-        found = np.empty((len(self.frames), flat.shape[1]))
-        for row, weights, frames in zip(found, self.weights, self.frames, strict=True):
+        flat = values.reshape(self.frame_count, -1)
+        found = np.empty((len(self.frame_ids), flat.shape[1]))
+        for row, weights, frames in zip(found, self.weights, self.frame_ids, strict=True):
             np.einsum("m,mc->c", weights, flat[frames], out=row)  # in order, for any number of threads
-        return found.reshape(len(self.frames), *values.shape[1:])
+        return found.reshape(len(self.frame_ids), *values.shape[1:])
 
 
 @dataclass(frozen=True, eq=False)
-class Operator:
+class TemporalOperator:
     """The temporal operator of a sequence with increasing times ``(T,)``; made by `chosen`."""
 
     times: Float
-    length: float = np.inf  # length of the covariance in mean steps, infinite for the natural cubic spline
-    cubic: tuple[float, float] = (0.5, 0.5)  # shares of the usual cubic spline in the first and last interval
+    length_scale: float = (
+        np.inf
+    )  # length of the covariance in mean steps, infinite for the natural cubic spline
+    cubic_shares: tuple[float, float] = (
+        0.5,
+        0.5,
+    )  # shares of the usual cubic spline in the first and last interval
 
-    def at(self, times: Float) -> Rows:
+    def weights_at(self, times: Float) -> FrameWeights:
         """Return the weights of the frames at times ``(N,)``; at a frame its weight is one."""
-        size = min(WINDOW, len(self.times))
+        size = min(WINDOW_FRAMES, len(self.times))
         nearest = np.searchsorted(self.times, times) - size // 2
         starts = np.clip(nearest, 0, len(self.times) - size)
         frames = starts[:, None] + np.arange(size)
-        return Rows(frames, self._weights(times, frames), len(self.times))
+        return FrameWeights(frames, self._weights(times, frames), len(self.times))
 
-    def left_out(self, cubic: bool = False) -> tuple[Index, Rows]:
+    def leave_one_out(self, cubic: bool = False) -> tuple[Index, FrameWeights]:
         """Return evenly spread inner frames ``(n,)``, and their weights of others, by kriging or the cubic spline."""
         inner = np.arange(1, len(self.times) - 1)
-        left = inner[evenly(len(inner), LEFT_OUT)]
-        size = min(WINDOW, len(self.times) - 1)
+        left = inner[evenly(len(inner), MAX_LEFT_OUT_FRAMES)]
+        size = min(WINDOW_FRAMES, len(self.times) - 1)
         starts = np.clip(left - size // 2, 0, len(self.times) - 1 - size)
         frames = starts[:, None] + np.arange(size)
         frames += frames >= left[:, None]
-        return left, Rows(frames, self._solved(self.times[left], frames, cubic), len(self.times))
+        return left, FrameWeights(frames, self._solve(self.times[left], frames, cubic), len(self.times))
 
     def _weights(self, times: Float, frames: Index) -> Float:
         """Weights ``(N, m)`` of frames ``(N, m)`` at times ``(N,)``."""
-        weights = self._solved(times, frames, cubic=False)
+        weights = self._solve(times, frames, cubic=False)
         inner = self.times[1:-1]
         if len(inner):
-            for share, rows in zip(self.cubic, (times < inner[0], times > inner[-1]), strict=True):
+            for share, rows in zip(self.cubic_shares, (times < inner[0], times > inner[-1]), strict=True):
                 if share and rows.any():
-                    usual = self._solved(times[rows], frames[rows], cubic=True)
+                    usual = self._solve(times[rows], frames[rows], cubic=True)
                     weights[rows] = (1.0 - share) * weights[rows] + share * usual
         hit = self.times[frames] == times[:, None]
         known = hit.any(axis=1)
         weights[known] = hit[known]
         return weights
 
-    def _solved(self, times: Float, frames: Index, cubic: bool) -> Float:
+    def _solve(self, times: Float, frames: Index, cubic: bool) -> Float:
         """Weights ``(N, m)`` of frames ``(N, m)`` at times ``(N,)``, by kriging or by the usual cubic spline."""
         step = (self.times[-1] - self.times[0]) / max(len(self.times) - 1, 1) or 1.0
         weights = np.ones(frames.shape)
@@ -152,54 +157,54 @@ class Operator:
             return weights
         firsts = self.times[frames[:, :1]]
         windows, systems = np.unique(
-            _whole_where_nearly((self.times[frames] - firsts) / step), axis=0, return_inverse=True
+            _snap_regular_knots((self.times[frames] - firsts) / step), axis=0, return_inverse=True
         )
         wanted = (times - firsts[:, 0]) / step
         # Times that see frames at the same distances share a system: nearly all, if frames are evenly spaced.
         for system, knots in enumerate(windows):
             some = systems.reshape(-1) == system
-            if cubic or np.isinf(self.length):
+            if cubic or np.isinf(self.length_scale):
                 weights[some] = spline_weights(knots, wanted[some], "not-a-knot" if cubic else "natural")
             else:
-                weights[some] = _kriging(knots, wanted[some], self.length)
+                weights[some] = _kriging_weights(knots, wanted[some], self.length_scale)
         return weights
 
 
-def chosen(times: Float, samples: Float) -> Operator:
+def select_operator(times: Float, samples: Float) -> TemporalOperator:
     """Choose the operator of a sequence: times ``(T,)``; samples ``(T, C)``."""
     if len(times) < 4:
-        return Operator(times)
+        return TemporalOperator(times)
 
     def errors(length: float, cubic: bool = False) -> Float:
-        left, rows = Operator(times, length).left_out(cubic)
-        return np.asarray(np.square(rows.of(samples) - samples[left]).sum(axis=1))
+        left, rows = TemporalOperator(times, length).leave_one_out(cubic)
+        return np.asarray(np.square(rows.interpolate(samples) - samples[left]).sum(axis=1))
 
-    kriging = [errors(length) for length in LENGTHS]
+    kriging = [errors(length) for length in CANDIDATE_LENGTH_SCALES]
     best = int(np.argmin([each.sum() for each in kriging]))
     usual = errors(np.inf, cubic=True)
     shares = []
     for end in (0, -1):
         ours, others = kriging[best][end] ** 2, usual[end] ** 2
         shares.append(float(ours / (ours + others)) if ours + others > 0 else 0.5)
-    return Operator(times, LENGTHS[best], (shares[0], shares[1]))
+    return TemporalOperator(times, CANDIDATE_LENGTH_SCALES[best], (shares[0], shares[1]))
 
 
-def with_middles(times: Float) -> Float:
+def insert_midpoints(times: Float) -> Float:
     """Return times ``(2T - 1,)`` with midpoints in between."""
     both = np.empty(2 * len(times) - 1)
     both[::2], both[1::2] = times, (times[:-1] + times[1:]) / 2
     return both
 
 
-def _whole_where_nearly(knots: Float) -> Float:
+def _snap_regular_knots(knots: Float) -> Float:
     """Return knots ``(N, m)``, in steps from the first, with rows of nearly whole numbers rounded."""
     whole = np.rint(knots)
-    nearly = (np.abs(knots - whole) <= ROUNDING).all(axis=1, keepdims=True)
+    nearly = (np.abs(knots - whole) <= REGULAR_SPACING_TOLERANCE).all(axis=1, keepdims=True)
     apart = (np.diff(whole, axis=1) > 0).all(axis=1, keepdims=True)
     return np.where(nearly & apart, whole, knots)
 
 
-def _kriging(knots: Float, times: Float, length: float) -> Float:
+def _kriging_weights(knots: Float, times: Float, length: float) -> Float:
     def covariance(distances: Float) -> Float:
         scaled = np.sqrt(3.0) * np.abs(distances) / length
         return np.asarray((1.0 + scaled) * np.exp(-scaled))
@@ -216,7 +221,7 @@ def _kriging(knots: Float, times: Float, length: float) -> Float:
     return np.asarray(np.linalg.solve(system, right.T).T[:, :count])
 
 
-NOTHING = 1e-12
+EXPONENT_TOLERANCE = 1e-12
 """Distance to 0 or 1 below which exponents of rotations are rounded."""
 
 
@@ -227,21 +232,21 @@ class Poses(NamedTuple):
     centres: Float  # (T, p, 3) where the parts' centres are
 
 
-def predicted_alone(rows: Rows, poses: Poses) -> Poses:
+def interpolate_poses(rows: FrameWeights, poses: Poses) -> Poses:
     """Predict each pose independently: rotations chained, centres as weighted sums."""
-    return Poses(chained(rows, poses.rotations), rows.of(poses.centres))
+    return Poses(chain_rotations(rows, poses.rotations), rows.interpolate(poses.centres))
 
 
-def chained(rows: Rows, rotations: Float) -> Float:
+def chain_rotations(rows: FrameWeights, rotations: Float) -> Float:
     """Return the rotations ``(N, p, 4)`` chained from those at the frames ``(T, p, 4)`` by weights."""
     exponents = np.cumsum(rows.weights[:, ::-1], axis=1)[:, ::-1]
-    result = rotations[rows.frames[:, 0]]
-    for place in range(1, rows.frames.shape[1]):
+    result = rotations[rows.frame_ids[:, 0]]
+    for place in range(1, rows.frame_ids.shape[1]):
         exponent = exponents[:, place]
-        before, here = rotations[rows.frames[:, place - 1]], rotations[rows.frames[:, place]]
-        whole = np.abs(exponent - 1.0) < NOTHING
+        before, here = rotations[rows.frame_ids[:, place - 1]], rotations[rows.frame_ids[:, place]]
+        whole = np.abs(exponent - 1.0) < EXPONENT_TOLERANCE
         result[whole] = here[whole]  # all that came before is whole, too
-        some = ~whole & (np.abs(exponent) >= NOTHING)
+        some = ~whole & (np.abs(exponent) >= EXPONENT_TOLERANCE)
         if some.any():
             step = product(inverse(before[some]), here[some])
             result[some] = product(result[some], powers(step, exponent[some, None]))

@@ -11,13 +11,13 @@ import numpy as np
 from mixseq.mesh.polygons import frozen
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, silent
-from mixseq.spaces.base import Carry, ShapeSpace, unchanged
+from mixseq.spaces.base import ShapeMap, ShapeSpace, identity_map
 from mixseq.types import Float, FloatArray, Index, Mask
 
-NEGLIGIBLE = 1e-9
+RANK_TOLERANCE = 1e-9
 """Size of basis vectors relative to a shape below which they are rounding errors."""
 
-MOST_BLOCKS = 128
+MAX_BASIS_BLOCKS = 128
 """Largest number of independent blocks of a basis; a basis with more is treated as one block."""
 
 
@@ -62,8 +62,8 @@ class BasisSpace(ShapeSpace):
         whole: list[tuple[Index | slice, Index | slice, Float]] = [(slice(None), slice(None), self.basis.T)]
         if self.basis.all(axis=1).any():
             return whole
-        pieces = _pieces(self.basis != 0)
-        if pieces.max(initial=0) >= MOST_BLOCKS:
+        pieces = _number_blocks(self.basis != 0)
+        if pieces.max(initial=0) >= MAX_BASIS_BLOCKS:
             return whole
         blocks: list[tuple[Index | slice, Index | slice, Float]] = []
         for piece in range(pieces.max(initial=-1) + 1):
@@ -75,26 +75,26 @@ class BasisSpace(ShapeSpace):
         return blocks
 
     @cached_property
-    def _inverse(self) -> Float:
+    def _gram_inverse(self) -> Float:
         # Of normalised vectors, which may be of very different sizes.
         norms = self.weights[::3]
         products = (self.basis @ self.basis.T) / np.outer(norms, norms)
         return np.asarray(np.linalg.pinv(products, hermitian=True) / np.outer(norms, norms))
 
-    def with_shape(self, points: Float) -> tuple[ShapeSpace, Carry]:
-        """Implement `ShapeSpace.with_shape`: add what the basis does not span, one vector each for x, y and z."""
+    def extend(self, points: Float) -> tuple[ShapeSpace, ShapeMap]:
+        """Implement `ShapeSpace.extend`: add what the basis does not span, one vector each for x, y and z."""
         rest = points - self.decode(self.encode(points[None]))[0]
         norms = np.linalg.norm(rest, axis=0)
-        new = (rest / np.where(norms > 0, norms, 1.0)).T[norms > NEGLIGIBLE * np.linalg.norm(points)]
+        new = (rest / np.where(norms > 0, norms, 1.0)).T[norms > RANK_TOLERANCE * np.linalg.norm(points)]
         wider = BasisSpace(np.concatenate([self.basis, new]), self.scale)
         return wider, lambda shapes: np.pad(shapes, [(0, 0), (0, 3 * len(new))])
 
-    def joined(self, other: ShapeSpace) -> tuple[ShapeSpace, Carry | None, Carry | None]:
-        """Implement `ShapeSpace.joined`: merge two bases into an orthonormal one; other spaces have all shapes."""
+    def merge(self, other: ShapeSpace) -> tuple[ShapeSpace, ShapeMap | None, ShapeMap | None]:
+        """Implement `ShapeSpace.merge`: merge two bases into an orthonormal one; other spaces have all shapes."""
         if not isinstance(other, BasisSpace):
-            return other, None, unchanged
+            return other, None, identity_map
         if self.scale == other.scale and np.array_equal(self.basis, other.basis):
-            return self, unchanged, unchanged
+            return self, identity_map, identity_map
         from scipy import linalg  # heavy, and not needed to decode
 
         normalised = [
@@ -102,11 +102,11 @@ class BasisSpace(ShapeSpace):
         ]
         with one_blas_thread():
             orthonormal, triangle, _ = linalg.qr(np.concatenate(normalised).T, mode="economic", pivoting=True)
-            rank = int(np.count_nonzero(np.abs(np.diagonal(triangle)) > NEGLIGIBLE))
+            rank = int(np.count_nonzero(np.abs(np.diagonal(triangle)) > RANK_TOLERANCE))
             both = BasisSpace(orthonormal.T[:rank], self.scale)
-            return both, self._changed(both), other._changed(both)
+            return both, self._map_to(both), other._map_to(both)
 
-    def _changed(self, new: BasisSpace) -> Carry:
+    def _map_to(self, new: BasisSpace) -> ShapeMap:
         """Return the map of shapes to a space whose orthonormal basis spans this one."""
         change = (new.basis @ self.basis.T) * (self.scale / new.scale)
 
@@ -116,12 +116,12 @@ class BasisSpace(ShapeSpace):
 
         return carry
 
-    def encode_apart(self, points: FloatArray) -> Float:
-        """Implement `ShapeSpace.encode_apart` by linear least squares."""
+    def encode_independently(self, points: FloatArray) -> Float:
+        """Implement `ShapeSpace.encode_independently` by linear least squares."""
         vectors = np.empty((len(points), self.dim))
         with one_blas_thread():
             for row, frame in zip(vectors, points, strict=True):
-                row[:] = (self._inverse @ (self.basis @ frame.astype(np.float64))).reshape(-1)
+                row[:] = (self._gram_inverse @ (self.basis @ frame.astype(np.float64))).reshape(-1)
         return vectors / self.scale
 
     def decode(self, vectors: Float, progress: Progress = silent) -> Float:
@@ -129,19 +129,19 @@ class BasisSpace(ShapeSpace):
         points = np.zeros((len(vectors), self.vertex_count, 3))
         with one_blas_thread():
             for frame, vector in zip(
-                points, self.checked(vectors), strict=True
+                points, self.check_vectors(vectors), strict=True
             ):  # the same bits for any other frames in the block
                 coefficients = self.scale * vector.reshape(-1, 3)
                 for vertices, some, transposed in self._blocks:
                     frame[vertices] = transposed @ coefficients[some]
         return points
 
-    def decode_moving(self, vectors: Float, rates: Float) -> tuple[Float, Float]:
-        """Implement `ShapeSpace.decode_moving`."""
+    def decode_with_velocities(self, vectors: Float, rates: Float) -> tuple[Float, Float]:
+        """Implement `ShapeSpace.decode_with_velocities`."""
         return self.decode(vectors), self.decode(rates)
 
 
-def _pieces(used: Mask) -> Index:
+def _number_blocks(used: Mask) -> Index:
     """Number the connected blocks ``(K,)`` of basis vectors with support `used` ``(K, V)``."""
     lowest = np.arange(len(used), dtype=np.int32)
     while True:
@@ -172,18 +172,20 @@ class VertexSpace(ShapeSpace):
         """Ones: coordinates are in diagonals."""
         return np.ones(self.dim)
 
-    def encode_apart(self, points: FloatArray) -> Float:
-        """Implement `ShapeSpace.encode_apart`."""
+    def encode_independently(self, points: FloatArray) -> Float:
+        """Implement `ShapeSpace.encode_independently`."""
         return points.astype(np.float64).reshape(len(points), -1) / self.scale
 
     def decode(self, vectors: Float, progress: Progress = silent) -> Float:
         """Implement `ShapeSpace.decode`."""
-        return np.asarray(self.checked(vectors).reshape(len(vectors), self.vertex_count, 3) * self.scale)
+        return np.asarray(
+            self.check_vectors(vectors).reshape(len(vectors), self.vertex_count, 3) * self.scale
+        )
 
     def shape_difference(self, vector: Float, before: Float, after: Float) -> Float:
         """Implement `ShapeSpace.shape_difference`."""
         return np.asarray((after - before).reshape(-1) / self.scale)
 
-    def decode_moving(self, vectors: Float, rates: Float) -> tuple[Float, Float]:
-        """Implement `ShapeSpace.decode_moving`."""
+    def decode_with_velocities(self, vectors: Float, rates: Float) -> tuple[Float, Float]:
+        """Implement `ShapeSpace.decode_with_velocities`."""
         return self.decode(vectors), self.decode(rates)

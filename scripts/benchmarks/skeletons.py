@@ -143,7 +143,7 @@ def _gltf_joints(path: Path, options: dict[str, Any], times: Float) -> dict[str,
     scene = read_scene(document)
     nodes = set(scene.paths)
     channels = read_channels(document, choose_animation(document, options.get("animation")), nodes)
-    world = scene.world(nodes, pose_at(channels, times))
+    world = scene.world_matrices(nodes, pose_at(channels, times))
     shape = (len(times), 4, 4)
     return {path: np.broadcast_to(world[node], shape) for node, path in scene.paths.items()}
 

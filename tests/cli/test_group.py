@@ -82,7 +82,7 @@ FAILURES: list[tuple[str, str]] = [
     ("encode bar.npz", "Missing argument 'TARGET'.*see mixseq encode --help"),
     ("info", "Missing argument 'FILE'"),
     ("info bar.npz bar.usdc", "unexpected extra argument"),
-    ("encode bar.npz old.h5 --tolerance 0", "--tolerance.*0.* is not in the range"),
+    ("encode bar.npz old.h5 --tolerance 0", "--tolerance.*0.* is not a length above 0"),
     ("encode bar.npz old.h5 --parts 0", "--parts.*0 is not in the range"),
     ("encode bar.npz old.h5 --parts many", "--parts.*'many' is not a valid integer"),
     ("encode bar.npz old.h5 --parts 1000", "parts is 1000; a whole number from 1 to 150"),

@@ -210,7 +210,7 @@ def test_velocities_that_cannot_be_held(run: Run, command: str) -> None:
         ("model.h5 old.npz --retime good.csv --reverse", "a retiming sets the range.*; leave out"),
         ("model.h5 old.npz --linear", "--linear is about the points of --retime"),
         ("bar.npz old.npz --exact --tolerance 0.1", "leave out one of them"),
-        ("bar.npz old.npz --tolerance 0", "--tolerance.*0.* is not in the range"),
+        ("bar.npz old.npz --tolerance 0", "--tolerance.*0.* is not a length above 0"),
         ("model.h5 old.npz --tolerance 0.1", "model.h5 is a model already; leave out --tolerance"),
         ("model.h5 old.npz --input-fps 10", "model.h5 is a model already; leave out the options for reading"),
         ("bar.npz old.npz --prim /bar", "npz has no option 'prim'"),

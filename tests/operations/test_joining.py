@@ -16,14 +16,14 @@ from mixseq.operations.sections import (
     CurveSection,
     Seam,
     blend_placements,
-    correction_measure,
+    correction_norm,
     interpolate_adaptively,
     join_curves,
     lerp,
     map_curve_times,
     merge_sites,
-    placement_measure,
-    shape_measure,
+    placement_norm,
+    shape_norm,
     subdivide,
 )
 from mixseq.signals.curve import Curve
@@ -142,22 +142,26 @@ def test_all_or_nothing_gives_one_of_them(space: SpaceName, share: float) -> Non
     model = bar_motion(space)
     both = 1.1 * model.placement(TIMES), model.placement(LATER)
     found, expected = blend_placements(model.space, *both, shares(share)), both[int(share)]
-    turns, others = (model.space.poses(each).rotations for each in (found, expected))
+    turns, others = (model.space.unpack_placements(each).rotations for each in (found, expected))
     signs = np.where(np.einsum("tgi,tgi->tg", turns, others) < 0, -1.0, 1.0)[:, :, None]
     np.testing.assert_allclose(signs * turns, others, atol=1e-12)
     np.testing.assert_allclose(
-        model.space.poses(found).centres, model.space.poses(expected).centres, atol=1e-12
+        model.space.unpack_placements(found).centres,
+        model.space.unpack_placements(expected).centres,
+        atol=1e-12,
     )
 
 
 def test_a_body_turns_along_the_shortest_way() -> None:
     model = chain()
     one, other = (model.placement(times) for times in (TIMES, LATER))
-    found = model.space.poses(blend_placements(model.space, one, other, shares(0.3)))
-    turns, others = (rotations_of(model.space.poses(each).rotations[:, 0]) for each in (one, other))
+    found = model.space.unpack_placements(blend_placements(model.space, one, other, shares(0.3)))
+    turns, others = (
+        rotations_of(model.space.unpack_placements(each).rotations[:, 0]) for each in (one, other)
+    )
     expected = turns @ matrices(0.3 * vectors(np.swapaxes(turns, 1, 2) @ others))
     np.testing.assert_allclose(rotations_of(found.rotations[:, 0]), expected, atol=1e-12)
-    here, there = (model.space.poses(each).centres[:, 0] for each in (one, other))
+    here, there = (model.space.unpack_placements(each).centres[:, 0] for each in (one, other))
     np.testing.assert_allclose(found.centres[:, 0], lerp(here, there, shares(0.3)), atol=1e-12)
 
 
@@ -167,7 +171,7 @@ def test_whole_turns_count() -> None:
     turning = model.placement.values
     still = np.repeat(turning[:1], len(times), axis=0)
     found = blend_placements(model.space, turning, still, np.full((len(times), 1), 0.5))
-    cosines = np.abs(model.space.poses(found).rotations[:, 0] @ turning[0, :4])
+    cosines = np.abs(model.space.unpack_placements(found).rotations[:, 0] @ turning[0, :4])
     np.testing.assert_allclose(
         cosines, np.abs(np.cos(np.pi * times / 2)), atol=1e-9
     )  # a quarter of the angle
@@ -214,7 +218,7 @@ def test_lengths_of_steps_are_those_of_scores() -> None:
         model = fit(sequence, exact=True, pose=pose)
         steps = np.diff(model.time(model.times), axis=0)
         expected = np.linalg.norm(steps, axis=1) / np.sqrt(sequence.vertex_count)
-        np.testing.assert_allclose(shape_measure(model)(steps), expected, rtol=1e-9)
+        np.testing.assert_allclose(shape_norm(model)(steps), expected, rtol=1e-9)
 
 
 def test_vertices_that_move_alike_move_by_the_length() -> None:
@@ -222,20 +226,20 @@ def test_vertices_that_move_alike_move_by_the_length() -> None:
     moved = np.stack([sequence.points[0], sequence.points[0] + np.array([0.3, 0.0, 0.4])])
     model = fit(sequence.with_points(moved), exact=True, space="vertex")
     step = np.diff(model.time(model.times), axis=0)
-    np.testing.assert_allclose(shape_measure(model)(step), 0.5 / sequence.diagonal)
-    assert placement_measure(model)(np.zeros((3, 0))).tolist() == [0.0, 0.0, 0.0]
+    np.testing.assert_allclose(shape_norm(model)(step), 0.5 / sequence.diagonal)
+    assert placement_norm(model)(np.zeros((3, 0))).tolist() == [0.0, 0.0, 0.0]
 
 
 def test_the_size_of_a_placement_is_its_largest_number() -> None:
     model = fit(bar(sides=5, rings=15, frames=3), exact=True, parts=2)
     changes = np.zeros((2, model.space.placement_dim))
     changes[1, 4] = -0.25  # of the centre, after the quaternion
-    np.testing.assert_allclose(placement_measure(model)(changes), [0.0, 0.25])
+    np.testing.assert_allclose(placement_norm(model)(changes), [0.0, 0.25])
 
 
 def test_the_size_of_a_correction_is_its_largest_number() -> None:
     model = fit(bar(sides=5, rings=15, frames=3), exact=True, parts=2)
     changes = np.zeros((2, model.space.correction_dim))
     changes[1, 3 * 2] = -0.25  # of a shift, after the turns of both parts
-    np.testing.assert_allclose(correction_measure(model)(changes), [0.0, 0.25])
-    assert correction_measure(fit(bar(sides=5, rings=15, frames=2), space="lri"))(np.zeros((1, 0))) == [0.0]
+    np.testing.assert_allclose(correction_norm(model)(changes), [0.0, 0.25])
+    assert correction_norm(fit(bar(sides=5, rings=15, frames=2), space="lri"))(np.zeros((1, 0))) == [0.0]

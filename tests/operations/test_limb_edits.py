@@ -288,13 +288,13 @@ def test_joints_belong_to_the_nearest_border() -> None:
     space = space_of((0, 1, 2))
     first, second = (find_limb(chain(), part).joint_weights() for part in (1, 2))
     assert ((first >= 0) & (first <= 1)).all()
-    *measured, unposed, poses = np.split(first + second, np.cumsum(space.sizes[:3]))
+    *measured, unposed, poses = np.split(first + second, np.cumsum(space.block_sizes[:3]))
     for of_joints in measured:
         np.testing.assert_allclose(of_joints, 1.0)
-    alone = np.repeat(space.only_part, 3)
+    alone = np.repeat(space.rigid_part_of_vertex, 3)
     np.testing.assert_allclose(unposed, alone < 0)
     assert not poses.any()
     own = find_limb(chain(), 2).part_weights()
-    np.testing.assert_array_equal(own[sum(space.sizes[:2]) :][: space.sizes[2]], alone == 2)
+    np.testing.assert_array_equal(own[sum(space.block_sizes[:2]) :][: space.block_sizes[2]], alone == 2)
     assert own.sum() == (alone == 2).sum() > 0
     assert len(own) == len(first) == chain().shapes.shape[1]

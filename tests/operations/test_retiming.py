@@ -14,7 +14,7 @@ import mixseq
 from mixseq.choices import SpaceName
 from mixseq.errors import SettingsError
 from mixseq.operations import Retiming, cut, repeat, resample, retime, reverse, shift, speed
-from mixseq.operations.sections import shape_measure
+from mixseq.operations.sections import shape_norm
 from mixseq.sequence.sequence import bounding_diagonal
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
@@ -193,7 +193,7 @@ def test_signals_are_those_of_the_source(seed: int, smooth: bool, knots: int | N
     retiming = Retiming.through(*keys.T, smooth)  # type: ignore[call-arg]
     found = retime(model, keys, smooth)
     times = np.linspace(keys[0, 0], keys[-1, 0], 301)
-    apart = shape_measure(model)(found.time(times) - model.time(retiming(times)))
+    apart = shape_norm(model)(found.time(times) - model.time(retiming(times)))
     assert apart.max() < 5e-5
     whole, source = found.curves[1], model.curves[1]
     np.testing.assert_allclose(whole(times), source(retiming(times)), atol=3e-4)

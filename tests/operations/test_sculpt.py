@@ -16,12 +16,12 @@ from mixseq.mesh.rigid import kabsch
 from mixseq.operations.sculpt import Where, sculpt
 from mixseq.operations.sections import smoothstep
 from mixseq.sequence.sequence import MeshSequence
-from mixseq.signals.detail import Detail, build, encode
+from mixseq.signals.detail import Detail, build_model, encode_sequence
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
 from mixseq.spaces.base import ShapeSpace
-from mixseq.spaces.pieces import registered
+from mixseq.spaces.pieces import register_parts
 from mixseq.types import Float, Index
 from tests.meshes import bar, bending, tube
 
@@ -92,7 +92,9 @@ def test_a_bump_keeps_its_shape_in_the_frame_of_its_part(kind: str, error: float
 def turn_of(model: Model, part: int, time: float) -> Float:
     """How the part is turned: the rotation from its mean shape."""
     space = model.mixed
-    rotation: Float = registered(space.shapes, space.decomposition.parts, model(time) / space.scale)[1][part]
+    rotation: Float = register_parts(space.shapes, space.decomposition.parts, model(time) / space.scale)[1][
+        part
+    ]
     return rotation
 
 
@@ -120,7 +122,7 @@ def with_all_joints(share: float) -> Model:
     model = fit(sequence, exact=True, parts=2)
     projection = replace(model.mixed.projection, share=share)
     space = replace(model.mixed, joint_faces=np.ones(len(sequence.faces), dtype=bool), projection=projection)
-    return build(encode(sequence, space), Detail())
+    return build_model(encode_sequence(sequence, space), Detail())
 
 
 @pytest.mark.parametrize("share", [0.5, 1.0])
@@ -128,7 +130,7 @@ def test_an_edit_between_frames_is_met_by_lengths_and_angles(share: float) -> No
     """There they are not those of posed vertices."""
     model = with_all_joints(share)
     time, vertices = 0.15, np.arange(40, 60)
-    posed = model.mixed.posed(model.curve([time]))[0] * model.space.scale
+    posed = model.mixed.skin(model.curve([time]))[0] * model.space.scale
     assert np.abs(posed - model(time)).max() > 1e-4
     edited = bumped(model(time), vertices, 0.1)
     np.testing.assert_allclose(sculpt(model, time, edited)(time), edited, atol=1e-9)
@@ -223,7 +225,7 @@ def test_angles_take_the_short_way() -> None:
     model = with_all_joints(0.0)
     space, points = model.mixed, 2.0 * model(0.2)
     folded = points * np.array([1.0, 1.0, -1.0])
-    edges, hinges = space.sizes[:2]
+    edges, hinges = space.block_sizes[:2]
     angles = space.shape_difference(model.curve([0.2])[0], points, folded)[edges : edges + hinges]
     before = dihedral_angles(points, space.topology.hinges[space.hinge_ids])
     np.testing.assert_allclose(angles, wrap(-2.0 * before), atol=1e-9)
@@ -287,7 +289,7 @@ def test_a_bump_on_the_flank_of_the_horse(data: Path) -> None:
     trunk = int(np.argmax([len(vertices) for vertices in model.decomposition.parts]))
     space, time = model.mixed, float(model.times[5])
     assert space.projection.share == 0
-    own = np.flatnonzero(space.only_part == trunk)  # others follow two parts
+    own = np.flatnonzero(space.rigid_part_of_vertex == trunk)  # others follow two parts
     before = model(time)
     flank = own[before[own, 0].argmax()]  # x points to the side
     bump = own[np.argsort(np.linalg.norm(before[own] - before[flank], axis=1))[:80]]

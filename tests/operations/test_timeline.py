@@ -128,7 +128,7 @@ def test_turns_add_up() -> None:
     longer = repeat(spin(), 0, 1, times=3)
     times = np.linspace(0, 3, 73)
     np.testing.assert_allclose(longer.sample(times).points, spinning(2 * np.pi * times), atol=CIRCLE)
-    first, last = longer.space.poses(longer.placement([0.0, 3.0])).rotations
+    first, last = longer.space.unpack_placements(longer.placement([0.0, 3.0])).rotations
     np.testing.assert_allclose(last, -first, atol=1e-9)
 
 

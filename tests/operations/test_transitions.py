@@ -142,8 +142,10 @@ def test_a_transition(space: SpaceName, at: float, duration: float) -> None:
         weight = step((inside - at) / duration)[:, None]
         expected = (1 - weight) * before(inside) + weight * after(inside)
         if curve is over.placement:
-            found = over.space.poses(curve(inside))
-            means = over.space.poses(blend_placements(over.space, before(inside), after(inside), weight))
+            found = over.space.unpack_placements(curve(inside))
+            means = over.space.unpack_placements(
+                blend_placements(over.space, before(inside), after(inside), weight)
+            )
             turns, others = (rotations_of(poses.rotations) for poses in (found, means))
             np.testing.assert_allclose(turns, others, atol=1e-4)
             np.testing.assert_allclose(found.centres, means.centres, atol=1e-4)
@@ -179,8 +181,8 @@ def test_turns_go_on_in_a_transition() -> None:
 
 def negated(model: Model) -> Model:
     """The same motion, its quaternions with the other sign."""
-    turns, centres = model.space.poses(model.placement.values)
-    values = model.space.placements(Poses(-turns, centres))
+    turns, centres = model.space.unpack_placements(model.placement.values)
+    values = model.space.pack_placements(Poses(-turns, centres))
     return replace(model, placement=Curve(model.placement.times, values))
 
 

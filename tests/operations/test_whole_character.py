@@ -142,7 +142,9 @@ def test_a_limb_moves_in_its_joint_and_all_else_stays(made: Made, kind: str) -> 
     away = np.linalg.norm(after - before, axis=2).max(axis=0)
     limb = find_limb(model, part).part_mask
     follows = space.skinning_weights @ limb.astype(np.float64)
-    at_joints = np.isin(np.arange(space.vertex_count), space.joints.vertices) & (space.projection.share > 0)
+    at_joints = np.isin(np.arange(space.vertex_count), space.joint_projection.moving_vertex_ids) & (
+        space.projection.share > 0
+    )
     assert away[(follows == 0) & ~at_joints].max() < 1e-9
     assert away[(follows == 1) & ~at_joints].max() > 0.01
     ends = space.topology.edges[follows[space.topology.edges].max(axis=1) > 0]
@@ -171,7 +173,7 @@ def test_vertices_that_were_not_sculpted_stay(made: Made, between: float) -> Non
     sculpted = sculpt(model, time, edited)
     np.testing.assert_allclose(sculpted(time), edited, atol=1e-9 * space.scale)
     if space.projection.share > 0:
-        others = np.setdiff1d(others, space.joints.vertices)
+        others = np.setdiff1d(others, space.joint_projection.moving_vertex_ids)
     frames = times[[0, 9, 15]]
     before, after = (each.sample(frames).points[:, others] for each in (model, sculpted))
     np.testing.assert_allclose(after, before, atol=1e-9 * space.scale)

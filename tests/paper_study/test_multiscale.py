@@ -15,7 +15,7 @@ from mixseq.mesh.measures import dihedral_angles, edge_lengths, unwrap_angles, w
 from mixseq.mesh.rigid import kabsch
 from mixseq.mesh.topology import Topology
 from mixseq.shells.gauss_newton import ShellReport, ShellSettings
-from mixseq.spaces.edge import EdgeProjection, Wanted
+from mixseq.spaces.edge import EdgeProjection, ShellTargets
 from mixseq.spaces.pieces import Pieces
 from mixseq.types import Float
 from scripts.paper_study.msgi.multiscale import MultiScale
@@ -27,8 +27,8 @@ SMALL = {"leaf": 24, "group": 4}
 """Numbers that give small meshes several levels."""
 
 
-def wanted(lengths: Float, angles: Float, weights: Float) -> Wanted:
-    return Wanted(lengths, weights, angles, np.zeros(0), np.zeros(0))
+def wanted(lengths: Float, angles: Float, weights: Float) -> ShellTargets:
+    return ShellTargets(lengths, weights, angles, np.zeros(0), np.zeros(0))
 
 
 class Rebuilder:
@@ -36,7 +36,7 @@ class Rebuilder:
 
     def __init__(self, points: Float, faces: NDArray[np.int64], **numbers: int) -> None:
         self.topology = Topology(faces, len(points))
-        self.pieces = Pieces.of(self.topology, points)
+        self.pieces = Pieces.from_mesh(self.topology, points)
         projection = MultiScale(self.topology, self.pieces, **numbers)
         self.projection: EdgeProjection = projection
         self.multiscale = projection
@@ -57,7 +57,7 @@ class Rebuilder:
     def distance(self, rows: Float, points: Float) -> float:
         """Largest distance of a vertex from a mesh ``(V, 3)``, when every piece is moved rigidly onto it."""
         worst = 0.0
-        for place, vertices in zip(self.pieces.slices, self.pieces.vertices, strict=True):
+        for place, vertices in zip(self.pieces.row_slices, self.pieces.vertices, strict=True):
             rotation, translation = kabsch(rows[place], points[vertices])
             off = rows[place] @ rotation.T + translation - points[vertices]
             worst = max(worst, float(np.abs(off).max()))
@@ -234,7 +234,7 @@ def test_half_way_between_two_poses(
     lengths, angles = this.half_way(*frames)
     rows, _ = this.rebuild(lengths, angles)
     x = np.zeros_like(frames[0])
-    x[this.pieces.row_vertices] = rows
+    x[this.pieces.vertex_of_row] = rows
     stretch, turn = this.errors(x, lengths, angles)
     found = (*np.percentile(stretch, [99, 99.9]), *np.percentile(turn, [99, 99.9]))
     assert all(error < limit for error, limit in zip(found, limits, strict=True)), found

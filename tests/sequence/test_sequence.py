@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import mixseq
+from mixseq.choices import UNITS
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import Origin, Surface
@@ -18,7 +19,6 @@ from mixseq.runtime import low_memory
 from mixseq.runtime.low_memory import DiskArray
 from mixseq.sequence.header import SequenceHeader, header_fields
 from mixseq.sequence.sequence import (
-    UNITS,
     MeshSequence,
     UnitConversion,
     block_size,

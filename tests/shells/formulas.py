@@ -47,14 +47,14 @@ def jacobian(problem: ShellProblem, points: Float) -> sparse.csr_array:
     row = np.concatenate(
         [np.repeat(np.arange(len(edges)), 6), len(edges) + np.repeat(np.arange(len(hinges)), 12)]
     )
-    place = problem.patch.free_number[np.concatenate([edges.reshape(-1), hinges.reshape(-1)])]
+    place = problem.patch.free_index[np.concatenate([edges.reshape(-1), hinges.reshape(-1)])]
     column = (3 * place[:, None] + np.arange(3)).reshape(-1)
     value = np.concatenate([stretch.reshape(-1), bend.reshape(-1)])
     inside = np.repeat(place >= 0, 3)
-    weights = np.repeat(problem.soft.weights, 3)
+    weights = np.repeat(problem.constraint.weights, 3)
     value = np.concatenate([value[inside], weights])
     first = len(edges) + len(hinges)
     row = np.concatenate([row[inside], first + np.arange(len(weights))])
     column = np.concatenate([column[inside], np.arange(len(weights))])
-    size = (first + len(weights), 3 * len(problem.patch.free))
+    size = (first + len(weights), 3 * len(problem.patch.free_ids))
     return sparse.coo_array((value, (row, column)), shape=size).tocsr()

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mixseq.mesh.measures import dihedral_angles, edge_lengths
 from mixseq.mesh.rotations import inverse, normalised, product, quaternions, rotations_of
 from mixseq.mesh.topology import connected
-from mixseq.shells.face_frames import FrameGraph, Hinges, bridging, flat_triangles, frames_of
+from mixseq.shells.face_frames import FrameGraph, HingeFrames, bridging_mask, flat_triangles, triangle_frames
 from mixseq.types import Float
 from tests.meshes import Mesh, flipped, grid, pages, rotation, topology_of, torus, tube
 
@@ -52,28 +52,28 @@ def assert_same(first: Float, second: Float, atol: float) -> None:
 def test_chains_are_exact_where_frames_agree() -> None:
     frames = some_frames()
     for known in ([0], [17], [3, 80]):
-        assert_same(graph(*known).chained(turns_between(frames), frames[known]), frames, 1e-13)
+        assert_same(graph(*known).chain(turns_between(frames), frames[known]), frames, 1e-13)
 
 
 def test_averages_keep_what_fits() -> None:
     frames = some_frames()
-    assert_same(graph(4).averaged(frames, turns_between(frames), 3), frames, 1e-13)
+    assert_same(graph(4).average(frames, turns_between(frames), 3), frames, 1e-13)
 
 
 def test_averages_fit_better_than_chains_and_keep_what_is_known() -> None:
     frames, net = some_frames(), graph(4)
     turns = perturbed(turns_between(frames), 0.1)
-    chained = net.chained(turns, frames[[4]])
-    better = [misfit(net.averaged(chained, turns, rounds), turns) for rounds in range(4)]
+    chained = net.chain(turns, frames[[4]])
+    better = [misfit(net.average(chained, turns, rounds), turns) for rounds in range(4)]
     assert better[1] < 0.5 * better[0] and better[3] <= better[2] <= better[1]
-    assert_same(net.averaged(chained, turns, 3)[[4]], frames[[4]], 1e-12)
+    assert_same(net.average(chained, turns, 3)[[4]], frames[[4]], 1e-12)
 
 
 def test_averages_are_those_of_least_misfit() -> None:
     """No small turn of any frame fits better."""
     frames, net = some_frames(), graph(0)
     turns = perturbed(turns_between(frames), 0.05)
-    best = net.averaged(net.chained(turns, frames[[0]]), turns, 40)
+    best = net.average(net.chain(turns, frames[[0]]), turns, 40)
     least = misfit(best, turns)
     rng = np.random.default_rng(2)
     for _ in range(20):
@@ -91,7 +91,7 @@ def test_frames_are_smooth_even_where_a_pair_is_half_a_turn_off() -> None:
     for angle in np.linspace(0.0, 2.0 * np.pi, 200):
         around = turns.copy()
         around[50] = product(turns[50], np.array([np.cos(angle / 2), np.sin(angle / 2), 0, 0]))
-        path.append(net.averaged(net.chained(around, frames[[0]]), around, 2))
+        path.append(net.average(net.chain(around, frames[[0]]), around, 2))
     cosines = np.abs((np.array(path[1:]) * np.array(path[:-1])).sum(axis=2))
     assert np.degrees(2 * np.arccos(np.minimum(cosines, 1.0))).max() < 6.0
     assert_same(path[0], path[-1], 1e-9)
@@ -106,9 +106,9 @@ def test_pairs_that_are_not_sound_make_no_circles() -> None:
     """One leads to what no sound pair reaches, however many there are; between what sound ones connect none does."""
     pairs = np.array([[0, 1], [1, 2], [2, 3], [3, 0], [1, 3], [3, 4], [4, 5]])
     sound = np.array([True, True, False, False, False, False, False])
-    assert bridging(6, pairs, sound).tolist() == [True, True, True, False, False, True, True]
-    assert bridging(6, pairs, np.ones(7, dtype=bool)).all()
-    assert not bridging(6, pairs[:0], sound[:0]).size
+    assert bridging_mask(6, pairs, sound).tolist() == [True, True, True, False, False, True, True]
+    assert bridging_mask(6, pairs, np.ones(7, dtype=bool)).all()
+    assert not bridging_mask(6, pairs[:0], sound[:0]).size
 
 
 # Triangles from lengths, their frames, and how frames of neighbours stand to each other
@@ -142,11 +142,11 @@ def test_frames_turn_with_triangles() -> None:
     rng = np.random.default_rng(3)
     x, faces = rng.normal(size=(40, 3)), np.arange(39).reshape(-1, 3)
     turn = rotation((0.3, -2.0, 1.0))
-    turned = product(quaternions(turn), frames_of(x, faces))
-    same = np.abs((turned * frames_of(x @ turn.T, faces)).sum(axis=1))
+    turned = product(quaternions(turn), triangle_frames(x, faces))
+    same = np.abs((turned * triangle_frames(x @ turn.T, faces)).sum(axis=1))
     np.testing.assert_allclose(same, 1.0, atol=1e-12)
     sides = x[faces[:, 1]] - x[faces[:, 0]]
-    along = rotations_of(frames_of(x, faces))[:, :, 0]
+    along = rotations_of(triangle_frames(x, faces))[:, :, 0]
     np.testing.assert_allclose(along * np.linalg.norm(sides, axis=1)[:, None], sides, atol=1e-12)
 
 
@@ -160,7 +160,7 @@ def test_frames_turn_with_triangles() -> None:
     ],
 )
 def test_triangles_without_area_have_frames(corners: list[list[int]]) -> None:
-    (frame,) = frames_of(np.array(corners, dtype=np.float64), np.array([[0, 1, 2]]))
+    (frame,) = triangle_frames(np.array(corners, dtype=np.float64), np.array([[0, 1, 2]]))
     assert np.linalg.norm(frame) == pytest.approx(1.0)
     matrix = rotations_of(frame)
     np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-12)
@@ -171,10 +171,10 @@ def test_frames_differ_by_what_lengths_and_angles_tell(mesh: Mesh) -> None:
     topology = topology_of(mesh)
     x = mesh[0] + 0.05 * np.random.default_rng(1).normal(size=mesh[0].shape)
     flat = flat_triangles(edge_lengths(x, topology.edges)[topology.face_edges])
-    turns = Hinges(topology.faces, topology.hinges, topology.hinge_faces).turns(
+    turns = HingeFrames(topology.faces, topology.hinges, topology.hinge_faces).rotations(
         flat, dihedral_angles(x, topology.hinges)
     )
-    frames = frames_of(x, topology.faces)
+    frames = triangle_frames(x, topology.faces)
     expected = product(frames[topology.hinge_faces[:, 0]], turns)
     same = np.abs((expected * frames[topology.hinge_faces[:, 1]]).sum(axis=1))
     np.testing.assert_allclose(same, 1.0, atol=1e-10)

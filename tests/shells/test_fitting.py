@@ -13,7 +13,7 @@ from mixseq.errors import ReconstructionError
 from mixseq.mesh.measures import dihedral_angles, edge_lengths
 from mixseq.mesh.rigid import kabsch, transform
 from mixseq.segmentation.joints import make_joint
-from mixseq.shells.fitting import Patch, ShellProblem, fit_shell, rebuild
+from mixseq.shells.fitting import Patch, ShellProblem, fit_shell, rebuild_patch
 from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.types import Float
 from tests.meshes import Mesh, bent, flipped, grid, pages, seeds, topology_of, torus, tube
@@ -26,14 +26,14 @@ BENT: Mesh = (bent(BAR[0], 1.2), BAR[1])
 def patch_of(mesh: Mesh, fixed: list[int]) -> Patch:
     topology = topology_of(mesh)
     joint = make_joint(topology, np.ones(len(mesh[1]), dtype=bool), np.zeros(len(mesh[0]), dtype=bool))
-    return Patch.of_joint(topology, joint, np.isin(np.arange(len(mesh[0])), fixed))
+    return Patch.from_joint(topology, joint, np.isin(np.arange(len(mesh[0])), fixed))
 
 
 def problem_of(mesh: Mesh, fixed: list[int], bending: float = 0.3) -> ShellProblem:
     """The problem whose solution is the mesh."""
     patch = patch_of(mesh, fixed)
-    lengths = edge_lengths(mesh[0], patch.edges)[patch.free_edges]
-    angles = dihedral_angles(mesh[0], patch.hinges)[patch.free_hinges]
+    lengths = edge_lengths(mesh[0], patch.edges)[patch.free_edge_mask]
+    angles = dihedral_angles(mesh[0], patch.hinges)[patch.free_hinge_mask]
     return ShellProblem(patch, lengths, angles, 1 / lengths, bending)
 
 
@@ -59,10 +59,10 @@ def test_jacobian_is_the_derivative(seed: int, name: str) -> None:
     x = mesh[0] + rng.uniform(-0.05, 0.05, mesh[0].shape)
     x[fixed] = mesh[0][fixed]
     direction = np.zeros_like(x)
-    direction[problem.patch.free] = rng.normal(size=(len(problem.patch.free), 3))
+    direction[problem.patch.free_ids] = rng.normal(size=(len(problem.patch.free_ids), 3))
     step = 1e-6
     numeric = (problem.residuals(x + step * direction) - problem.residuals(x - step * direction)) / (2 * step)
-    exact = jacobian(problem, x) @ direction[problem.patch.free].reshape(-1)
+    exact = jacobian(problem, x) @ direction[problem.patch.free_ids].reshape(-1)
     np.testing.assert_allclose(exact, numeric, atol=1e-6 * max(1.0, np.abs(numeric).max()))
 
 
@@ -141,7 +141,7 @@ def test_where_it_stops_the_energy_is_stationary(seed: int) -> None:
     rng = np.random.default_rng(seed)
     for _ in range(20):
         nearby = points.copy()
-        nearby[problem.patch.free] += 1e-4 * rng.normal(size=(len(problem.patch.free), 3))
+        nearby[problem.patch.free_ids] += 1e-4 * rng.normal(size=(len(problem.patch.free_ids), 3))
         assert np.sum(problem.residuals(nearby) ** 2) > report.energy
 
 
@@ -163,9 +163,9 @@ def rebuilt(mesh: Mesh, fixed: list[int], lengths: Float | None = None) -> tuple
     problem = problem_of(mesh, fixed)
     wanted = problem.lengths if lengths is None else lengths
     weights = problem.length_weights
-    given_points = np.where(problem.patch.fixed[:, None], mesh[0], 0.0)
+    given_points = np.where(problem.patch.fixed_mask[:, None], mesh[0], 0.0)
     tight = ShellSettings(accuracy=1e-9)
-    points, report = rebuild(problem.patch, wanted, problem.angles, weights, given_points, tight)
+    points, report = rebuild_patch(problem.patch, wanted, problem.angles, weights, given_points, tight)
     return points, report.converged
 
 

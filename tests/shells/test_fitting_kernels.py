@@ -18,7 +18,7 @@ from tests.shells.test_fitting import MESHES, problem_of
 
 
 def dense(pattern: BlockSparsePattern, values: Float) -> Float:
-    size = 3 * pattern.count
+    size = 3 * pattern.block_count
     lower = np.zeros((size, size))
     columns = np.repeat(np.arange(size), np.diff(pattern.starts))
     assert (pattern.rows >= columns).all()
@@ -27,7 +27,7 @@ def dense(pattern: BlockSparsePattern, values: Float) -> Float:
 
 
 def pulled(problem: ShellProblem, rng: np.random.Generator) -> ShellProblem:
-    count = len(problem.patch.free)
+    count = len(problem.patch.free_ids)
     soft = SoftConstraint(rng.normal(size=(count, 3)), rng.uniform(0.5, 2.0, count))
     return ShellProblem(
         problem.patch, problem.lengths, problem.angles, problem.length_weights, problem.bending, soft
@@ -48,7 +48,9 @@ def test_residuals_and_equations(seed: int, name: str, soft: bool) -> None:
         problem.bending * wrap(dihedral_angles(x, problem.patch.equations.hinges) - problem.angles),
     ]
     if soft:
-        away = problem.soft.weights[:, None] * (x[problem.patch.free] - problem.soft.positions)
+        away = problem.constraint.weights[:, None] * (
+            x[problem.patch.free_ids] - problem.constraint.positions
+        )
         expected.append(away.reshape(-1))
     residuals = problem.residuals(x)
     np.testing.assert_allclose(residuals, np.concatenate(expected), atol=1e-12)
@@ -97,12 +99,12 @@ def test_two_faces_on_the_same_vertices() -> None:
 def test_pattern_and_conjugate_gradients(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     pairs = rng.integers(-1, count, size=(2 * count, 2))
-    pattern = BlockSparsePattern.of(count, pairs)
+    pattern = BlockSparsePattern.from_pairs(count, pairs)
     values = rng.normal(size=len(pattern.rows))
     values[pattern.diagonal] = 60.0
     matrix = dense(pattern, values)
     for i, j in pairs:
-        block = pattern.block(np.array([i]), np.array([j]))[0]
+        block = pattern.find_blocks(np.array([i]), np.array([j]))[0]
         if min(i, j) < 0:
             assert block == -1
         else:
@@ -130,7 +132,7 @@ def test_conjugate_gradients_give_up() -> None:
 
 
 def test_no_right_hand_side_no_steps() -> None:
-    pattern = BlockSparsePattern.of(2, np.array([[0, 1]]))
+    pattern = BlockSparsePattern.from_pairs(2, np.array([[0, 1]]))
     values = np.zeros(len(pattern.rows))
     values[pattern.diagonal] = 1.0
     out = np.ones(6)
@@ -141,13 +143,13 @@ def test_no_right_hand_side_no_steps() -> None:
 
 def test_nothing_free() -> None:
     none = np.zeros(0, dtype=np.int64)
-    rows = NormalEquations.of(np.zeros((0, 2), int), np.zeros((0, 4), int), none, np.full(3, -1))
-    assert rows.pattern.count == 0 and rows.hinge_blocks.shape == (0, 6)
+    rows = NormalEquations.from_elements(np.zeros((0, 2), int), np.zeros((0, 4), int), none, np.full(3, -1))
+    assert rows.pattern.block_count == 0 and rows.hinge_blocks.shape == (0, 6)
 
 
 @pytest.mark.parametrize("worst", [-1.0, 0.0, np.nan])
 def test_conjugate_gradients_refuse_what_is_not_definite(worst: float) -> None:
-    pattern = BlockSparsePattern.of(2, np.array([[0, 1]]))
+    pattern = BlockSparsePattern.from_pairs(2, np.array([[0, 1]]))
     values = np.zeros(len(pattern.rows))
     values[pattern.diagonal] = [1.0, 1.0, 1.0, 1.0, worst, 1.0]
     out = np.empty(6)

@@ -48,12 +48,12 @@ def patch_of(mesh: Mesh, fixed: Float | None = None) -> Patch:
     every = np.ones(len(mesh[1]), dtype=bool)
     nothing = np.zeros(len(mesh[0]), dtype=bool)
     joint = make_joint(topology, every, nothing)
-    return Patch.of_joint(topology, joint, nothing if fixed is None else fixed.astype(bool))
+    return Patch.from_joint(topology, joint, nothing if fixed is None else fixed.astype(bool))
 
 
 def rebuilt(mesh: Mesh, patch: Patch) -> Float:
     points = mesh[0]
-    given_points = np.where(patch.fixed[:, None], points, np.nan)  # free positions are not looked at
+    given_points = np.where(patch.fixed_mask[:, None], points, np.nan)  # free positions are not looked at
     return linear_initialisation(
         patch, edge_lengths(points, patch.edges), dihedral_angles(points, patch.hinges), given_points
     )
@@ -111,7 +111,7 @@ def test_fixed_vertices_take_the_patch_along(seed: int, motion: tuple[Float, Flo
     here = linear_initialisation(patch, lengths, angles, points)
     there = linear_initialisation(patch, lengths, angles, points @ motion[0].T + motion[1])
     np.testing.assert_allclose(there, here @ motion[0].T + motion[1], atol=1e-8)
-    np.testing.assert_array_equal(here[patch.fixed], points[patch.fixed])
+    np.testing.assert_array_equal(here[patch.fixed_mask], points[patch.fixed_mask])
 
 
 def test_twice_the_lengths_give_twice_the_mesh() -> None:

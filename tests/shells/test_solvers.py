@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy import sparse
 
 from mixseq.errors import ReconstructionError
-from mixseq.shells.solvers import ALONE, analyse, factorise
+from mixseq.shells.solvers import MIN_ROWS_FOR_THREADS, analyse, factorise
 from tests.forking import in_a_fork
 from tests.meshes import seeds
 
@@ -95,7 +95,7 @@ def test_nothing_to_solve(solver: str, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="there are no forks")
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
-@pytest.mark.parametrize("size", [200, pytest.param(ALONE + 1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("size", [200, pytest.param(MIN_ROWS_FOR_THREADS + 1, marks=pytest.mark.slow)])
 def test_forked_processes_solve_with_the_same_bits(size: int) -> None:
     """rslab's threads are not copied, neither for large systems nor for small ones."""
     width = int(np.sqrt(size))

@@ -19,22 +19,22 @@ from mixseq.mesh.rotations import rotations_of
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.curve import Curve
 from mixseq.signals.detail import (
-    EXACT_STEP,
-    STEPS,
+    EXACT_ROUNDING_STEP,
+    TOLERANCE_TO_STEP_RATIO,
     Detail,
-    Encoded,
-    build,
-    choose_keys,
-    encode,
+    EncodedSequence,
+    build_model,
+    choose_key_frames,
+    encode_sequence,
     fit_curve,
-    key_map,
+    key_pose_map,
     least_squares_curve,
 )
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
 from mixseq.signals.modes import principal_modes
 from mixseq.spaces.making import make_space
-from mixseq.spaces.temporal import with_middles
+from mixseq.spaces.temporal import insert_midpoints
 from mixseq.types import Float, FloatArray
 from tests.meshes import bar
 from tests.signals.test_pose import METRIC, vectors
@@ -48,8 +48,8 @@ def walk() -> MeshSequence:
 
 
 @cache
-def encoded(in_body: bool = False, name: SpaceName = "mixed") -> Encoded:
-    return replace(encode(LONG, make_space(LONG, name)), in_body=in_body)
+def encoded(in_body: bool = False, name: SpaceName = "mixed") -> EncodedSequence:
+    return replace(encode_sequence(LONG, make_space(LONG, name)), in_body_axes=in_body)
 
 
 def poses_of(model: Model, times: Float) -> tuple[Float, Float]:
@@ -57,7 +57,7 @@ def poses_of(model: Model, times: Float) -> tuple[Float, Float]:
     vectors, space = model.curve(times), model.mixed
     size = space.shape_dim
     corrections = vectors[:, size + space.placement_dim :]
-    found = space.corrected_poses(vectors[:, size - space.pose_dim : size], corrections)
+    found = space.correct_poses(vectors[:, size - space.pose_dim : size], corrections)
     return rotations_of(found.rotations), found.centres
 
 
@@ -74,20 +74,20 @@ def without_correction(model: Model) -> Model:
 @pytest.mark.parametrize("in_body", [False, True])
 def test_parts_go_where_they_are_predicted_to_be(in_body: bool) -> None:
     """At frames and at quarters between them, whatever blends of key shapes say."""
-    model, between = build(encoded(in_body), Detail()), encoded(in_body).between
-    np.testing.assert_array_equal(between.times, with_middles(LONG.times))
-    np.testing.assert_array_equal(between.quarters, with_middles(between.times))
-    np.testing.assert_allclose(model.placement(between.quarters), between.placement, atol=1e-12)
-    expected = targets_of(between.targets)
-    for found, wanted in zip(poses_of(model, between.quarters), expected, strict=True):
+    model, between = build_model(encoded(in_body), Detail()), encoded(in_body).interpolated
+    np.testing.assert_array_equal(between.times, insert_midpoints(LONG.times))
+    np.testing.assert_array_equal(between.quarter_times, insert_midpoints(between.times))
+    np.testing.assert_allclose(model.placement(between.quarter_times), between.placement, atol=1e-12)
+    expected = targets_of(between.part_poses)
+    for found, wanted in zip(poses_of(model, between.quarter_times), expected, strict=True):
         np.testing.assert_allclose(found, wanted, atol=1e-9)
 
 
-@pytest.mark.parametrize("detail", [Detail(), Detail(step=EXACT_STEP)])
+@pytest.mark.parametrize("detail", [Detail(), Detail(step=EXACT_ROUNDING_STEP)])
 def test_at_frames_exact_models_need_no_correction(detail: Detail) -> None:
-    model = build(encoded(), detail)
+    model = build_model(encoded(), detail)
     assert np.abs(model.correction(model.times)).max() < 1e-9
-    assert np.abs(model.correction(with_middles(model.times))).max() > 1e-6
+    assert np.abs(model.correction(insert_midpoints(model.times))).max() > 1e-6
 
 
 @pytest.mark.parametrize("settings", [{"rank": 0}, {"rank": 2}, {"rank": 2, "pose": "keys"}])
@@ -98,8 +98,8 @@ def test_with_few_modes_frames_have_the_poses_of_their_parts(settings: dict[str,
     blocks = model.mixed.split(vectors)
     np.testing.assert_allclose(model.placement(LONG.times), vectors[:, size:end], atol=1e-9)
     turns, centres = poses_of(model, LONG.times)
-    np.testing.assert_allclose(turns, rotations_of(blocks.turns), atol=1e-9)
-    np.testing.assert_allclose(centres, blocks.centres, atol=1e-9)
+    np.testing.assert_allclose(turns, rotations_of(blocks.part_rotations), atol=1e-9)
+    np.testing.assert_allclose(centres, blocks.part_centres, atol=1e-9)
     assert np.abs(model.correction(LONG.times)).max() > 1e-6
 
 
@@ -113,7 +113,7 @@ def test_with_few_knots_signals_have_these_knots() -> None:
 
 @pytest.mark.parametrize("name", SPACES)
 def test_other_spaces_have_no_correction(name: SpaceName) -> None:
-    model = build(encoded(name=name), Detail())
+    model = build_model(encoded(name=name), Detail())
     assert model.correction.dim == model.space.correction_dim
     assert bool(model.correction.dim) == (name == "mixed")
     np.testing.assert_array_equal(model.correction.times[[0, -1]], LONG.times[[0, -1]])
@@ -147,7 +147,9 @@ def test_another_motion_through_the_same_shapes() -> None:
 
 def test_key_shapes_of_exact_models_are_rounded() -> None:
     model = fit(LONG, exact=True)
-    np.testing.assert_array_equal(np.round(model.shapes / EXACT_STEP) * EXACT_STEP, model.shapes)
+    np.testing.assert_array_equal(
+        np.round(model.shapes / EXACT_ROUNDING_STEP) * EXACT_ROUNDING_STEP, model.shapes
+    )
     assert mixseq.compare(LONG, model.sample()).max_error < 1e-9
 
 
@@ -155,7 +157,7 @@ def test_key_shapes_of_exact_models_are_rounded() -> None:
 def test_key_shapes_of_other_models_are_rounded_to_less_than_their_tolerance(tolerance: float) -> None:
     """So coarsely that single precision holds them."""
     model = fit(LONG, tolerance=tolerance)
-    step = 2.0 ** np.floor(np.log2(tolerance / STEPS))
+    step = 2.0 ** np.floor(np.log2(tolerance / TOLERANCE_TO_STEP_RATIO))
     np.testing.assert_array_equal(np.round(model.shapes / step) * step, model.shapes)
     assert mixseq.compare(LONG, model.sample()).max_error <= tolerance
     np.testing.assert_array_equal(model.shapes.astype(np.float32), model.shapes)
@@ -259,8 +261,8 @@ def test_least_squares_lets_the_noise_go() -> None:
 def test_weights_add_up_to_one(count: int, rank: int, seed: int) -> None:
     modes = principal_modes(vectors(count, rank, seed=seed), METRIC)
     points = modes.sizes * np.random.default_rng(seed).standard_normal((5, len(modes.sizes)))
-    frames = choose_keys(modes.scores)
-    weights = key_map(modes.scores[frames]).weights(points)
+    frames = choose_key_frames(modes.scores)
+    weights = key_pose_map(modes.scores[frames]).weights(points)
     assert weights.shape[1] == len(frames) <= min(count, len(modes.sizes) + 1)
     np.testing.assert_allclose(weights.sum(axis=1), 1, atol=1e-9)
 
@@ -268,9 +270,9 @@ def test_weights_add_up_to_one(count: int, rank: int, seed: int) -> None:
 def test_key_frames_stand_for_all_others() -> None:
     given_ = vectors(count=8, rank=3)
     modes = principal_modes(given_, METRIC).first(3)
-    frames = choose_keys(modes.scores)
+    frames = choose_key_frames(modes.scores)
     assert len(frames) == 4
-    weights = key_map(modes.scores[frames]).weights(modes.scores)
+    weights = key_pose_map(modes.scores[frames]).weights(modes.scores)
     np.testing.assert_allclose(weights @ given_[frames], given_, atol=1e-10)
     np.testing.assert_allclose(weights[frames], np.eye(4), atol=1e-9)
     assert np.abs(weights).max() < 4, "key frames are spread widely"

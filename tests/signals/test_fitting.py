@@ -17,8 +17,14 @@ from mixseq.segmentation.methods import METHODS, segment_by_labels
 from mixseq.segmentation.motion import MotionSettings
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.shells.gauss_newton import ShellSettings
-from mixseq.signals.detail import Encoded, encode
-from mixseq.signals.fitting import MIN_TRIAL_FRAMES, SHARES, Trial, fit, tuned
+from mixseq.signals.detail import EncodedSequence, encode_sequence
+from mixseq.signals.fitting import (
+    CANDIDATE_SHARES,
+    MIN_VALIDATION_FRAMES,
+    CrossValidation,
+    fit,
+    tune_interpolation,
+)
 from mixseq.spaces.edge import EdgeSettings, EdgeSpace
 from mixseq.spaces.making import MixedSettings, make_space
 from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
@@ -169,22 +175,22 @@ def curling(frames: int = 9) -> MeshSequence:
     return MeshSequence.from_arrays(np.stack(made), faces)
 
 
-def encoded_of(sequence: MeshSequence, parts: int, everywhere: bool = True) -> Encoded:
+def encoded_of(sequence: MeshSequence, parts: int, everywhere: bool = True) -> EncodedSequence:
     """With lengths and angles of all faces, or of none."""
     space = make_space(sequence, "mixed", MixedSettings(parts=parts))
     assert isinstance(space, MixedSpace)
     faces = np.full(len(sequence.faces), everywhere)
-    return encode(sequence, replace(space, joint_faces=faces, projection=Projection()))
+    return encode_sequence(sequence, replace(space, joint_faces=faces, projection=Projection()))
 
 
-def share_of(encoded: Encoded) -> float:
+def share_of(encoded: EncodedSequence) -> float:
     assert isinstance(encoded.space, MixedSpace)
     return encoded.space.projection.share
 
 
 def test_lengths_and_angles_count_where_they_are_right_between_frames() -> None:
     sequence = curling()
-    assert share_of(tuned(encoded_of(sequence, 1), sequence.points)) >= 0.75
+    assert share_of(tune_interpolation(encoded_of(sequence, 1), sequence.points)) >= 0.75
 
 
 @pytest.mark.parametrize("block", ["lengths", "angles"])
@@ -194,18 +200,18 @@ def test_lengths_and_angles_do_not_count_where_they_are_noise(block: str) -> Non
     space, rng = encoded.space, np.random.default_rng(0)
     assert isinstance(space, MixedSpace)
     shapes = np.array(encoded.shapes[:])
-    edges, hinges = space.sizes[:2]
+    edges, hinges = space.block_sizes[:2]
     columns = slice(0, edges) if block == "lengths" else slice(edges, edges + hinges)
     size = shapes[:, columns].mean() if block == "lengths" else 1.0
     shapes[:, columns] += 0.5 * size * rng.normal(size=shapes[:, columns].shape)
-    assert share_of(tuned(replace(encoded, shapes=shapes), sequence.points)) == 0.0
+    assert share_of(tune_interpolation(replace(encoded, shapes=shapes), sequence.points)) == 0.0
 
 
 def test_nothing_else_of_the_space_changes() -> None:
     sequence = curling()
     encoded = encoded_of(sequence, 1)
-    found = tuned(encoded, sequence.points)
-    assert share_of(found) in SHARES
+    found = tune_interpolation(encoded, sequence.points)
+    assert share_of(found) in CANDIDATE_SHARES
     assert isinstance(found.space, MixedSpace) and isinstance(encoded.space, MixedSpace)
     assert replace(found.space.projection, share=0.0) == encoded.space.projection
     assert found.shapes is encoded.shapes and found.placement is encoded.placement
@@ -223,18 +229,18 @@ def spinning() -> MeshSequence:
 
 def test_parts_of_bodies_that_spin_are_predicted_in_them() -> None:
     sequence = spinning()
-    assert tuned(encoded_of(sequence, 2, everywhere=False), sequence.points).in_body
+    assert tune_interpolation(encoded_of(sequence, 2, everywhere=False), sequence.points).in_body_axes
 
 
 def test_a_single_part_is_its_body() -> None:
     sequence = spinning()
-    assert not tuned(encoded_of(sequence, 1, everywhere=False), sequence.points).in_body
+    assert not tune_interpolation(encoded_of(sequence, 1, everywhere=False), sequence.points).in_body_axes
 
 
 def test_where_there_are_no_joints_no_share_is_chosen() -> None:
     sequence = bar(frames=9)
     encoded = encoded_of(sequence, 2, everywhere=False)
-    assert tuned(encoded, sequence.points).space is encoded.space
+    assert tune_interpolation(encoded, sequence.points).space is encoded.space
 
 
 def test_where_steps_are_taken_no_share_is_chosen() -> None:
@@ -242,7 +248,7 @@ def test_where_steps_are_taken_no_share_is_chosen() -> None:
     space = encoded_of(sequence, 2).space
     assert isinstance(space, MixedSpace)
     stepping = replace(space, projection=Projection(share=1.0, steps=6))
-    assert tuned(encode(sequence, stepping), sequence.points).space is stepping
+    assert tune_interpolation(encode_sequence(sequence, stepping), sequence.points).space is stepping
 
 
 def test_other_spaces_placements_and_short_sequences_stay_as_they_are() -> None:
@@ -253,20 +259,23 @@ def test_other_spaces_placements_and_short_sequences_stay_as_they_are() -> None:
         (sequence, "mixed", MixedSettings(placement="free")),
         (short, "mixed", None),
     ):
-        encoded = encode(frames, make_space(frames, name, settings))  # type: ignore[arg-type]
-        assert tuned(encoded, frames.points) is encoded
+        encoded = encode_sequence(frames, make_space(frames, name, settings))  # type: ignore[arg-type]
+        assert tune_interpolation(encoded, frames.points) is encoded
 
 
 def test_few_frames_of_large_meshes_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     sequence = curling(25)
     encoded = encoded_of(sequence, 1)
     assert isinstance(encoded.space, MixedSpace)
-    many = Trial.of(encoded, encoded.space, sequence.points)
-    assert len(many.frames) == len(many.points) == len(many.rows.frames) == 16
-    assert 0 not in many.frames and 24 not in many.frames
-    np.testing.assert_array_equal(many.points, sequence.points[many.frames] / encoded.space.scale)
-    monkeypatch.setattr("mixseq.signals.fitting.MAX_TRIAL_VERTICES", 100)
-    assert len(Trial.of(encoded, encoded.space, sequence.points).frames) == MIN_TRIAL_FRAMES
+    many = CrossValidation.from_sequence(encoded, encoded.space, sequence.points)
+    assert len(many.frame_ids) == len(many.points) == len(many.weights.frame_ids) == 16
+    assert 0 not in many.frame_ids and 24 not in many.frame_ids
+    np.testing.assert_array_equal(many.points, sequence.points[many.frame_ids] / encoded.space.scale)
+    monkeypatch.setattr("mixseq.signals.fitting.MAX_VALIDATION_VERTICES", 100)
+    assert (
+        len(CrossValidation.from_sequence(encoded, encoded.space, sequence.points).frame_ids)
+        == MIN_VALIDATION_FRAMES
+    )
 
 
 def test_frames_that_are_left_out_are_made_of_the_others() -> None:
@@ -274,7 +283,9 @@ def test_frames_that_are_left_out_are_made_of_the_others() -> None:
     sequence = curling()
     encoded = encoded_of(sequence, 1)
     assert isinstance(encoded.space, MixedSpace)
-    trial = Trial.of(encoded, encoded.space, sequence.points)
-    for frame, used, weights in zip(trial.frames, trial.rows.frames, trial.rows.weights, strict=True):
+    trial = CrossValidation.from_sequence(encoded, encoded.space, sequence.points)
+    for frame, used, weights in zip(
+        trial.frame_ids, trial.weights.frame_ids, trial.weights.weights, strict=True
+    ):
         assert not weights[used == frame].any()
         assert weights.sum() == pytest.approx(1.0)

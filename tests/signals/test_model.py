@@ -16,7 +16,7 @@ from mixseq.errors import SettingsError
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
-from mixseq.spaces.temporal import chosen, with_middles
+from mixseq.spaces.temporal import insert_midpoints, select_operator
 from tests.meshes import bar, rotation, tube
 
 UNEVEN = [-0.5, 0.0, 0.1, 0.75, 2.0]
@@ -74,14 +74,16 @@ def test_middles_between_frames_are_predicted(placement: PlacementName, uneven: 
     size, end = space.shape_dim, space.shape_dim + space.placement_dim
     vectors, found = model.vectors, model.curve(middles)
     points = sequence.points.astype(np.float64)
-    held = space.held(points, np.arange(points.shape[1]), vectors[:, size:end])
-    operator = chosen(sequence.times, held.reshape(5, -1))
-    np.testing.assert_allclose(found[:, :size], operator.at(middles).of(vectors[:, :size]), atol=1e-11)
+    held = space.to_body_axes(points, np.arange(points.shape[1]), vectors[:, size:end])
+    operator = select_operator(sequence.times, held.reshape(5, -1))
+    np.testing.assert_allclose(
+        found[:, :size], operator.weights_at(middles).interpolate(vectors[:, :size]), atol=1e-11
+    )
     off = []
     for in_body in (False, True):  # which way is chosen by leaving frames out
         poses = vectors[:, size - space.pose_dim : size]
-        targets, placed = space.predicted_poses(operator, poses, vectors[:, size:end], middles, in_body)
-        corrections = space.corrections(found[:, size - space.pose_dim : size], targets)
+        targets, placed = space.interpolate_poses(operator, poses, vectors[:, size:end], middles, in_body)
+        corrections = space.pose_corrections(found[:, size - space.pose_dim : size], targets)
         expected = np.concatenate([placed, corrections], axis=1)
         off.append(np.abs(found[:, size:] - expected).max())
     assert min(off) < 2.0**-24  # as corrections between frames are rounded
@@ -91,10 +93,10 @@ def test_middles_between_frames_are_predicted(placement: PlacementName, uneven: 
 def test_between_knots_signals_follow_the_cubic_spline(uneven: bool) -> None:
     """Shapes through frames and middles, placement and correction through quarters."""
     model = model_of(uneven=uneven)
-    times, middles = np.linspace(model.times[0], model.times[-1], 23), with_middles(model.times)
+    times, middles = np.linspace(model.times[0], model.times[-1], 23), insert_midpoints(model.times)
     for columns, knots in (
         (slice(0, model.space.shape_dim), middles),
-        (slice(model.space.shape_dim, None), with_middles(middles)),
+        (slice(model.space.shape_dim, None), insert_midpoints(middles)),
     ):
         spline = CubicSpline(knots, model.curve(knots)[:, columns], bc_type="not-a-knot")
         np.testing.assert_allclose(model.curve(times)[:, columns], spline(times), atol=1e-11)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mixseq.errors import SettingsError
 from mixseq.signals.modes import principal_modes
-from mixseq.signals.pose import PoseMap, plane_of
+from mixseq.signals.pose import PoseMap, fit_plane
 from mixseq.types import Float
 
 
@@ -31,7 +31,7 @@ def test_weights_add_up_to_one(count: int, rank: int, seed: int) -> None:
 
 def test_coordinates_can_be_the_weights() -> None:
     weights = np.array([[0.2, 0.5, 0.3], [1.0, 0, 0], [-1, 1, 1]])
-    np.testing.assert_allclose(PoseMap.of_weights(3).weights(weights[:, 1:]), weights, atol=1e-15)
+    np.testing.assert_allclose(PoseMap.from_key_count(3).weights(weights[:, 1:]), weights, atol=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -51,27 +51,27 @@ def test_unsound_maps_are_refused(offset: list[float], matrix: Float, message: s
 def test_the_layout_is_the_plane_of_the_first_two_components() -> None:
     given_ = vectors(count=7, rank=4)
     modes = principal_modes(given_, METRIC)
-    origin, axes, directions = plane_of(np.eye(7)[:, 1:], PoseMap.of_weights(7), given_, METRIC)
+    origin, axes, directions = fit_plane(np.eye(7)[:, 1:], PoseMap.from_key_count(7), given_, METRIC)
     drawn = (np.eye(7) - origin) @ axes
     np.testing.assert_allclose(np.abs(drawn), np.abs(modes.scores[:, :2]), atol=1e-9)
     steps = directions.T @ (given_[1:] - given_[0]) * METRIC
     np.testing.assert_allclose(steps @ steps.T, np.eye(2), atol=1e-9)  # as long as in the plane
-    np.testing.assert_allclose(directions.T @ PoseMap.of_weights(7).matrix @ axes, np.eye(2), atol=1e-9)
-    flat = plane_of(np.eye(3)[:, 1:], PoseMap.of_weights(3), np.ones((3, 40)), METRIC)
+    np.testing.assert_allclose(directions.T @ PoseMap.from_key_count(7).matrix @ axes, np.eye(2), atol=1e-9)
+    flat = fit_plane(np.eye(3)[:, 1:], PoseMap.from_key_count(3), np.ones((3, 40)), METRIC)
     assert not flat.axes.any()
     assert not flat.directions.any()
 
 
 def test_the_plane_of_many_frames_is_found_among_few_key_shapes() -> None:
     random = np.random.default_rng(0)
-    points, pose = random.standard_normal((50, 3)) * [3.0, 2.0, 1.0], PoseMap.of_weights(4)
+    points, pose = random.standard_normal((50, 3)) * [3.0, 2.0, 1.0], PoseMap.from_key_count(4)
     shapes = random.standard_normal((4, 60))
-    few = plane_of(points, pose, shapes, np.ones(60))
+    few = fit_plane(points, pose, shapes, np.ones(60))
     frames = np.concatenate([points] * 2)  # more than a shape has coordinates, and the same plane
-    many = plane_of(frames, pose, shapes, np.ones(60))
+    many = fit_plane(frames, pose, shapes, np.ones(60))
     np.testing.assert_allclose(many.origin, few.origin, atol=1e-12)
     np.testing.assert_allclose(many.axes, few.axes, atol=1e-9)
     np.testing.assert_allclose(many.directions, few.directions, atol=1e-9)
-    still = plane_of(np.zeros((100, 3)), pose, shapes, np.ones(60))
+    still = fit_plane(np.zeros((100, 3)), pose, shapes, np.ones(60))
     assert not still.axes.any()
     assert not still.directions.any()

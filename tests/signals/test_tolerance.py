@@ -14,11 +14,11 @@ from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals import detail
 from mixseq.signals.curve import Curve
-from mixseq.signals.detail import EXACT, LOSSLESS_TO_THE_EYE, made_sure
+from mixseq.signals.detail import EXACT_TOLERANCE, VISUALLY_LOSSLESS_TOLERANCE, verify_tolerance
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
-from mixseq.spaces.temporal import with_middles
+from mixseq.spaces.temporal import insert_midpoints
 from tests.meshes import SEQUENCES, bar, rotation, tetrahedron
 
 pytestmark = pytest.mark.slow
@@ -90,7 +90,7 @@ def test_rank_truncates_shapes_but_not_placement() -> None:
         model = fit(LONG, rank=rank)
         assert len(model.shapes) == rank + 1
         for curve in (model.placement, model.correction):
-            np.testing.assert_array_equal(curve.times, with_middles(with_middles(LONG.times)))
+            np.testing.assert_array_equal(curve.times, insert_midpoints(insert_midpoints(LONG.times)))
         errors.append(mixseq.compare(LONG, model.sample()).kg_percent)
     assert errors == sorted(errors, reverse=True)
     assert errors[0] > 0.1
@@ -148,7 +148,7 @@ def test_signals_must_fit_together() -> None:
     }
     wrong = {
         "shapes": (model.shapes[:2], "key shapes have shape"),
-        "pose": (PoseMap.of_weights(4), "key shapes have shape"),
+        "pose": (PoseMap.from_key_count(4), "key shapes have shape"),
         "time": (Curve(model.time.times, model.time.values[:, :1]), "1 coordinates, the pose signal 2"),
         "placement": (Curve(model.time.times, model.time.values), "placement has 2 coordinates; 0 are"),
         "correction": (Curve(model.time.times, model.time.values), "correction has 2 coordinates; 0 are"),
@@ -192,8 +192,8 @@ def test_a_model_that_is_off_is_never_returned() -> None:
     with pytest.raises(
         ReconstructionError, match="more than 1e-08; give a larger tolerance, or another space or placement"
     ):
-        made_sure(model, LONG, EXACT)
-    assert made_sure(model, LONG, 1.0) is model
+        verify_tolerance(model, LONG, EXACT_TOLERANCE)
+    assert verify_tolerance(model, LONG, 1.0) is model
 
 
 def test_one_frame() -> None:
@@ -201,4 +201,6 @@ def test_one_frame() -> None:
     for space in ("mixed", "vertex"):
         model = fit(still, space=space, exact=True)
         np.testing.assert_allclose(model.sample().points, still.points, atol=1e-9)
-        assert mixseq.compare(still, fit(still, space=space).sample()).max_error <= LOSSLESS_TO_THE_EYE
+        assert (
+            mixseq.compare(still, fit(still, space=space).sample()).max_error <= VISUALLY_LOSSLESS_TOLERANCE
+        )

@@ -56,7 +56,7 @@ def test_weights_are_how_far_vertices_move() -> None:
 
 def test_velocities_are_those_of_the_basis() -> None:
     vectors, rates = some_vectors(2, 1), some_vectors(2, 2)
-    points, velocities = SPACE.decode_moving(vectors, rates)
+    points, velocities = SPACE.decode_with_velocities(vectors, rates)
     np.testing.assert_array_equal(points, SPACE.decode(vectors))
     difference = SPACE.decode(vectors + rates) - points
     np.testing.assert_allclose(velocities, difference, atol=1e-10)

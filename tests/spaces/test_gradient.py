@@ -15,7 +15,7 @@ import mixseq
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import FLAT
-from mixseq.spaces.gradient import FULL, GradientSpace, Integration
+from mixseq.spaces.gradient import SYMMETRIC_ENTRY_IDS, GradientSpace, PoissonSystem
 from mixseq.types import Float, FloatArray, IntArray
 from tests.meshes import (
     SEQUENCES,
@@ -89,7 +89,7 @@ def test_affine_maps_come_back(affine: tuple[Float, Float]) -> None:
     points = torus(8, 6)[0] @ matrix.T + shift
     vectors = space.encode(points[None])
     np.testing.assert_allclose(space.decode(vectors)[0], points, atol=1e-12)
-    stretches = space.split(vectors).stretches[0][:, FULL]
+    stretches = space.split(vectors).stretches[0][:, SYMMETRIC_ENTRY_IDS]
     # A face thinner than FLAT counts as one without area: its fourth vertex may be on either side.
     assert np.linalg.eigvalsh(stretches).min() > -100 * FLAT
 
@@ -118,7 +118,7 @@ def test_the_fourth_vertex_of_a_flat_face_follows_its_neighbours() -> None:
     squeezed[4] = squeezed[0]  # the middle onto a corner: two faces are lines
     squeezed[8] = [2, 2, 0]
     space = space_of(np.stack([points, squeezed]), faces)
-    turns = space.split(space.encode(np.stack([points, squeezed]))).turns[1]
+    turns = space.split(space.encode(np.stack([points, squeezed]))).rotation_vectors[1]
     assert (np.abs(turns[:, :2]) < 1e-12).all()  # about z only
 
 
@@ -141,7 +141,7 @@ def test_stretches_along_the_axes_of_faces_blend_linearly(mesh: Mesh) -> None:
     points = np.stack([mesh[0], mesh[0] * stretch])
     space = space_of(points, mesh[1])
     vectors = space.encode(points)
-    np.testing.assert_allclose(space.split(vectors).turns, 0, atol=1e-12)
+    np.testing.assert_allclose(space.split(vectors).rotation_vectors, 0, atol=1e-12)
     for w in (0.3, 0.5, 1.2):
         between = space.decode((1 - w) * vectors[:1] + w * vectors[1:])[0]
         np.testing.assert_allclose(between, mesh[0] * (1 - w + w * stretch), atol=1e-13)
@@ -161,8 +161,10 @@ def test_a_linear_blend_of_matrices_would_be_one_of_vertices() -> None:
     sequence = bar()
     space = space_of(sequence.points, sequence.faces)
     first, last = sequence.points[0] / space.scale, sequence.points[-1] / space.scale
-    gradients = (space.completed(first) + space.completed(last)) @ space.inverses / 2
-    rows = space.integration.vertices(np.swapaxes(gradients @ space.sides, 1, 2).reshape(-1, 3))
+    gradients = (
+        (space.complete_triangles(first) + space.complete_triangles(last)) @ space.inverse_triangles / 2
+    )
+    rows = space.poisson_system.solve(np.swapaxes(gradients @ space.reference_sides, 1, 2).reshape(-1, 3))
     averaged = (first + last) / 2
     np.testing.assert_allclose(rows - rows.mean(axis=0), averaged - averaged.mean(axis=0), atol=1e-13)
     half = space.decode(space.encode(sequence.points)[[0, -1]].mean(axis=0, keepdims=True))[0]
@@ -174,7 +176,7 @@ def test_without_rotations_decoding_is_linear() -> None:
     space = on_a_torus()
     rng = np.random.default_rng(3)
     vectors = rng.normal(size=(2, space.dim))
-    vectors[:, : 3 * len(space.faces)] = 0
+    vectors[:, : 3 * len(space.face_rows)] = 0
     one, other = space.decode(vectors)
     np.testing.assert_allclose(
         space.decode([0.3, 0.7] @ vectors[None])[0], 0.3 * one + 0.7 * other, atol=1e-11
@@ -184,18 +186,20 @@ def test_without_rotations_decoding_is_linear() -> None:
 def test_the_integral_weighs_by_area() -> None:
     """The residual of P_f has no divergence: its sums around vertices, weighted by area, are zero."""
     space = on_a_torus()
-    stretches = np.random.default_rng(1).normal(size=(len(space.faces), 3, 3))
-    wanted = np.swapaxes(stretches @ space.sides, 1, 2).reshape(-1, 3)
-    rows = space.integration.vertices(wanted)
-    corners = rows[space.faces]
-    pinv = np.linalg.pinv(space.triangles[:, :, :2])  # the gradient in the plane of the reference
+    stretches = np.random.default_rng(1).normal(size=(len(space.face_rows), 3, 3))
+    wanted = np.swapaxes(stretches @ space.reference_sides, 1, 2).reshape(-1, 3)
+    rows = space.poisson_system.solve(wanted)
+    corners = rows[space.face_rows]
+    pinv = np.linalg.pinv(space.reference_triangles[:, :, :2])  # the gradient in the plane of the reference
     got = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2) @ pinv
-    inside = stretches @ space.triangles[:, :, :2] @ pinv
-    areas = np.linalg.norm(np.cross(space.sides[:, :, 0], space.sides[:, :, 1]), axis=1) / 2
+    inside = stretches @ space.reference_triangles[:, :, :2] @ pinv
+    areas = (
+        np.linalg.norm(np.cross(space.reference_sides[:, :, 0], space.reference_sides[:, :, 1]), axis=1) / 2
+    )
     residual = areas[:, None, None] * (got - inside) @ np.swapaxes(pinv, 1, 2)
     sums = np.zeros_like(rows)
     for corner, part in ((1, residual[:, :, 0]), (2, residual[:, :, 1]), (0, -residual.sum(axis=2))):
-        np.add.at(sums, space.faces[:, corner], part)
+        np.add.at(sums, space.face_rows[:, corner], part)
     np.testing.assert_allclose(sums, 0, atol=1e-12)
 
 
@@ -204,7 +208,7 @@ def test_reflections_are_rotations_of_the_surface() -> None:
     points = np.stack([mesh[0], mesh[0] * [1, 1, -1.0]])
     space = space_of(points, mesh[1])
     blocks = space.split(space.encode(points))
-    assert (np.linalg.det(blocks.stretches[1][:, FULL]) > 0.5).all()
+    assert (np.linalg.det(blocks.stretches[1][:, SYMMETRIC_ENTRY_IDS]) > 0.5).all()
     np.testing.assert_allclose(space.decode(space.encode(points)), points, atol=1e-13)
 
 
@@ -214,10 +218,10 @@ def test_a_body_that_turns_twice_goes_on() -> None:
     points = np.stack([mesh[0] @ rotation((0, angle, 0)).T for angle in angles])
     space = space_of(points, mesh[1])
     vectors = space.encode(points)
-    turns = space.split(vectors).turns
+    turns = space.split(vectors).rotation_vectors
     np.testing.assert_allclose(turns[:, :, 1], np.tile(angles[:, None], (1, len(mesh[1]))), atol=1e-9)
     np.testing.assert_allclose(space.encode(points[6:], vectors[5]), vectors[6:], atol=1e-12)
-    assert np.abs(space.split(space.encode_apart(points)).turns).max() < np.pi + 1e-9
+    assert np.abs(space.split(space.encode_independently(points)).rotation_vectors).max() < np.pi + 1e-9
 
 
 # The vector ---------------------------------------------------------------------------------------------------
@@ -243,7 +247,7 @@ def test_blocks_and_their_metric() -> None:
     assert space.shape_dim == 9
     assert (space.rotation_count, space.centre_count, space.placement_dim) == (0, 2, 6)
     blocks = space.split(space.encode(2 * points[None] * [1, 3, 1]))
-    np.testing.assert_allclose(blocks.turns, [[[0, 0, 0]]], atol=1e-14)
+    np.testing.assert_allclose(blocks.rotation_vectors, [[[0, 0, 0]]], atol=1e-14)
     np.testing.assert_allclose(blocks.stretches[0, 0], np.array([1, 3, np.sqrt(3), 0, 0, 0]), atol=1e-14)
     np.testing.assert_allclose(blocks.centres[0], np.array([[1 / 3, 1.0, 0.0], [5.0, 15.0, 5.0]]))
     size = np.sqrt(4 / 3)
@@ -291,8 +295,8 @@ TRIANGLE = np.array([[0, 1], [1, 2], [2, 0]])
 
 def test_a_gap_is_shared_by_weight() -> None:
     """Around a triangle differences miss by 6: each side takes part of it, inversely to its weight."""
-    system = Integration(TRIANGLE, np.array([1.0, 2.0, 2.0]), 3)
-    x = system.vertices(np.array([[2.0, 0, 0]] * 3))
+    system = PoissonSystem(TRIANGLE, np.array([1.0, 2.0, 2.0]), 3)
+    x = system.solve(np.array([[2.0, 0, 0]] * 3))
     np.testing.assert_allclose(x, np.outer([0, -1, -0.5], [1, 0, 0]), atol=1e-14)
 
 
@@ -303,26 +307,26 @@ def test_true_differences_give_the_mesh(seed: int) -> None:
     mesh = joined(grid(4, 5), (np.zeros((1, 3)), np.zeros((0, 3), int)), tetrahedron())
     edges = topology_of(mesh).edges
     x = rng.normal(size=mesh[0].shape)
-    system = Integration(edges, rng.uniform(0.5, 2.0, len(edges)), len(x))
+    system = PoissonSystem(edges, rng.uniform(0.5, 2.0, len(edges)), len(x))
     wanted = np.concatenate([x[:30] - x[0], [[0, 0, 0]], x[31:] - x[31]])
-    np.testing.assert_allclose(system.vertices(x[edges[:, 1]] - x[edges[:, 0]]), wanted, atol=1e-11)
+    np.testing.assert_allclose(system.solve(x[edges[:, 1]] - x[edges[:, 0]]), wanted, atol=1e-11)
 
 
 def test_sides_may_repeat_and_stand_still() -> None:
     sides = np.array([[0, 1], [1, 0], [1, 1]])
-    x = Integration(sides, np.ones(3), 2).vertices(np.array([[1.0, 0, 0], [-3, 0, 0], [7, 7, 7]]))
+    x = PoissonSystem(sides, np.ones(3), 2).solve(np.array([[1.0, 0, 0], [-3, 0, 0], [7, 7, 7]]))
     np.testing.assert_allclose(x, [[0, 0, 0], [2, 0, 0]])
 
 
 def test_points_alone_are_the_origin() -> None:
-    system = Integration(np.zeros((0, 2), dtype=np.int64), np.zeros(0), 3)
-    np.testing.assert_array_equal(system.vertices(np.zeros((0, 3))), np.zeros((3, 3)))
+    system = PoissonSystem(np.zeros((0, 2), dtype=np.int64), np.zeros(0), 3)
+    np.testing.assert_array_equal(system.solve(np.zeros((0, 3))), np.zeros((3, 3)))
 
 
 def test_refusals() -> None:
     with pytest.raises(
         SettingsError, match=r"differences have shape \(2, 3\); one for each side is expected, \(3, 3\)"
     ):
-        Integration(TRIANGLE, np.ones(3), 3).vertices(np.zeros((2, 3)))
+        PoissonSystem(TRIANGLE, np.ones(3), 3).solve(np.zeros((2, 3)))
     with pytest.raises(ReconstructionError, match="no unique solution"):
-        Integration(TRIANGLE, np.zeros(3), 3).vertices(np.zeros((3, 3)))
+        PoissonSystem(TRIANGLE, np.zeros(3), 3).solve(np.zeros((3, 3)))

@@ -68,7 +68,7 @@ def test_rigid_motions_change_poses_only(motion: tuple[Float, Float], name: str,
 def test_frames_of_vertices_are_rotations(name: str) -> None:
     sequence, space = made(name)
     for points in (sequence.points[-1], sequence.points[0] * [1, 0, 0], 0 * sequence.points[0]):
-        frames = space.frames(points[space.pieces.row_vertices].astype(np.float64))
+        frames = space.vertex_frames(points[space.pieces.vertex_of_row].astype(np.float64))
         products = np.swapaxes(frames, 1, 2) @ frames
         np.testing.assert_allclose(products, np.tile(np.eye(3), (len(frames), 1, 1)), atol=1e-10)
         np.testing.assert_allclose(np.linalg.det(frames), 1, atol=1e-10)
@@ -89,16 +89,16 @@ def test_coordinates_of_a_sheet() -> None:
     points, faces = grid(3, 4)
     space = space_of(points[None], faces)
     rows = points / space.scale
-    frames = space.frames(rows)
+    frames = space.vertex_frames(rows)
     np.testing.assert_allclose(frames[:, :, 2], np.tile([0, 0, 1.0], (len(points), 1)), atol=1e-14)
     inner = 6  # with edges along x, y, and the diagonals x = y
     np.testing.assert_allclose(np.abs(frames[inner, :, 0]), [np.sqrt(0.5), np.sqrt(0.5), 0], atol=1e-14)
-    shape = space.shape_of(rows)
-    count = len(space.edges)
+    shape = space.measure_shape(rows)
+    count = len(space.edge_rows)
     connections, ends = shape[: 9 * count].reshape(-1, 3, 3), shape[9 * count :].reshape(-1, 2, 3)
     np.testing.assert_allclose(connections[:, 2], np.tile([0, 0, 1.0], (count, 1)), atol=1e-14)
     np.testing.assert_allclose(ends[:, :, 2], 0, atol=1e-14)
-    lengths = np.linalg.norm(rows[space.edges[:, 1]] - rows[space.edges[:, 0]], axis=1)
+    lengths = np.linalg.norm(rows[space.edge_rows[:, 1]] - rows[space.edge_rows[:, 0]], axis=1)
     np.testing.assert_allclose(np.linalg.norm(ends, axis=2), np.stack([lengths, lengths], axis=1))
     assert space.dim == 15 * len(space.topology.edges) + 7
 
@@ -132,7 +132,7 @@ def test_half_way_to_a_half_circle_is_a_quarter_circle() -> None:
     wanted = arc(sheet, np.pi / 2)
 
     def distance(x: Float) -> float:
-        aligned = space.pieces.place(x / space.scale, *space.pieces.poses(wanted / space.scale))
+        aligned = space.pieces.place(x / space.scale, *space.pieces.measure_poses(wanted / space.scale))
         return error(space, wanted, aligned * space.scale)
 
     assert distance(half[0]) < 0.005
@@ -165,7 +165,7 @@ def test_edges_of_repeated_corners_have_no_coordinates() -> None:
     topology = Topology(np.array([[0, 1, 2], [0, 0, 1], [3, 3, 3]]), 4)
     points = np.array([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 2, 2]]])
     space = LRISpace(topology, 1.0, points[0])
-    assert space.edges.tolist() == [[0, 1], [0, 2], [1, 2]]
+    assert space.edge_rows.tolist() == [[0, 1], [0, 2], [1, 2]]
     np.testing.assert_allclose(space.decode(space.encode(points)), points, atol=1e-13)
 
 

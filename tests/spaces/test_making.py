@@ -13,7 +13,7 @@ from mixseq.sequence.sequence import MeshSequence
 from mixseq.spaces.edge import EdgeSettings, EdgeSpace
 from mixseq.spaces.making import MixedSettings, make_space
 from mixseq.spaces.mixed.mixed_space import MixedSpace
-from mixseq.spaces.temporal import Operator, with_middles
+from mixseq.spaces.temporal import TemporalOperator, insert_midpoints
 from tests.meshes import bar, bending, tube
 
 LONG = bar(sides=4, rings=9, frames=19)
@@ -102,10 +102,10 @@ def test_a_vector_is_a_shape_a_placement_and_a_correction(name: SpaceName) -> No
     assert space.placement_dim == 4 * space.rotation_count + 3 * space.centre_count
     np.testing.assert_array_equal(space.shape_weights, space.weights[:size])
     placements, corrections = np.split(vectors[:, size:], [space.placement_dim], axis=1)
-    poses = space.poses(placements)
+    poses = space.unpack_placements(placements)
     assert poses.rotations.shape == (3, space.rotation_count, 4)
     assert poses.centres.shape == (3, space.centre_count, 3)
-    np.testing.assert_array_equal(space.placements(poses), placements)
+    np.testing.assert_array_equal(space.pack_placements(poses), placements)
     assert not corrections.any()
     assert bool(space.pose_dim) == bool(space.correction_dim) == (name == "mixed")
 
@@ -119,12 +119,12 @@ def test_predicted_poses_pass_through_the_frames(name: SpaceName) -> None:
         vectors[:, size - space.pose_dim : size],
         vectors[:, size : size + space.placement_dim],
     )
-    targets, placed = space.predicted_poses(
-        Operator(times, 2.0), poses, placements, with_middles(times), True
+    targets, placed = space.interpolate_poses(
+        TemporalOperator(times, 2.0), poses, placements, insert_midpoints(times), True
     )
     assert placed.shape == (2 * len(times) - 1, space.placement_dim)
     np.testing.assert_allclose(placed[::2], placements, atol=1e-12)
-    corrections = space.corrections(poses, targets[::2])
+    corrections = space.pose_corrections(poses, targets[::2])
     assert corrections.shape == (len(times), space.correction_dim)
     np.testing.assert_allclose(corrections, 0.0, atol=1e-7)
 

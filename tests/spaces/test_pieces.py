@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from mixseq.errors import SettingsError
 from mixseq.mesh.topology import Topology
 from mixseq.spaces.pieces import Pieces, PosedSpace
-from mixseq.spaces.temporal import Operator
+from mixseq.spaces.temporal import TemporalOperator
 from mixseq.types import Float
 from tests.meshes import SEQUENCES, grid, joined, rigid_motions, rotation, tetrahedron, topology_of, tube
 
@@ -31,32 +31,32 @@ def bowtie() -> tuple[Topology, Float]:
 
 def test_pieces_are_connected_across_edges_and_unused_vertices_come_last() -> None:
     topology, points = two_and_a_point()
-    pieces = Pieces.of(topology, points)
+    pieces = Pieces.from_mesh(topology, points)
     assert [each.tolist() for each in pieces.vertices] == [list(range(4)), list(range(5, 17)), [4]]
     assert [each.tolist() for each in pieces.faces] == [list(range(4)), list(range(4, 16)), []]
-    assert pieces.row_vertices.tolist() == [0, 1, 2, 3, *range(5, 17), 4]
-    assert pieces.owner.tolist() == [0] * 4 + [1] * 12 + [2]
-    assert pieces.slices == [slice(0, 4), slice(4, 16), slice(16, 17)]
+    assert pieces.vertex_of_row.tolist() == [0, 1, 2, 3, *range(5, 17), 4]
+    assert pieces.piece_of_row.tolist() == [0] * 4 + [1] * 12 + [2]
+    assert pieces.row_slices == [slice(0, 4), slice(4, 16), slice(16, 17)]
     np.testing.assert_allclose(pieces.radii, [np.sqrt(3), np.sqrt(15 / 12 + 8 / 12), 1e-3])
 
 
 def test_shared_vertices_have_a_row_in_every_piece() -> None:
     topology, points = bowtie()
-    pieces = Pieces.of(topology, points)
-    assert pieces.row_vertices.tolist() == [0, 1, 2, 0, 3, 4]
+    pieces = Pieces.from_mesh(topology, points)
+    assert pieces.vertex_of_row.tolist() == [0, 1, 2, 0, 3, 4]
     assert pieces.face_rows(topology).tolist() == [[0, 1, 2], [3, 4, 5]]
-    assert pieces.rows_of(np.array([0, 1, 1]), np.array([0, 0, 4])).tolist() == [0, 3, 5]
+    assert pieces.find_rows(np.array([0, 1, 1]), np.array([0, 0, 4])).tolist() == [0, 3, 5]
 
 
 def test_rows_of_faces_are_their_corners() -> None:
     for name in ("several components", "unused vertices", "repeated corners", "bowtie", "three pages"):
         sequence = SEQUENCES[name]()
         topology = Topology(sequence.faces, sequence.vertex_count)
-        pieces = Pieces.of(topology, sequence.points[0])
+        pieces = Pieces.from_mesh(topology, sequence.points[0])
         rows = pieces.face_rows(topology)
-        np.testing.assert_array_equal(pieces.row_vertices[rows], sequence.faces)
+        np.testing.assert_array_equal(pieces.vertex_of_row[rows], sequence.faces)
         np.testing.assert_array_equal(
-            pieces.owner[rows], np.repeat(topology.component_of_face[:, None], 3, axis=1)
+            pieces.piece_of_row[rows], np.repeat(topology.component_of_face[:, None], 3, axis=1)
         )
 
 
@@ -65,8 +65,8 @@ def test_rows_of_faces_are_their_corners() -> None:
 def test_poses_are_the_motion_of_a_piece(motion: tuple[Float, Float]) -> None:
     turn, shift = motion
     mesh = tetrahedron()
-    pieces = Pieces.of(topology_of(mesh), mesh[0])
-    rotations, centres = pieces.poses(mesh[0] @ turn.T + shift)
+    pieces = Pieces.from_mesh(topology_of(mesh), mesh[0])
+    rotations, centres = pieces.measure_poses(mesh[0] @ turn.T + shift)
     np.testing.assert_allclose(rotations[0], turn, atol=1e-12)
     np.testing.assert_allclose(centres[0], shift, atol=1e-12)
 
@@ -77,22 +77,22 @@ def test_placing_undoes_any_motion_of_a_piece(
     first: tuple[Float, Float], second: tuple[Float, Float]
 ) -> None:
     topology, points = two_and_a_point()
-    pieces = Pieces.of(topology, points)
-    rotations, centres = pieces.poses(points)
-    rows = points[pieces.row_vertices]
-    for each, (turn, shift) in zip(pieces.slices, (first, second), strict=False):
+    pieces = Pieces.from_mesh(topology, points)
+    rotations, centres = pieces.measure_poses(points)
+    rows = points[pieces.vertex_of_row]
+    for each, (turn, shift) in zip(pieces.row_slices, (first, second), strict=False):
         rows[each] = rows[each] @ turn.T + shift
     np.testing.assert_allclose(pieces.place(rows, rotations, centres), points, atol=1e-10)
 
 
 def test_centred_pieces_do_not_turn_and_shared_vertices_meet_half_way() -> None:
     topology, points = bowtie()
-    pieces = Pieces.of(topology, points)
-    centres = pieces.centres(points)
+    pieces = Pieces.from_mesh(topology, points)
+    centres = pieces.measure_centres(points)
     np.testing.assert_allclose(centres, [[1 / 3, 1 / 3, 0], [-1 / 3, -1 / 3, 0]])
-    rows = points[pieces.row_vertices] + np.repeat([[3.0, 0, 0], [0, 4, 1]], 3, axis=0)
-    np.testing.assert_allclose(pieces.centred(rows, centres), points, atol=1e-14)
-    apart = pieces.centred(rows, centres + np.outer([1, 0], [0, 0, 1]))
+    rows = points[pieces.vertex_of_row] + np.repeat([[3.0, 0, 0], [0, 4, 1]], 3, axis=0)
+    np.testing.assert_allclose(pieces.translate(rows, centres), points, atol=1e-14)
+    apart = pieces.translate(rows, centres + np.outer([1, 0], [0, 0, 1]))
     np.testing.assert_allclose(apart - points, np.outer([0.5, 1, 1, 0, 0], [0, 0, 1]), atol=1e-14)
 
 
@@ -103,9 +103,9 @@ def test_references_without_width_place_frames_that_have_some(
 ) -> None:
     turn, shift = motion
     points, faces = tube(5, 4)
-    pieces = Pieces.of(Topology(faces, len(points)), points * squeeze)
+    pieces = Pieces.from_mesh(Topology(faces, len(points)), points * squeeze)
     for frame in (points, points * squeeze, points * [1.0, 1e-4, 0], points * 0):
-        rotations, centres = pieces.poses(frame)
+        rotations, centres = pieces.measure_poses(frame)
         moved = frame @ turn.T + shift
         np.testing.assert_allclose(pieces.place(moved, rotations, centres), frame, atol=1e-9)
 
@@ -115,10 +115,10 @@ def test_references_without_width_place_frames_that_have_some(
 def test_lines_point_where_they_are_moved(motion: tuple[Float, Float]) -> None:
     turn, shift = motion
     line = np.outer([0.0, 1, 3, 4, 7], [1.0, 2, 2]) / 3
-    pieces = Pieces.of(Topology(np.array([[0, 1, 2], [1, 2, 3], [2, 3, 4]]), 5), line)
-    rotations, _ = pieces.poses(line @ turn.T + shift)
+    pieces = Pieces.from_mesh(Topology(np.array([[0, 1, 2], [1, 2, 3], [2, 3, 4]]), 5), line)
+    rotations, _ = pieces.measure_poses(line @ turn.T + shift)
     np.testing.assert_allclose(rotations[0] @ [1, 2, 2], turn @ [1, 2, 2], atol=1e-5)
-    np.testing.assert_allclose(pieces.poses(line)[0][0], np.eye(3), atol=1e-5)
+    np.testing.assert_allclose(pieces.measure_poses(line)[0][0], np.eye(3), atol=1e-5)
 
 
 # Spaces whose vectors end with poses, seen in the smallest one: corners of a tetrahedron about their centre
@@ -132,10 +132,10 @@ class Sizes(PosedSpace):
     shape_dim = 1
     shape_metric = np.ones(1)
 
-    def shape_of(self, x: Float) -> Float:
+    def measure_shape(self, x: Float) -> Float:
         return np.array([np.linalg.norm(x - x.mean(axis=0), axis=1).mean()])
 
-    def rebuilt(self, shape: Float) -> Float:
+    def rebuild_rows(self, shape: Float) -> Float:
         # Anywhere: neither upright nor at the origin.
         rows = shape * (tetrahedron()[0] / np.sqrt(3)) @ rotation((1.0, 2.0, 3.0)).T + 5.0
         return np.asarray(rows)
@@ -157,10 +157,10 @@ def test_a_vector_is_shape_rotation_and_centre() -> None:
 
 def test_placements_are_poses() -> None:
     placements = np.random.default_rng(0).normal(size=(5, SPACE.placement_dim))
-    poses = SPACE.poses(placements)
+    poses = SPACE.unpack_placements(placements)
     assert poses.rotations.shape == (5, 1, 4)
     assert poses.centres.shape == (5, 1, 3)
-    np.testing.assert_array_equal(SPACE.placements(poses), placements)
+    np.testing.assert_array_equal(SPACE.pack_placements(poses), placements)
 
 
 def test_between_frames_a_body_turns_as_evenly_as_at_them() -> None:
@@ -169,14 +169,14 @@ def test_between_frames_a_body_turns_as_evenly_as_at_them() -> None:
     path = np.random.default_rng(1).normal(size=(6, 3))
     points = np.stack([POINTS @ rotation((0.0, a, 0.0)).T + p for a, p in zip(angles, path, strict=True)])
     vectors = SPACE.encode(points)
-    operator, at = Operator(times), np.array([0.0, 0.01, 0.1, 0.2])
-    _, placements = SPACE.predicted_poses(
+    operator, at = TemporalOperator(times), np.array([0.0, 0.01, 0.1, 0.2])
+    _, placements = SPACE.interpolate_poses(
         operator, vectors[:, :0], vectors[:, SPACE.shape_dim :], at, in_body=False
     )
     found = SPACE.decode(
         np.concatenate([np.repeat(vectors[:1, : SPACE.shape_dim], 4, axis=0), placements], axis=1)
     )
-    centres = operator.at(at).of(path)
+    centres = operator.weights_at(at).interpolate(path)
     expected = [POINTS @ rotation((0.0, np.radians(150.0) * 24 * t, 0.0)).T for t in at]
     np.testing.assert_allclose(found, np.stack(expected) + centres[:, None], atol=1e-12)
 
@@ -204,9 +204,9 @@ def test_a_body_that_turns_twice_goes_on_block_by_block() -> None:
     vectors = SPACE.encode(points)
     expected = np.stack([np.cos(angles / 2), 0 * angles, 0 * angles, np.sin(angles / 2)], axis=1)
     np.testing.assert_allclose(vectors[:, 1:5], expected, atol=1e-12)
-    assert (SPACE.encode_apart(points)[:, 1] >= 0).all()
+    assert (SPACE.encode_independently(points)[:, 1] >= 0).all()
     np.testing.assert_allclose(SPACE.encode(points[6:], vectors[5]), vectors[6:], atol=1e-13)
-    np.testing.assert_array_equal(SPACE.unwrap(SPACE.encode_apart(points)), vectors)
+    np.testing.assert_array_equal(SPACE.unwrap(SPACE.encode_independently(points)), vectors)
 
 
 def test_vectors_of_other_spaces_are_refused() -> None:

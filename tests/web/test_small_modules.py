@@ -13,7 +13,7 @@ import pytest
 
 from mixseq.compression.bitstream.arithmetic import check_of
 from mixseq.signals.curve import Curve
-from mixseq.spaces.temporal import Operator, spline_weights, with_middles
+from mixseq.spaces.temporal import TemporalOperator, insert_midpoints, spline_weights
 from tests.web.conftest import Node
 
 
@@ -98,10 +98,10 @@ def test_curves_between_frames(node: Node, tmp_path: Path, count: int, length: f
     rng = np.random.default_rng(count)
     frames, cubic = np.cumsum(rng.uniform(0.02, 0.1, count)), (0.3, 0.8)
     rows = np.cumsum(rng.normal(size=(count, 2)), axis=0)
-    times = np.concatenate([with_middles(frames), rng.uniform(frames[0], frames[-1], 20)])
-    operator = Operator(frames, length, cubic)
-    knots = with_middles(frames)
-    expected = Curve(knots, operator.at(knots).of(rows))(times)
+    times = np.concatenate([insert_midpoints(frames), rng.uniform(frames[0], frames[-1], 20)])
+    operator = TemporalOperator(frames, length, cubic)
+    knots = insert_midpoints(frames)
+    expected = Curve(knots, operator.weights_at(knots).interpolate(rows))(times)
     script = """
     import { Curve } from "decoder/curve.js";
     const { frames, times, rows, between } = given;

@@ -128,7 +128,7 @@ def _check_room(path: Path, size: int) -> None:
 
 def _losses(header: SequenceHeader, targets: Sequence[Target]) -> list[str]:
     """Return the contents that Alembic cannot hold."""
-    lost = lost_scale(header, moving=False)
+    lost = lost_scale(header, has_velocities=False)
     if any(each.subdivided and each.scene_mesh.hard_edges is not None for each in targets):
         lost.append("hard edges of subdivided meshes")
     names = (

@@ -1,4 +1,4 @@
-"""Buffers of glTF files: laid out and written, and decompressed.
+"""Buffers of glTF files: layout, writing, compression and decompression.
 
 A buffer is laid out first, then written front to back while frames arrive, with no copy in memory. All sizes and
 offsets are known beforehand, except for the bounds of the points. A ``.glb`` begins with its JSON, which is written
@@ -6,8 +6,8 @@ last into reserved space, padded with spaces. A ``.gltf`` holds the buffer in ba
 file can be replaced atomically.
 
 Compressed files are read as uncompressed documents: views (``EXT_meshopt_compression``, ``KHR_meshopt_compression``)
-and primitives (``KHR_draco_mesh_compression``) get buffers that are unpacked when read, in a process of their own, by
-meshopt and Google's DracoPy (extra `gltf`). A primitive is read plain if it has a plain form, too.
+and primitives (``KHR_draco_mesh_compression``) get buffers that are unpacked when read, in a separate process, by
+meshopt and Google's DracoPy (extra `gltf`). The uncompressed form of a primitive is preferred.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#glb-file-format-specification,
 https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Vendor/EXT_meshopt_compression/README.md,
@@ -21,7 +21,7 @@ import struct
 from base64 import b64encode
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from mixseq.errors import MissingExtraError, OutputError
 from mixseq.version import __version__
-from mixseq_io.gltf.document import DRACO, MESHOPT, Document, Fields, layout_of
+from mixseq_io.gltf.document import DRACO_EXTENSION, MESHOPT_EXTENSIONS, Document, Fields, element_layout
 from mixseq_io.isolation import call_isolated
 from mixseq_io.surfaces import colours_to_bytes
 
@@ -41,20 +41,21 @@ Json = dict[str, Any]
 Bounds = tuple[list[float], list[float]]
 Chunk = bytes | memoryview | NDArray[Any]
 
-GENERATOR = f"mixseq {__version__}"
-FLOAT, UNSIGNED = 5126, 5125
-COMPONENT_OF = {"f4": FLOAT, "u4": UNSIGNED, "u2": 5123, "u1": 5121}
+GENERATOR_NAME = f"mixseq {__version__}"
+FLOAT_COMPONENT, UNSIGNED_COMPONENT = 5126, 5125
+COMPONENT_TYPES = {"f4": FLOAT_COMPONENT, "u4": UNSIGNED_COMPONENT, "u2": 5123, "u1": 5121}
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 
-_LARGEST_GLB = 2**32 - 1
-_LARGEST_TEXT = 384 << 20  # of the buffer; browsers hold no string of more than 512 MiB
-_ALIGNMENT = 4
-# Stand for the bounds of points until they are known: no float32 has more digits.
-UNKNOWN: Bounds = ([-1.2345678901234567e-100] * 3, [-1.2345678901234567e-100] * 3)
+_MAX_GLB_BYTES = 2**32 - 1
+_MAX_TEXT_BUFFER_BYTES = 384 << 20  # in base64 as long as the longest strings of browsers, 512 MiB
+_ALIGNMENT_BYTES = 4
+_GLB_OVERHEAD_BYTES = 28
+_PLACEHOLDER_BOUNDS: Bounds = ([-1.2345678901234567e-100] * 3, [-1.2345678901234567e-100] * 3)
+"""Bounds with more digits than any float32, to reserve space."""
 
 
 class Layout:
-    """Document whose buffer views are appended one after the other."""
+    """Document with a buffer whose views are appended one after the other."""
 
     def __init__(self, document: Json) -> None:
         self.document = document
@@ -63,16 +64,16 @@ class Layout:
 
     def reserve(self, length: int, **properties: Any) -> int:
         """Add a view of data that is written later; return its index."""
-        start = _aligned(self.length)
+        start = _align(self.length)
         self.length = start + length
         view = {"buffer": 0, "byteOffset": start, "byteLength": length, **properties}
         return append(self.document, "bufferViews", view)
 
     def add(self, data: Iterable[Chunk], length: int, **properties: Any) -> int:
         """Add a view of given data; return its index."""
-        number = self.reserve(length, **properties)
-        self.contents.append((self.document["bufferViews"][number]["byteOffset"], data))
-        return number
+        view = self.reserve(length, **properties)
+        self.contents.append((self.document["bufferViews"][view]["byteOffset"], data))
+        return view
 
     def add_array(self, values: NDArray[Any], **properties: int) -> int:
         """Add an array ``(n,)`` or ``(n, k)`` in a view of its own; return its accessor."""
@@ -80,15 +81,17 @@ class Layout:
         view = self.add([data], data.nbytes, **properties)
         width = 1 if data.ndim == 1 else data.shape[1]
         kind = {1: "SCALAR", 16: "MAT4"}.get(width, f"VEC{width}")
-        return self.accessor(view, len(data), kind, component=COMPONENT_OF[data.dtype.str[1:]])
+        return self.accessor(view, len(data), kind, component=COMPONENT_TYPES[data.dtype.str[1:]])
 
     def add_points(self, points: NDArray[np.float32]) -> int:
         """Add positions of vertices ``(n, 3)``, with their bounds; return their accessor."""
         accessor = self.add_array(points, target=ARRAY_BUFFER)
-        self.bounded(accessor, bounds_of(points))
+        self.set_bounds(accessor, compute_bounds(points))
         return accessor
 
-    def accessor(self, view: int, count: int, kind: str, offset: int = 0, component: int = FLOAT) -> int:
+    def accessor(
+        self, view: int, count: int, kind: str, offset: int = 0, component: int = FLOAT_COMPONENT
+    ) -> int:
         """Add an accessor at an offset in bytes within a view; return its index."""
         accessor = {
             "bufferView": view,
@@ -99,32 +102,32 @@ class Layout:
         }
         return append(self.document, "accessors", accessor)
 
-    def bounded(self, accessor: int, bounds: Bounds = UNKNOWN) -> Json:
-        """Set the bounds of an accessor, or reserve room for them; return the accessor."""
-        found: Json = self.document["accessors"][accessor]
-        found["min"], found["max"] = bounds
-        return found
+    def set_bounds(self, accessor: int, bounds: Bounds = _PLACEHOLDER_BOUNDS) -> Json:
+        """Set the bounds of an accessor, or reserve space for them; return its entry."""
+        entry: Json = self.document["accessors"][accessor]
+        entry["min"], entry["max"] = bounds
+        return entry
 
 
-def bounds_of(points: NDArray[np.float32]) -> Bounds:
-    """Return the least and the largest coordinates of points ``(n, 3)``."""
+def compute_bounds(points: NDArray[np.float32]) -> Bounds:
+    """Return the minimum and maximum of points ``(n, 3)``."""
     return points.min(axis=0).tolist(), points.max(axis=0).tolist()
 
 
 def append(document: Json, member: str, entry: Json) -> int:
-    """Append an entry to a list of the document; return its index."""
+    """Append an entry to a list of a document; return its index."""
     entries = document.setdefault(member, [])
     entries.append(entry)
     return len(entries) - 1
 
 
 def compute_glb_size(layout: Layout) -> int:
-    """Return the size of a .glb in bytes; the writer adds the document's ``buffers``."""
-    return 28 + _aligned(len(_encoded(layout.document))) + _aligned(layout.length)
+    """Return the size of a .glb in bytes, without the document's ``buffers``, which the writer adds."""
+    return _GLB_OVERHEAD_BYTES + _align(len(_encode(layout.document))) + _align(layout.length)
 
 
 class BufferWriter:
-    """Writer of a buffer, front to back; gaps between views are filled with zeros."""
+    """Sequential writer of a buffer; gaps between views are filled with zeros."""
 
     def __init__(self, write: Callable[[bytes], object]) -> None:
         self._write = write
@@ -132,22 +135,22 @@ class BufferWriter:
 
     def put(self, offset: int, data: Iterable[Chunk]) -> None:
         """Write the chunks of a view, which begins at `offset`."""
-        self._next(bytes(offset - self.position))
+        self._append(bytes(offset - self.position))
         for chunk in data:
-            self._next(chunk.tobytes() if isinstance(chunk, np.ndarray) else bytes(chunk))
+            self._append(chunk.tobytes() if isinstance(chunk, np.ndarray) else bytes(chunk))
 
-    def _next(self, data: bytes) -> None:
+    def _append(self, data: bytes) -> None:
         self._write(data)
         self.position += len(data)
 
 
 @contextmanager
 def open_buffer_writer(path: Path, temporary: Path, layout: Layout) -> Iterator[BufferWriter]:
-    """Write a file: data of the layout, then data put by the block, then the document in its final state."""
-    binary = path.suffix.lower() == ".glb"
+    """Write the data of a layout, then data put by the caller, then the final document."""
+    is_binary = path.suffix.lower() == ".glb"
     layout.document["buffers"] = [{"byteLength": layout.length}]
-    _check_size(path, layout, binary)
-    with temporary.open("wb") as file, (_binary if binary else _text)(file, layout) as writer:
+    _check_size(path, layout, is_binary)
+    with temporary.open("wb") as file, (_write_glb if is_binary else _write_text)(file, layout) as writer:
         for offset, data in layout.contents:
             writer.put(offset, data)
         yield writer
@@ -155,96 +158,92 @@ def open_buffer_writer(path: Path, temporary: Path, layout: Layout) -> Iterator[
 
 
 @contextmanager
-def _binary(file: IO[bytes], layout: Layout) -> Iterator[BufferWriter]:
-    room = _aligned(len(_encoded(layout.document)))
-    length = _aligned(layout.length)
-    file.write(bytes(12 + 8 + room))
+def _write_glb(file: IO[bytes], layout: Layout) -> Iterator[BufferWriter]:
+    json_length, length = _align(len(_encode(layout.document))), _align(layout.length)
+    file.write(bytes(12 + 8 + json_length))
     file.write(struct.pack("<I4s", length, b"BIN\0"))
     writer = BufferWriter(file.write)
     yield writer
     writer.put(length, [])
     file.seek(0)
-    file.write(struct.pack("<4sII", b"glTF", 2, 12 + 8 + room + 8 + length))
-    file.write(struct.pack("<I4s", room, b"JSON"))
-    file.write(_encoded(layout.document).ljust(room))
+    file.write(struct.pack("<4sII", b"glTF", 2, _GLB_OVERHEAD_BYTES + json_length + length))
+    file.write(struct.pack("<I4s", json_length, b"JSON"))
+    file.write(_encode(layout.document).ljust(json_length))
 
 
 @contextmanager
-def _text(file: IO[bytes], layout: Layout) -> Iterator[BufferWriter]:
-    rest = b""
+def _write_text(file: IO[bytes], layout: Layout) -> Iterator[BufferWriter]:
+    pending = b""
 
     def write(data: bytes) -> None:
-        """Write whole groups of three bytes, each as four base64 letters."""
-        nonlocal rest
-        data = rest + data
-        whole = len(data) // 3 * 3
-        file.write(b64encode(data[:whole]))
-        rest = data[whole:]
+        """Write complete groups of three bytes as four base64 letters each."""
+        nonlocal pending
+        data = pending + data
+        end = len(data) // 3 * 3
+        file.write(b64encode(data[:end]))
+        pending = data[end:]
 
     start = f'{{"buffers":[{{"byteLength":{layout.length},"uri":"data:application/octet-stream;base64,'
     file.write(start.encode())
     yield BufferWriter(write)
-    file.write(b64encode(rest) + b'"}],')
+    file.write(b64encode(pending) + b'"}],')
     members = {name: value for name, value in layout.document.items() if name != "buffers"}
-    file.write(_encoded(members)[1:])
+    file.write(_encode(members)[1:])
 
 
-def _check_size(path: Path, layout: Layout, binary: bool) -> None:
-    if not binary and layout.length > _LARGEST_TEXT:
+def _check_size(path: Path, layout: Layout, is_binary: bool) -> None:
+    if not is_binary and layout.length > _MAX_TEXT_BUFFER_BYTES:
         raise OutputError(
             f"{path}: {layout.length / 1e9:.2f} GB of points are too many for a text file; write .glb"
         )
-    if binary and layout.length + len(_encoded(layout.document)) + 64 > _LARGEST_GLB:
+    if is_binary and layout.length + len(_encode(layout.document)) + 64 > _MAX_GLB_BYTES:
         raise OutputError(
             f"{path}: the points take {layout.length / 1e9:.2f} GB, but a GLB file cannot exceed 4.29 GB; "
             "write fewer frames, or USD, .npz or .h5"
         )
 
 
-def _encoded(document: Json) -> bytes:
+def _encode(document: Json) -> bytes:
     text = json.dumps(document, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     return text.encode("utf-8", errors="replace")
 
 
-def _aligned(length: int) -> int:
-    return -(-length // _ALIGNMENT) * _ALIGNMENT
+def _align(length: int) -> int:
+    return -(-length // _ALIGNMENT_BYTES) * _ALIGNMENT_BYTES
 
 
-Rows = NDArray[np.uint8]
-
-
-def unpacked_view(document: Document, packed: Fields) -> bytes:
-    """Return the unpacked bytes of a view, given its extension object."""
+def _unpack_view(document: Document, packed: Fields) -> bytes:
+    """Return the bytes of a view compressed by meshoptimizer, given its extension object."""
     if find_spec("meshopt") is None:
         raise MissingExtraError(
             f"{document.path} is compressed by meshoptimizer; to read it: pip install 'mixseq[gltf]'"
         )
     count, stride = packed.integer("count"), packed.integer("byteStride")
     mode, name = packed.text("mode"), packed.text("filter", "NONE")
-    data = document.part(packed)
-    here = "mixseq_io.gltf.codecs:unpack_meshopt"
-    rows = call_isolated(here, document.path, data, packed.place, count, stride, mode, name)
-    return bytes(rows.tobytes())
+    data = document.read_view(packed)
+    function = "mixseq_io.gltf.codecs:unpack_meshopt"
+    elements = call_isolated(function, document.path, data, packed.place, count, stride, mode, name)
+    return bytes(elements.tobytes())
 
 
 def unpack_meshopt(
     path: Path, data: bytes, place: str, count: int, stride: int, mode: str, name: str
-) -> Rows:
-    """Unpack a view; see `unpacked_view`. Damaged data may end the process."""
+) -> NDArray[np.uint8]:
+    """Unpack `count` elements of `stride` bytes; damaged data may end the process."""
     import meshopt
 
     try:
-        rows = meshopt.decode_gltf_buffer(data, count, stride, mode, name)
+        elements = meshopt.decode_gltf_buffer(data, count, stride, mode, name)
     except (ValueError, RuntimeError, TypeError) as error:
         raise Fields(path, place, {}).error(
             f"cannot be unpacked by meshoptimizer ({mode[:40]!r}, {name[:40]!r}, {stride} bytes each): {error}"
         ) from None
-    return np.ascontiguousarray(rows).view(np.uint8)
+    return np.ascontiguousarray(elements).view(np.uint8)
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """Layout that an accessor expects."""
+class _AccessorLayout:
+    """Layout of an accessor, and the id of its Draco attribute, None for the triangles."""
 
     unique_id: int | None
     dtype: np.dtype[Any]
@@ -253,27 +252,29 @@ class Wanted:
 
     @property
     def size(self) -> int:
-        """Its size in bytes."""
+        """Size in bytes."""
         return self.count * self.width * self.dtype.itemsize
 
 
-def unpacked_primitive(
-    document: Document, packed: Fields, wanted: Sequence[Wanted], sizes: Sequence[int]
+def _unpack_primitive(
+    document: Document, packed: Fields, layouts: Sequence[_AccessorLayout], sizes: Sequence[int]
 ) -> bytes:
-    """Return the numbers of several accessors one after the other, each padded to its size in bytes."""
+    """Return the concatenated bytes of the accessors of a Draco primitive, each padded to a size."""
     if find_spec("DracoPy") is None:
         raise MissingExtraError(
             f"{document.path} is compressed with Draco; to read it: pip install 'mixseq[gltf]'"
         )
-    data = document.part(document.item("bufferViews", packed.integer("bufferView")))
+    data = document.read_view(document.item("bufferViews", packed.integer("bufferView")))
     arrays = call_isolated(
-        "mixseq_io.gltf.codecs:decode_draco", document.path, data, packed.place, list(wanted)
+        "mixseq_io.gltf.codecs:decode_draco", document.path, data, packed.place, list(layouts)
     )
-    return b"".join(each.tobytes().ljust(size, b"\0") for each, size in zip(arrays, sizes, strict=True))
+    return b"".join(array.tobytes().ljust(size, b"\0") for array, size in zip(arrays, sizes, strict=True))
 
 
-def decode_draco(path: Path, data: bytes, place: str, wanted: Sequence[Wanted]) -> list[NDArray[Any]]:
-    """Decode a primitive; see `unpacked_primitive`. Damaged data may end the process."""
+def decode_draco(
+    path: Path, data: bytes, place: str, layouts: Sequence[_AccessorLayout]
+) -> list[NDArray[Any]]:
+    """Decode the accessors of a primitive; damaged data may end the process."""
     import DracoPy
 
     fields = Fields(path, place, {})
@@ -283,55 +284,53 @@ def decode_draco(path: Path, data: bytes, place: str, wanted: Sequence[Wanted]) 
         attributes[None] = mesh.faces.reshape(-1)
     except (DracoPy.FileTypeException, ValueError, AttributeError, TypeError) as error:
         raise fields.error(f"cannot be decoded by Draco: {error}") from None
-    return [_fitted(fields, attributes.get(each.unique_id), each) for each in wanted]
+    return [_convert(fields, attributes.get(layout.unique_id), layout) for layout in layouts]
 
 
-def _fitted(fields: Fields, values: NDArray[Any] | None, wanted: Wanted) -> NDArray[Any]:
+def _convert(fields: Fields, values: NDArray[Any] | None, layout: _AccessorLayout) -> NDArray[Any]:
     """Convert values to the accessor's layout; DracoPy returns integers as floats."""
-    if values is None or values.size != wanted.count * wanted.width:
-        has = "nothing" if values is None else f"{values.size} numbers"
+    if values is None or values.size != layout.count * layout.width:
+        size = 0 if values is None else values.size
         raise fields.error(
-            f"has {has} where {wanted.count} times {wanted.width} are expected; the file is damaged"
+            f"has {size} numbers where {layout.count} times {layout.width} are expected; the file is damaged"
         )
-    if wanted.dtype.kind == "f":
-        return values.astype(wanted.dtype)
-    limits = np.iinfo(wanted.dtype)
-    whole = np.clip(np.rint(np.nan_to_num(values)), limits.min, limits.max)
-    return np.asarray(whole, dtype=wanted.dtype)
+    if layout.dtype.kind == "f":
+        return values.astype(layout.dtype)
+    limits = np.iinfo(layout.dtype)
+    integers = np.clip(np.rint(np.nan_to_num(values)), limits.min, limits.max)
+    return np.asarray(integers, dtype=layout.dtype)
 
 
 _POSITION_BITS, _UV_BITS, _NORMAL_BITS = 11, 11, 7
-"""Bits per number: a point is off by 1/4000 of the mesh's largest side, a normal by one degree."""
+"""Bits per number: points are accurate to 1/4000 of the mesh's largest side, normals to one degree."""
 
-_BEST = 10
-"""DracoPy's level of the strongest compression."""
-
-_NAMES = {0: "POSITION", 1: "NORMAL", 2: "COLOR_0", 3: "TEXCOORD_0"}
+_MAX_COMPRESSION_LEVEL = 10
+_ATTRIBUTE_NAMES = {0: "POSITION", 1: "NORMAL", 2: "COLOR_0", 3: "TEXCOORD_0"}
 """glTF attribute names by Draco type."""
 
 
 @dataclass(frozen=True, eq=False)
 class DracoTriangles:
-    """Compressed triangles."""
+    """Compressed triangles, with the decoded attributes ``(n, k)`` and their Draco ids by glTF name."""
 
     data: bytes
     attributes: Mapping[str, NDArray[Any]]
-    identifiers: Mapping[str, int]
+    attribute_ids: Mapping[str, int]
     triangle_count: int
 
 
-def compressed_triangles(
+def compress_triangles(
     triangles: NDArray[np.uint32], attributes: Mapping[str, NDArray[np.float32]]
 ) -> DracoTriangles:
-    """Compress triangles ``(F, 3)``, and attributes ``(n, k)`` by their glTF names, colours as bytes."""
-    library = _library()
+    """Compress triangles ``(F, 3)`` and attributes ``(n, k)`` by glTF name, colours as bytes."""
+    library = _import_draco()
     uvs, colours = attributes.get("TEXCOORD_0"), attributes.get("COLOR_0")
     try:
         data = library.encode(
             attributes["POSITION"],
             triangles,
             quantization_bits=_POSITION_BITS,
-            compression_level=_BEST,
+            compression_level=_MAX_COMPRESSION_LEVEL,
             colors=None if colours is None else colours_to_bytes(colours),
             normals=attributes["NORMAL"].astype(np.float64),
             normal_quantization_bits=_NORMAL_BITS,
@@ -340,44 +339,44 @@ def compressed_triangles(
         )
         decoded = library.decode(data)
     except (library.EncodingFailedException, library.FileTypeException, ValueError) as error:
-        raise OutputError(f"Draco cannot compress the first frame ({error}); write it plain") from error
-    found = {_NAMES[each["attribute_type"]]: each for each in decoded.attributes}
+        raise OutputError(f"Draco cannot compress the first frame ({error}); use --still plain") from error
+    by_name = {_ATTRIBUTE_NAMES[each["attribute_type"]]: each for each in decoded.attributes}
     return DracoTriangles(
         data,
-        {name: each["data"] for name, each in found.items()},
-        {name: int(each["unique_id"]) for name, each in found.items()},
+        {name: attribute["data"] for name, attribute in by_name.items()},
+        {name: int(attribute["unique_id"]) for name, attribute in by_name.items()},
         len(decoded.faces),
     )
 
 
-def _library() -> ModuleType:
+def _import_draco() -> ModuleType:
     try:
         import DracoPy
     except ImportError as error:
         raise MissingExtraError(
-            "a .glb is smallest with DracoPy; get it with: pip install 'mixseq[gltf]', or write a plain still "
-            "(--still plain)"
+            "a compressed still needs DracoPy: pip install 'mixseq[gltf]', or write a plain one (--still plain)"
         ) from error
     library: ModuleType = DracoPy
     return library
 
 
 def decompress_document(document: Document) -> Document:
-    """Return a document without compression; data are unpacked when they are read."""
-    edits = _Edits(document)
-    for number, view in enumerate(document.items("bufferViews")):
-        name = next((each for each in MESHOPT if each in view.object("extensions")), None)
+    """Return a document without compression, whose data are unpacked when read."""
+    edit = _Decompression(document)
+    for index, view in enumerate(document.items("bufferViews")):
+        extensions = view.object("extensions")
+        name = next((name for name in MESHOPT_EXTENSIONS if name in extensions), None)
         if name is not None:
-            edits.unpack_view(number, view, view.object("extensions").object(name))
-    for number, mesh in enumerate(document.items("meshes")):
-        for place, primitive in enumerate(mesh.objects("primitives")):
-            if DRACO in primitive.object("extensions"):
-                edits.unpack_primitive(number, place, primitive)
-    return edits.document()
+            edit.unpack_view(index, view, extensions.object(name))
+    for mesh_index, mesh in enumerate(document.items("meshes")):
+        for index, primitive in enumerate(mesh.objects("primitives")):
+            if DRACO_EXTENSION in primitive.object("extensions"):
+                edit.unpack_primitive(mesh_index, index, primitive)
+    return edit.document()
 
 
-class _Edits:
-    """Edits that replace compressed parts of a document."""
+class _Decompression:
+    """Edit of a document that replaces compressed views and primitives."""
 
     def __init__(self, document: Document) -> None:
         self._compressed = document
@@ -385,13 +384,17 @@ class _Edits:
         for kind in ("accessors", "buffers", "bufferViews", "meshes"):
             if kind in self._json:
                 self._json[kind] = list(self._json[kind])
-        self._unpacking: dict[int, Callable[[], bytes]] = {}
-        self._placed: dict[int, bool] = {}
+        self._unpackers: dict[int, Callable[[], bytes]] = {}
+        self._unpacked_accessors: set[int] = set()
 
     def document(self) -> Document:
         """Return the edited document."""
         for member in ("extensionsUsed", "extensionsRequired"):
-            left = [name for name in self._compressed.top.texts(member) if name not in (DRACO, *MESHOPT)]
+            left = [
+                name
+                for name in self._compressed.top.texts(member)
+                if name not in (DRACO_EXTENSION, *MESHOPT_EXTENSIONS)
+            ]
             self._json.pop(member, None)
             if left:
                 self._json[member] = left
@@ -400,65 +403,64 @@ class _Edits:
                 {key: value for key, value in each.items() if key != "extensions"}
                 for each in self._json["buffers"]
             ]
-        return self._compressed.edited(self._json, self._unpacking)
+        return replace(self._compressed, json=self._json, unpackers=self._unpackers)
 
-    def unpack_view(self, number: int, view: Fields, packed: Fields) -> None:
+    def unpack_view(self, index: int, view: Fields, packed: Fields) -> None:
         """Point a meshopt-compressed view at a buffer of unpacked data."""
         count, stride = packed.integer("count"), packed.integer("byteStride")
         if stride < 1 or count * stride != view.integer("byteLength"):
             raise packed.error(
-                f"has {count} elements of {stride} bytes, which is not the view's length; the file is damaged"
+                f"has {count} elements of {stride} bytes, unlike the length of the view; the file is damaged"
             )
         self._compressed.check_effort(-(-count * stride // 4), packed.place)
-        buffer = self._buffer(count * stride, partial(unpacked_view, self._compressed, packed))
+        buffer = self._add_buffer(count * stride, partial(_unpack_view, self._compressed, packed))
         kept = {key: value for key, value in view.values.items() if key in ("byteStride", "target", "name")}
-        self._json["bufferViews"][number] = {"buffer": buffer, "byteLength": count * stride, **kept}
+        self._json["bufferViews"][index] = {"buffer": buffer, "byteLength": count * stride, **kept}
 
-    def unpack_primitive(self, mesh: int, place: int, primitive: Fields) -> None:
+    def unpack_primitive(self, mesh: int, index: int, primitive: Fields) -> None:
         """Point accessors without data of their own at the unpacked data of a Draco primitive."""
-        packed = primitive.object("extensions").object(DRACO)
-        names = packed.object("attributes")
-        position = primitive.object("attributes").index("POSITION")
+        packed = primitive.object("extensions").object(DRACO_EXTENSION)
+        ids, attributes = packed.object("attributes"), primitive.object("attributes")
+        position = attributes.index("POSITION")
         if position is not None and "bufferView" not in self._compressed.item("accessors", position):
             indices = primitive.integer("indices")
-            accessors = {
-                primitive.object("attributes").integer(name): names.integer(name) for name in names.values
-            }
-            wanted = [self._wanted(indices, None), *(self._wanted(*each) for each in accessors.items())]
-            sizes = [_aligned(each.size) for each in wanted]
+            accessors = {attributes.integer(name): ids.integer(name) for name in ids.values}
+            layouts = [self._layout(indices, None), *(self._layout(*each) for each in accessors.items())]
+            sizes = [_align(layout.size) for layout in layouts]
             self._compressed.check_effort(sum(sizes) // 2, packed.place)
-            buffer = self._buffer(
-                sum(sizes), partial(unpacked_primitive, self._compressed, packed, wanted, sizes)
+            buffer = self._add_buffer(
+                sum(sizes), partial(_unpack_primitive, self._compressed, packed, layouts, sizes)
             )
             starts = np.cumsum([0, *sizes]).tolist()
-            for accessor, each, start in zip((indices, *accessors), wanted, starts, strict=False):
-                if not self._placed.get(accessor):  # primitives may have the same data
-                    self._place(accessor, {"buffer": buffer, "byteOffset": start, "byteLength": each.size})
-        self._replace_primitive(mesh, place)
+            for accessor, layout, start in zip((indices, *accessors), layouts, starts, strict=False):
+                if accessor not in self._unpacked_accessors:  # primitives may share accessors
+                    view = {"buffer": buffer, "byteOffset": start, "byteLength": layout.size}
+                    self._set_view(accessor, view)
+        self._remove_extension(mesh, index)
 
-    def _wanted(self, accessor: int, unique_id: int | None) -> Wanted:
+    def _layout(self, accessor: int, unique_id: int | None) -> _AccessorLayout:
         fields = self._compressed.item("accessors", accessor)
-        dtype, width = layout_of(fields)
-        return Wanted(unique_id, dtype, fields.integer("count"), width)
+        dtype, width = element_layout(fields)
+        return _AccessorLayout(unique_id, dtype, fields.integer("count"), width)
 
-    def _place(self, accessor: int, view: Json) -> None:
-        self._placed[accessor] = True
-        self._json.setdefault("bufferViews", []).append(view)
-        entry = {**self._json["accessors"][accessor], "bufferView": len(self._json["bufferViews"]) - 1}
-        self._json["accessors"][accessor] = {**entry, "byteOffset": 0}
+    def _set_view(self, accessor: int, view: Json) -> None:
+        self._unpacked_accessors.add(accessor)
+        reference = {"bufferView": append(self._json, "bufferViews", view), "byteOffset": 0}
+        self._json["accessors"][accessor] = {**self._json["accessors"][accessor], **reference}
 
-    def _replace_primitive(self, mesh: int, place: int) -> None:
+    def _remove_extension(self, mesh: int, index: int) -> None:
         entry = self._json["meshes"][mesh]
-        primitives = list(entry["primitives"])
-        extensions = {name: each for name, each in primitives[place]["extensions"].items() if name != DRACO}
-        primitives[place] = {key: value for key, value in primitives[place].items() if key != "extensions"}
+        primitive = dict(entry["primitives"][index])
+        extensions = {
+            name: value for name, value in primitive.pop("extensions").items() if name != DRACO_EXTENSION
+        }
         if extensions:
-            primitives[place]["extensions"] = extensions
+            primitive["extensions"] = extensions
+        primitives = [*entry["primitives"][:index], primitive, *entry["primitives"][index + 1 :]]
         self._json["meshes"][mesh] = {**entry, "primitives": primitives}
 
-    def _buffer(self, length: int, unpack: Callable[[], bytes]) -> int:
+    def _add_buffer(self, length: int, unpack: Callable[[], bytes]) -> int:
         """Add a buffer that is unpacked when read; return its index."""
-        self._json.setdefault("buffers", []).append({"byteLength": length})
-        number = len(self._json["buffers"]) - 1
-        self._unpacking[number] = unpack
-        return number
+        index = append(self._json, "buffers", {"byteLength": length})
+        self._unpackers[index] = unpack
+        return index

@@ -1,7 +1,7 @@
-"""glTF files (.gltf, .glb): the JSON, kept unchanged for writers, and the numbers in its buffers.
+"""glTF files (.gltf, .glb): checked access to their JSON, kept unchanged for writers, and to the arrays in buffers.
 
-Access to the JSON is checked. Buffers in a .glb chunk, in the JSON, or in files beside it are read on demand; every
-count and offset is compared with the available bytes before an array is allocated.
+Buffers in a .glb chunk, in the JSON, or in neighbouring files are read on demand. Every count and offset is compared
+with the available bytes before an array is allocated.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 """
@@ -29,18 +29,16 @@ from mixseq.errors import FormatError
 from mixseq_io.files import check_memory
 from mixseq_io.reader import translate_read_errors
 
-DAMAGE = (KeyError, IndexError, TypeError, ValueError, AttributeError, RecursionError)
+MALFORMED_JSON_ERRORS = (KeyError, IndexError, TypeError, ValueError, AttributeError, RecursionError)
 """Exceptions of unchecked access to the JSON of damaged files, for `translate_read_errors`."""
 
-DRACO = "KHR_draco_mesh_compression"
-MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
+DRACO_EXTENSION = "KHR_draco_mesh_compression"
+MESHOPT_EXTENSIONS = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 SEQUENCE_EXTENSION = "MIXSEQ_mesh_sequence"
-"""Extension of meshes whose frames are streams, see `mixseq_io.gltf.mesh_sequence`."""
+"""Extension of meshes whose frames are compressed streams (`mixseq_io.gltf.mesh_sequence`)."""
 
-_UNDERSTOOD = (*MESHOPT, DRACO, "KHR_mesh_quantization", SEQUENCE_EXTENSION)
-
-# They change how a mesh looks, not where it is.
-_APPEARANCE = (
+_GEOMETRY_EXTENSIONS = (*MESHOPT_EXTENSIONS, DRACO_EXTENSION, "KHR_mesh_quantization", SEQUENCE_EXTENSION)
+_APPEARANCE_PREFIXES = (
     "KHR_materials_",
     "KHR_texture_",
     "EXT_texture_",
@@ -48,7 +46,7 @@ _APPEARANCE = (
     "KHR_lights_",
     "EXT_lights_",
 )
-_HARMLESS = (
+_IGNORED_EXTENSIONS = (
     "KHR_node_visibility",
     "KHR_node_selectability",
     "KHR_node_hoverability",
@@ -60,18 +58,22 @@ _HARMLESS = (
 def check_extensions(top: Fields) -> None:
     """Raise an error for files whose meshes need an unsupported extension."""
     for name in top.texts("extensionsRequired"):
-        if name not in (*_UNDERSTOOD, *_HARMLESS) and not name.startswith(_APPEARANCE):
+        supported = name in (*_GEOMETRY_EXTENSIONS, *_IGNORED_EXTENSIONS)
+        if not supported and not name.startswith(_APPEARANCE_PREFIXES):
             raise FormatError(
-                f"{top.file} requires the extension {name[:80]}, which is not read; export without it"
+                f"{top.file} requires the extension {name[:80]}, which is not supported; export without it"
             )
 
 
-_LARGEST = 2**53  # of the integers that JSON readers agree on
+_EXACT_INTEGER_END = 2**53
+"""End of the integers that all JSON readers represent exactly."""
+
+_MAX_JSON_NUMBER = 1e300
 
 
 @dataclass(frozen=True)
 class Fields:
-    """JSON object and its path in the file."""
+    """JSON object at a path in a file, with checked access to its members."""
 
     file: Path
     place: str
@@ -81,11 +83,11 @@ class Fields:
         return key in self.values
 
     def integer(self, key: str, default: int | None = None) -> int:
-        """Return a non-negative integer, required unless there is a default."""
+        """Return a non-negative integer; it is required without a default."""
         return self._integer(key, self.values.get(key, default))
 
     def index(self, key: str) -> int | None:
-        """Return an index into another list, None if absent."""
+        """Return an index into a list of the document, None if absent."""
         return self.integer(key) if key in self.values else None
 
     def text(self, key: str, default: str = "") -> str:
@@ -133,43 +135,43 @@ class Fields:
         """Return a list of objects, empty if absent."""
         return [self._object(f"{key}[{i}]", value) for i, value in enumerate(self._list(key))]
 
-    def error(self, what: str) -> FormatError:
+    def error(self, problem: str) -> FormatError:
         """Return an error that names this object."""
-        return FormatError(f"{self.file}: {self.place} {what}")
+        return FormatError(f"{self.file}: {self.place} {problem}")
 
     def _list(self, key: str) -> list[Any]:
         value = self.values.get(key, [])
         return value if isinstance(value, list) else self._unexpected(key, "a list")
 
-    def _object(self, place: str, value: Any) -> Fields:
+    def _object(self, key: str, value: Any) -> Fields:
         if not isinstance(value, dict):
-            self._unexpected(place, "an object")
-        return Fields(self.file, f"{self.place}.{place}".lstrip("."), value)
+            self._unexpected(key, "an object")
+        return Fields(self.file, f"{self.place}.{key}".lstrip("."), value)
 
-    def _integer(self, place: str, value: Any) -> int:
+    def _integer(self, key: str, value: Any) -> int:
         # 3.0 is an integer in JSON.
         if isinstance(value, float) and value.is_integer():
             value = int(value)
-        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < _LARGEST:
-            self._unexpected(place, "a non-negative integer")
+        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < _EXACT_INTEGER_END:
+            self._unexpected(key, "a non-negative integer")
         return int(value)
 
-    def _unexpected(self, place: str, expected: str) -> Any:
-        where = f"{self.place}.{place}".lstrip(".")
-        raise FormatError(f"{self.file}: {where} is missing or damaged; {expected} is expected there")
+    def _unexpected(self, key: str, expected: str) -> Any:
+        place = f"{self.place}.{key}".lstrip(".")
+        raise FormatError(f"{self.file}: {place} is missing or damaged; {expected} is expected there")
 
 
 def _is_number(value: Any) -> bool:
     return (
         isinstance(value, int | float)
         and not isinstance(value, bool)
-        and abs(value) < 1e300
+        and abs(value) < _MAX_JSON_NUMBER
         and isfinite(value)
     )
 
 
 class _File(io.FileIO):
-    """File closed with its last reader; it stays the opened one if another file takes its name."""
+    """Open file, closed with its last reference; replacing the file on disk does not change its content."""
 
     def __del__(self) -> None:
         self.close()
@@ -190,68 +192,66 @@ class Data:
     def read(self, start: int, size: int) -> bytes:
         """Return `size` bytes, fewer only at the end; raise `FormatError` if the file was cut since it was opened."""
         size = max(0, min(size, self.size - start))
-        at = self.start + start
+        position = self.start + start
         if isinstance(self.source, bytes):
-            return self.source[at : at + size]
-        self.source.seek(at)
+            return self.source[position : position + size]
+        self.source.seek(position)
         parts = []
         while size:
             part = self.source.read(size)
             if not part:
-                raise FormatError(
-                    f"{self.source.name} ends in the middle; was it written anew while it was read?"
-                )
+                raise FormatError(f"{self.source.name} ends too early; another program may have changed it")
             parts.append(part)
             size -= len(part)
         return b"".join(parts)
 
 
-def data_of_file(path: Path) -> Data:
-    """Return the bytes of a file."""
+def open_data(path: Path) -> Data:
+    """Open a file as a range of bytes that is read on demand."""
     file = _File(path)
     return Data(file, 0, os.fstat(file.fileno()).st_size)
 
 
-def data_in_memory(content: bytes) -> Data:
-    """Return bytes held in memory."""
-    return Data(content, 0, len(content))
+_GLB_HEADER_BYTES, _CHUNK_HEADER_BYTES = 12, 8
 
 
-def chunks(path: Path, data: Data) -> tuple[bytes, Data | None]:
+def read_glb_chunks(path: Path, data: Data) -> tuple[bytes, Data | None]:
     """Return the JSON and the binary chunk of a .glb."""
-    if data.size < 20:
+    if data.size < _GLB_HEADER_BYTES + _CHUNK_HEADER_BYTES:
         raise FormatError(f"{path} has {data.size} bytes, too few for a .glb; it is truncated")
     version, length = struct.unpack("<II", data.read(4, 8))
     if version != 2:
-        raise FormatError(f"{path} is a .glb of version {version}; version 2 is read, convert it first")
+        raise FormatError(f"{path} is a .glb of version {version}; convert it to version 2")
     if length > data.size:
         raise FormatError(f"{path} has {data.size} bytes of {length}; it is truncated")
-    found: list[tuple[bytes, Data]] = []
-    offset = 12
-    while offset + 8 <= length and len(found) < 2:
-        size, kind = struct.unpack("<I4s", data.read(offset, 8))
-        if offset + 8 + size > length:
+    chunks: list[tuple[bytes, Data]] = []
+    offset = _GLB_HEADER_BYTES
+    while offset + _CHUNK_HEADER_BYTES <= length and len(chunks) < 2:
+        size, kind = struct.unpack("<I4s", data.read(offset, _CHUNK_HEADER_BYTES))
+        offset += _CHUNK_HEADER_BYTES
+        if offset + size > length:
             raise FormatError(f"{path}: a chunk of {size} bytes goes beyond the end; the file is damaged")
-        found.append((kind, data.part(offset + 8, size)))
-        offset += 8 + size
-    if not found or found[0][0] != b"JSON":
-        raise FormatError(f"{path} has no JSON where a .glb begins; it is damaged")
-    text = found[0][1]
-    return text.read(0, text.size), found[1][1] if len(found) > 1 and found[1][0] == b"BIN\0" else None
+        chunks.append((kind, data.part(offset, size)))
+        offset += size
+    if not chunks or chunks[0][0] != b"JSON":
+        raise FormatError(f"{path} does not begin with JSON; the file is damaged")
+    text = chunks[0][1]
+    return text.read(0, text.size), chunks[1][1] if len(chunks) > 1 and chunks[1][0] == b"BIN\0" else None
 
 
-def data_of_uri(buffer: Fields, uri: str) -> Data:
-    """Return the bytes of a data URI or of a file beside the document."""
+def read_uri(buffer: Fields, uri: str) -> Data:
+    """Return the bytes of a data URI or of a file in the folder of the document."""
     if uri.startswith("data:"):
         header, _, data = uri.partition(",")
         if not header.endswith(";base64"):
             raise buffer.error("is a data URI without base64; it is damaged")
         try:
-            return data_in_memory(base64.b64decode(data, validate=True))
+            content = base64.b64decode(data, validate=True)
+            return Data(content, 0, len(content))
         except (binascii.Error, ValueError):
-            raise buffer.error("is a data URI that is not base64; it is damaged") from None
+            raise buffer.error("is a data URI with invalid base64; it is damaged") from None
     name, folder = unquote(uri), buffer.file.parent.resolve()
-    # No scheme, drive or root, and not even a link out of the folder.
+    # Relative paths only, without links out of the folder.
     if ":" in name or "\\" in name or "\0" in name or name.startswith("/") or ".." in name.split("/"):
         raise buffer.error(f"is in {name[:80]!r}; only files in the folder of the glTF file are read")
     with translate_read_errors(folder / name, "the buffer of a glTF file"):
@@ -264,19 +264,19 @@ def data_of_uri(buffer: Fields, uri: str) -> Data:
             raise buffer.error(
                 f"is in {name[:80]!r}, which is not a file beside {buffer.file.name}; put it there"
             )
-        return data_of_file(file)
+        return open_data(file)
 
 
-COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+COMPONENT_DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 """NumPy dtypes by ``componentType``."""
 
-WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-"""Numbers per element by accessor type; MAT2 and MAT3 do not occur in meshes and animations."""
+ELEMENT_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+"""Numbers per element by accessor type; meshes and animations have no MAT2 and MAT3."""
 
-# Numbers allowed beyond the stored bytes: zeros, and the same mesh in many places.
-_FREE_NUMBERS, _NUMBERS_PER_BYTE = 10_000_000, 16
+_MAX_UNSTORED_NUMBERS, _MAX_NUMBERS_PER_BYTE = 10_000_000, 16
+"""Numbers allowed beyond the stored bytes, such as zeros and repeated meshes."""
 
-_KINDS = (
+_LISTS = (
     "accessors",
     "animations",
     "buffers",
@@ -291,22 +291,18 @@ _KINDS = (
 
 @dataclass(frozen=True, eq=False)
 class Document:
-    """glTF file: JSON in memory, numbers read on demand."""
+    """glTF file with its JSON in memory and buffers read on demand, or computed by `unpackers` of their index."""
 
     path: Path
     json: dict[str, Any]
     chunk: Data | None
     size: int
-    unpacking: Mapping[int, Callable[[], bytes]] = field(default_factory=dict, repr=False)
+    unpackers: Mapping[int, Callable[[], bytes]] = field(default_factory=dict, repr=False)
     _buffers: dict[int, Data] = field(default_factory=dict, repr=False)
 
     @cached_property
     def _items(self) -> dict[str, list[Fields]]:
-        return {kind: self.top.objects(kind) for kind in _KINDS}
-
-    def edited(self, json: dict[str, Any], unpacking: Mapping[int, Callable[[], bytes]]) -> Document:
-        """Return the file with another JSON, whose additional buffers are unpacked when read."""
-        return Document(self.path, json, self.chunk, self.size, unpacking)
+        return {kind: self.top.objects(kind) for kind in _LISTS}
 
     @property
     def top(self) -> Fields:
@@ -318,28 +314,28 @@ class Document:
         return self._items[kind]
 
     def item(self, kind: str, index: int) -> Fields:
-        """Return an item of such a list."""
+        """Return an item of a list, see `items`."""
         items = self._items[kind]
         if not 0 <= index < len(items):
             raise FormatError(
-                f"{self.path}: {kind}[{index}] is referred to, but there are {len(items)} {kind}"
+                f"{self.path}: {kind}[{index}] is referenced, but there are {len(items)} {kind}"
             )
         return items[index]
 
     def accessor(self, index: int) -> NDArray[Any]:
-        """Return an accessor's numbers ``(n,)`` or ``(n, k)``, sparse values filled in, normalised ones as floats."""
+        """Return an accessor's numbers ``(n,)`` or ``(n, k)``, with sparse values, normalised integers as floats."""
         accessor = self.item("accessors", index)
-        dtype, width = layout_of(accessor)
+        dtype, width = element_layout(accessor)
         count = accessor.integer("count")
         if "bufferView" in accessor:
-            values = self._numbers(accessor, dtype, (count, width))
+            values = self._read_numbers(accessor, dtype, (count, width))
         else:
             self.check_effort(count * width, accessor.place)
             values = np.zeros((count, width), dtype)
         if "sparse" in accessor:
-            values = self._with_sparse(accessor, values)
+            values = self._fill_sparse(accessor.object("sparse"), values)
         if accessor.flag("normalized"):
-            values = _normalised(values)
+            values = _normalise(values)
         values.flags.writeable = False
         return values[:, 0] if width == 1 else values
 
@@ -350,20 +346,20 @@ class Document:
         return self.size + sum(self.buffer(index).size for index in stored)
 
     def _is_stored(self, index: int) -> bool:
-        """Whether a buffer is stored in a file; others are generated or reserve room for unpacked data."""
+        """Whether a buffer is stored in a file, not computed."""
         return "uri" in self.item("buffers", index) or (index == 0 and self.chunk is not None)
 
-    def check_effort(self, numbers: int, what: str) -> None:
-        """Raise an error for far more numbers than the file has bytes, as damaged or hostile files announce."""
-        if numbers > _FREE_NUMBERS + _NUMBERS_PER_BYTE * self.data_size:
+    def check_effort(self, numbers: int, label: str) -> None:
+        """Raise an error for far more numbers than the file has bytes, as in damaged or hostile files."""
+        if numbers > _MAX_UNSTORED_NUMBERS + _MAX_NUMBERS_PER_BYTE * self.data_size:
             raise FormatError(
-                f"{self.path}: {what} have {numbers} numbers, but the file only {self.data_size} bytes; it is damaged, "
-                "or repeats one mesh too often: choose fewer with prim"
+                f"{self.path}: {label} have {numbers} numbers, but the file only {self.data_size} bytes; it is "
+                "damaged, or repeats one mesh too often: choose fewer meshes with prim"
             )
-        check_memory(self.path, 8 * numbers, what)
+        check_memory(self.path, 8 * numbers, label)
 
     def buffer(self, index: int) -> Data:
-        """Return the bytes of a buffer: a .glb chunk, a data URI, or a file beside."""
+        """Return the bytes of a buffer: a .glb chunk, a data URI, or a neighbouring file."""
         if index not in self._buffers:
             self._buffers[index] = self._read_buffer(index)
         return self._buffers[index]
@@ -371,28 +367,29 @@ class Document:
     def _read_buffer(self, index: int) -> Data:
         buffer = self.item("buffers", index)
         length = buffer.integer("byteLength")
-        if index in self.unpacking:
-            data = data_in_memory(self.unpacking[index]())
+        if index in self.unpackers:
+            content = self.unpackers[index]()
+            data = Data(content, 0, len(content))
         elif "uri" in buffer:
-            data = data_of_uri(buffer, buffer.text("uri"))
+            data = read_uri(buffer, buffer.text("uri"))
         elif index == 0 and self.chunk is not None:
             data = self.chunk
         else:
-            raise buffer.error("has no data; it is compressed or kept elsewhere, export it with its data")
+            raise buffer.error("has no data; it is compressed or elsewhere, export it with its data")
         if length > data.size:
             raise buffer.error(f"has {data.size} bytes of {length}; it is truncated")
         return data.part(0, length)
 
-    def part(self, place: Fields) -> bytes:
+    def read_view(self, view: Fields) -> bytes:
         """Return the bytes of an object with ``buffer``, ``byteOffset`` and ``byteLength``."""
-        data = self.buffer(place.integer("buffer"))
-        start, length = place.integer("byteOffset", 0), place.integer("byteLength")
+        data = self.buffer(view.integer("buffer"))
+        start, length = view.integer("byteOffset", 0), view.integer("byteLength")
         if start + length > data.size:
-            raise place.error(f"does not fit its buffer of {data.size} bytes; the file is damaged")
+            raise view.error(f"does not fit its buffer of {data.size} bytes; the file is damaged")
         return data.read(start, length)
 
-    def _numbers(self, owner: Fields, dtype: np.dtype[Any], shape: tuple[int, int]) -> NDArray[Any]:
-        """Return the numbers ``(n, k)`` of an accessor or of a part of a sparse one."""
+    def _read_numbers(self, owner: Fields, dtype: np.dtype[Any], shape: tuple[int, int]) -> NDArray[Any]:
+        """Return the numbers ``(n, k)`` of an accessor, or of the indices or values of a sparse one."""
         view = self.item("bufferViews", owner.integer("bufferView"))
         data = self.buffer(view.integer("buffer"))
         start, length = view.integer("byteOffset", 0), view.integer("byteLength")
@@ -409,27 +406,27 @@ class Document:
         content = data.read(start + offset, stride * (shape[0] - 1) + element)
         return np.ndarray(shape, dtype, content, 0, (stride, dtype.itemsize))
 
-    def _with_sparse(self, accessor: Fields, values: NDArray[Any]) -> NDArray[Any]:
-        sparse = accessor.object("sparse")
-        rows, replaced = sparse.object("indices"), sparse.object("values")
-        kind = COMPONENTS.get(rows.integer("componentType"), "")
-        if kind not in ("<u1", "<u2", "<u4"):
-            raise rows.error("are not unsigned integers")
+    def _fill_sparse(self, sparse: Fields, values: NDArray[Any]) -> NDArray[Any]:
+        """Return values ``(n, k)`` with some replaced by those of a sparse accessor."""
+        where = sparse.object("indices")
+        dtype = COMPONENT_DTYPES.get(where.integer("componentType"), "")
+        if dtype not in ("<u1", "<u2", "<u4"):
+            raise where.error("are not unsigned integers")
         count = sparse.integer("count")
-        indices = self._numbers(rows, np.dtype(kind), (count, 1))[:, 0]
+        indices = self._read_numbers(where, np.dtype(dtype), (count, 1))[:, 0]
         if indices.max(initial=0) >= max(len(values), 1):
-            raise rows.error(f"go up to {indices.max()}, but there are {len(values)} elements")
+            raise where.error(f"go up to {indices.max()}, but there are {len(values)} elements")
         filled = values.copy()
-        filled[indices] = self._numbers(replaced, values.dtype, (count, values.shape[1]))
+        filled[indices] = self._read_numbers(sparse.object("values"), values.dtype, (count, values.shape[1]))
         return filled
 
 
 def load_document(path: Path) -> Document:
-    """Read a .gltf or .glb file; buffers in other files are read on demand."""
+    """Read the JSON of a .gltf or .glb file; buffers are read on demand."""
     with translate_read_errors(path, "glTF"):
-        data = data_of_file(path)
-        binary = data.read(0, 4) == b"glTF"
-        text, chunk = chunks(path, data) if binary else (data.read(0, data.size), None)
+        data = open_data(path)
+        is_binary = data.read(0, 4) == b"glTF"
+        text, chunk = read_glb_chunks(path, data) if is_binary else (data.read(0, data.size), None)
     with translate_read_errors(path, "glTF", ValueError, RecursionError):
         parsed = json.loads(text.decode("utf-8-sig"))
     if not isinstance(parsed, dict):
@@ -437,27 +434,25 @@ def load_document(path: Path) -> Document:
     top = Fields(path, "", parsed)
     version = top.object("asset").text("version")
     if not version.startswith("2."):
-        raise FormatError(
-            f"{path} is glTF version {version or 'unknown'}; version 2 is read, convert it first"
-        )
+        raise FormatError(f"{path} is glTF version {version or 'unknown'}; convert it to version 2")
     check_extensions(top)
     document = Document(path, parsed, chunk, data.size)
-    document.items("nodes")  # raises errors of any of the lists
+    document.items("nodes")  # checks all lists
     return document
 
 
-def layout_of(accessor: Fields) -> tuple[np.dtype[Any], int]:
+def element_layout(accessor: Fields) -> tuple[np.dtype[Any], int]:
     """Return the dtype of an accessor's components and their number per element."""
     kind, shape = accessor.integer("componentType"), accessor.text("type")
-    if kind not in COMPONENTS or shape not in WIDTHS:
+    if kind not in COMPONENT_DTYPES or shape not in ELEMENT_WIDTHS:
         raise accessor.error(
             f"has components {kind} of type {shape[:20]!r}, which meshes and animations never have"
         )
-    return np.dtype(COMPONENTS[kind]), WIDTHS[shape]
+    return np.dtype(COMPONENT_DTYPES[kind]), ELEMENT_WIDTHS[shape]
 
 
-def _normalised(values: NDArray[Any]) -> NDArray[np.float32]:
-    """Return integers as fractions of the largest; see "Animations" and "Accessors" in the specification."""
+def _normalise(values: NDArray[Any]) -> NDArray[np.float32]:
+    """Return normalised integers as fractions of the largest, at least -1."""
     if values.dtype.kind == "f":
         return values
     fractions = np.maximum(values / float(np.iinfo(values.dtype).max), -1.0)

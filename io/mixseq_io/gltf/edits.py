@@ -18,7 +18,7 @@ from mixseq.errors import FormatError
 from mixseq.sequence.header import SequenceHeader
 from mixseq_io.gltf.animation import Channel, read_channels, told_by
 from mixseq_io.gltf.codecs import Json, Layout, append
-from mixseq_io.gltf.document import Document, Fields, data_of_uri
+from mixseq_io.gltf.document import Document, Fields, read_uri
 from mixseq_io.gltf.scene import Scene
 from mixseq_io.originals import warn_of_unretimed_motion
 from mixseq_io.reader import warn
@@ -192,7 +192,7 @@ def embed_images(layout: Layout, document: Document) -> None:
 def content_of_image(image: Fields) -> tuple[bytes, str]:
     """Return the bytes that an image's URI refers to, and their MIME type."""
     uri = image.text("uri")
-    file = data_of_uri(image, uri)
+    file = read_uri(image, uri)
     data = file.read(0, file.size)
     mime_type = next((kind for beginning, kind in _BEGINNINGS.items() if data.startswith(beginning)), "")
     if not mime_type:
@@ -256,7 +256,7 @@ def other_motion(document: Document, scene: Scene, taken: Collection[int]) -> Ot
         return NOTHING
     moved = moved_by_animations(document.json, document.json["animations"], scene) - {*taken}
     bearers = [bearer for node in moved for bearer in _bearers(document.json, node)]
-    channels = read_channels(document, animations[0], scene.with_above(bearers))
+    channels = read_channels(document, animations[0], scene.with_ancestors(bearers))
     return OtherMotion(
         [scene.paths[node] for node in sorted(moved)], channels, told_by(animations[0], "start") or 0.0
     )
@@ -269,7 +269,7 @@ def moved_by_animations(document: Json, animations: Sequence[Json], scene: Scene
         node
         for node in scene.paths
         if any(key in document["nodes"][node] for key in _SEEN)
-        and any(not targets.isdisjoint(scene.above(bearer)) for bearer in _bearers(document, node))
+        and any(not targets.isdisjoint(scene.lineage(bearer)) for bearer in _bearers(document, node))
     }
 
 

@@ -41,28 +41,28 @@ from mixseq_io.coded.streams import Container
 from mixseq_io.files import atomic_file, check_memory
 from mixseq_io.gltf.codecs import (
     ARRAY_BUFFER,
-    COMPONENT_OF,
+    COMPONENT_TYPES,
     ELEMENT_ARRAY_BUFFER,
-    FLOAT,
-    GENERATOR,
-    UNSIGNED,
+    FLOAT_COMPONENT,
+    GENERATOR_NAME,
+    UNSIGNED_COMPONENT,
     Json,
     Layout,
     append,
-    bounds_of,
-    compressed_triangles,
+    compress_triangles,
+    compute_bounds,
     compute_glb_size,
     open_buffer_writer,
 )
 from mixseq_io.gltf.document import (
-    DAMAGE,
-    DRACO,
+    DRACO_EXTENSION,
+    MALFORMED_JSON_ERRORS,
     SEQUENCE_EXTENSION,
     Document,
     Fields,
-    chunks,
-    data_of_file,
     load_document,
+    open_data,
+    read_glb_chunks,
 )
 from mixseq_io.gltf.edits import content_of_image, used_extensions
 from mixseq_io.gltf.new_document import (
@@ -89,10 +89,10 @@ def is_glb(path: Path) -> bool:
 def has_sequence(path: Path) -> bool:
     """Whether a .glb has a mesh sequence."""
     with translate_read_errors(path, "glTF"):
-        data = data_of_file(path)
+        data = open_data(path)
         if data.read(0, 4) != b"glTF":
             return False  # the error is reported by its reader
-        text, _ = chunks(path, data)
+        text, _ = read_glb_chunks(path, data)
     if f'"{SEQUENCE_EXTENSION}"'.encode() not in text:  # most files are known by that, without being parsed
         return False
     return next(_sequences(load_document(path)), None) is not None
@@ -138,7 +138,7 @@ def _content(document: Document, extension: Fields, key: str) -> bytes:
     view = document.item("bufferViews", extension.integer(key))
     check_memory(document.path, view.integer("byteLength"), f"its {key}")
     with translate_read_errors(document.path, "glTF"):
-        return document.part(view)
+        return document.read_view(view)
 
 
 def carried_materials(layout: Layout, names: Collection[str], origin: Origin | None) -> dict[str, int]:
@@ -147,7 +147,7 @@ def carried_materials(layout: Layout, names: Collection[str], origin: Origin | N
         return {}
     path = Path(origin.path)
     try:
-        with translate_read_errors(path, "glTF", *DAMAGE):
+        with translate_read_errors(path, "glTF", *MALFORMED_JSON_ERRORS):
             copy = _Copy(layout, load_document(path))
             return copy.materials(names)
     except FormatError as error:
@@ -185,7 +185,9 @@ class _Copy:
 
     def _embed(self, entry: Json, image: Fields) -> None:
         if "bufferView" in image:
-            content = self._original.part(self._original.item("bufferViews", image.integer("bufferView")))
+            content = self._original.read_view(
+                self._original.item("bufferViews", image.integer("bufferView"))
+            )
         else:
             try:
                 content, entry["mimeType"] = content_of_image(image)
@@ -216,7 +218,7 @@ def _references(kind: str, entry: Json) -> Iterator[tuple[Json, str, str]]:
 
 
 _TRIANGLES_WITHOUT_AREA = {
-    "componentType": FLOAT,
+    "componentType": FLOAT_COMPONENT,
     "count": 3,
     "type": "VEC3",
     "min": [0.0] * 3,
@@ -290,7 +292,7 @@ def _plain(
         else layout.add_array(values, target=ARRAY_BUFFER)
         for name, values in attributes.items()
     }
-    layout.bounded(accessors["POSITION"], bounds_of(attributes["POSITION"]))
+    layout.set_bounds(accessors["POSITION"], compute_bounds(attributes["POSITION"]))
     return {
         "attributes": accessors,
         "indices": layout.add_array(narrow(triangles.reshape(-1)), target=ELEMENT_ARRAY_BUFFER),
@@ -300,19 +302,21 @@ def _plain(
 def _draco(
     layout: Layout, triangles: NDArray[np.uint32], attributes: Mapping[str, NDArray[np.float32]]
 ) -> Json:
-    coded = compressed_triangles(triangles, attributes)
+    coded = compress_triangles(triangles, attributes)
     view = layout.add([coded.data], len(coded.data))
     accessors = {
-        name: _without_data(layout, len(values), f"VEC{values.shape[1]}", COMPONENT_OF[values.dtype.str[1:]])
+        name: _without_data(
+            layout, len(values), f"VEC{values.shape[1]}", COMPONENT_TYPES[values.dtype.str[1:]]
+        )
         for name, values in coded.attributes.items()
     }
     if "COLOR_0" in accessors:
         layout.document["accessors"][accessors["COLOR_0"]]["normalized"] = True
-    layout.bounded(accessors["POSITION"], bounds_of(coded.attributes["POSITION"]))
+    layout.set_bounds(accessors["POSITION"], compute_bounds(coded.attributes["POSITION"]))
     return {
         "attributes": accessors,
-        "indices": _without_data(layout, 3 * coded.triangle_count, "SCALAR", UNSIGNED),
-        "extensions": {DRACO: {"bufferView": view, "attributes": dict(coded.identifiers)}},
+        "indices": _without_data(layout, 3 * coded.triangle_count, "SCALAR", UNSIGNED_COMPONENT),
+        "extensions": {DRACO_EXTENSION: {"bufferView": view, "attributes": dict(coded.attribute_ids)}},
     }
 
 
@@ -321,11 +325,11 @@ def _none(
 ) -> Json:
     """Add a triangle of zeros as accessors without data, with texture coordinates that materials may need."""
     accessors = {
-        name: _without_data(layout, 3, f"VEC{values.shape[1]}", FLOAT)
+        name: _without_data(layout, 3, f"VEC{values.shape[1]}", FLOAT_COMPONENT)
         for name, values in attributes.items()
         if name not in ("NORMAL", "COLOR_0")
     }
-    layout.bounded(accessors["POSITION"], ([0.0] * 3, [0.0] * 3))
+    layout.set_bounds(accessors["POSITION"], ([0.0] * 3, [0.0] * 3))
     return {"attributes": accessors}
 
 
@@ -362,7 +366,7 @@ def bound_overhead_size(header: SequenceHeader, points: FloatArray, still: Still
 
 
 def _layout(header: SequenceHeader, points: FloatArray, container: Container, still: StillName) -> Layout:
-    layout = Layout({"asset": {"version": "2.0", "generator": GENERATOR}})
+    layout = Layout({"asset": {"version": "2.0", "generator": GENERATOR_NAME}})
     coding = layout.add([container.text], len(container.text))
     streams = layout.add([container.streams], len(container.streams))
     mesh = as_one_mesh(header)
@@ -381,7 +385,7 @@ def _layout(header: SequenceHeader, points: FloatArray, container: Container, st
     node = {**named(header.name), "mesh": append(document, "meshes", entry), **axis_conversion(header)}
     document["scene"], document["scenes"] = 0, [{"nodes": [append(document, "nodes", node)]}]
     document["extensionsUsed"] = sorted(used_extensions(document))
-    needed = [DRACO] if still == "draco" else [SEQUENCE_EXTENSION] if still == "none" else []
+    needed = [DRACO_EXTENSION] if still == "draco" else [SEQUENCE_EXTENSION] if still == "none" else []
     if needed:
         document["extensionsRequired"] = needed
     return layout

@@ -29,12 +29,12 @@ from mixseq.types import FloatArray, IntArray, Single
 from mixseq_io.gltf.codecs import (
     ARRAY_BUFFER,
     ELEMENT_ARRAY_BUFFER,
-    GENERATOR,
+    GENERATOR_NAME,
     BufferWriter,
     Json,
     Layout,
     append,
-    bounds_of,
+    compute_bounds,
 )
 from mixseq_io.gltf.edits import NOTHING, OtherMotion
 from mixseq_io.reader import as_float32
@@ -114,7 +114,7 @@ class MorphFrameWriter:
                 attributes = each.entry["attributes"] if frame == 0 else {}
                 points = layout.accessor(view, count, "VEC3", offset)
                 attributes["POSITION"] = points
-                unbounded.append(layout.bounded(points))
+                unbounded.append(layout.set_bounds(points))
                 offset += count * _BYTES_PER_VECTOR
                 if each.normals is not None:
                     attributes["NORMAL"] = layout.accessor(view, count, "VEC3", offset)
@@ -139,7 +139,7 @@ class MorphFrameWriter:
             for each in mesh.primitives:
                 here = points[mesh.scene_mesh.vertices][each.vertices]
                 accessor = next(awaiting)
-                accessor["min"], accessor["max"] = bounds_of(here)
+                accessor["min"], accessor["max"] = compute_bounds(here)
                 chunks.append(here)
                 if each.normals is not None:
                     chunks.append(of_mesh[each.normals])
@@ -161,7 +161,7 @@ def new_animation(layout: Layout, header: SequenceHeader, keep_start: bool = Fal
             "too close, or too late, for glTF's float32; let the times begin at 0, or write USD, .npz or .h5"
         )
     times = layout.add_array(keys)
-    layout.bounded(times, ([float(keys[0])], [float(keys[-1])]))
+    layout.set_bounds(times, ([float(keys[0])], [float(keys[-1])]))
     extras = {"fps": header.fps, **({"start": start} if start else {})}
     return times, {"name": header.name or "animation", "samplers": [], "channels": [], "extras": extras}
 
@@ -283,7 +283,7 @@ def create_scene(header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
 
 def new_meshes(header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
     """Return a document of a sequence's meshes with a node each, without a scene, and its moving meshes."""
-    layout = Layout({"asset": {"version": "2.0", "generator": GENERATOR}})
+    layout = Layout({"asset": {"version": "2.0", "generator": GENERATOR_NAME}})
     scene_meshes = [scene_mesh for scene_mesh in split_meshes(header) if scene_mesh.polygons.counts.size]
     names = [header.name if len(scene_meshes) == 1 else scene_mesh.name for scene_mesh in scene_meshes]
     materials: dict[str, int] = {}

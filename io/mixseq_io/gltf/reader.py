@@ -88,7 +88,8 @@ def moving_nodes(
     moved = {channel.node for channel in channels if channel.moves and channel.name != "weights"}
     morphed = {channel.node for channel in channels if channel.moves and channel.name == "weights"}
     moves = [
-        node in morphed or not moved.isdisjoint(scene.with_above(bearers(document, scene.nodes[node], node)))
+        node in morphed
+        or not moved.isdisjoint(scene.with_ancestors(bearers(document, scene.nodes[node], node)))
         for node in nodes
     ]
     return [
@@ -244,8 +245,8 @@ def _bound(document: Document, shape: Shape, skeleton: Fields) -> Shape:
     inverse_binds = inverse_binds_of(document, skeleton, len(joints))
     root = _parents(scene, joints).index(-1)
     if skin is None:
-        above = next(node for node in scene.above(shape.node) if node in joints)
-        world = scene.world([above, shape.node], {})
+        above = next(node for node in scene.lineage(shape.node) if node in joints)
+        world = scene.world_matrices([above, shape.node], {})
         here = np.linalg.pinv(world[above][0]) @ world[shape.node][0]
         onto = inverse_binds[root] @ np.linalg.pinv(inverse_binds[joints.index(above)]) @ here
     else:
@@ -257,7 +258,7 @@ def _bound(document: Document, shape: Shape, skeleton: Fields) -> Shape:
 def _follows(document: Document, scene: Scene, node: int, joints: Set[int]) -> bool:
     skin = scene.nodes[node].index("skin")
     if skin is None:
-        return not joints.isdisjoint(scene.above(node))
+        return not joints.isdisjoint(scene.lineage(node))
     return joints == set(joints_of(document, document.item("skins", skin)))
 
 
@@ -278,13 +279,15 @@ def _chosen(document: Document, name: str | None) -> Fields:
 def _parents(scene: Scene, joints: Sequence[int]) -> list[int]:
     """Return the index of each joint's nearest ancestor joint; nodes between them are skipped."""
     number = {joint: i for i, joint in enumerate(joints)}
-    return [next((number[node] for node in scene.above(joint)[1:] if node in number), -1) for joint in joints]
+    return [
+        next((number[node] for node in scene.lineage(joint)[1:] if node in number), -1) for joint in joints
+    ]
 
 
 def _bind_pose(document: Document, scene: Scene, skin: Fields, parents: Sequence[int]) -> Float:
     """Return the world matrices ``(J, 4, 4)`` of the joints."""
     joints = joints_of(document, skin)
-    world = scene.world(joints, {})
+    world = scene.world_matrices(joints, {})
     if (
         "inverseBindMatrices" not in skin
     ):  # the mesh is in the space of every joint: these are bound where they are
@@ -355,7 +358,7 @@ def _influencing(document: Document, scene: Scene, nodes: Sequence[int]) -> set[
         moving = bearers(document, scene.nodes[node], node)
         count += 16 * len(moving)  # their matrices
         document.check_effort(count, "skeletons of all meshes together")
-        found |= scene.with_above(moving)
+        found |= scene.with_ancestors(moving)
     return found
 
 
@@ -402,7 +405,7 @@ def _welded(document: Document, mesh: int) -> Weld | None:
 
 def _world(scene: Scene, shapes: Sequence[Shape], pose: Pose) -> Mapping[int, Float]:
     """Return the world matrices of all bearers of meshes, computed together for their common ancestors."""
-    return scene.world((node for shape in shapes for node in shape.bearers), pose)
+    return scene.world_matrices((node for shape in shapes for node in shape.bearers), pose)
 
 
 class _GltfReader(SequenceReader):

@@ -1,9 +1,9 @@
 """Node tree of a glTF file: names, paths and world transforms, as matrices on column vectors, ``p' = M p``.
 
-A mesh whose points are in world space below transformed parents gets the inverse transform, so that it keeps its path.
-The inverse is rounded, and unevenly scaled parents have none as translation, rotation and scale; nearly inverse
-transforms are accepted, since exporters write scales such as 0.9999999. A mark in the node's ``extras`` makes the
-reader take the points as world space, as long as the transforms still nearly cancel.
+The node of a mesh with world-space points keeps its path below transformed parents: its own transform is their inverse.
+That inverse is rounded, and does not exist as translation, rotation and scale (TRS) below non-uniformly scaled parents.
+A member of the node's ``extras`` marks such meshes. The reader takes their points as world space, as long as the
+transforms cancel within the rounding of exporters, which write scales such as 0.9999999.
 """
 
 from __future__ import annotations
@@ -22,50 +22,57 @@ from mixseq.types import Float
 from mixseq_io.gltf.document import Document, Fields
 from mixseq_io.scene_meshes import SceneObject
 
-MARK = "mixseq:world"
+WORLD_SPACE_MARK = "mixseq:world"
 """Member of the ``extras`` of a node whose points are in world space."""
 
-_NEARLY = 1e-6  # rounding of rotations and scales by exporters
-_HERE = 1e-9  # rounding of translations by mixseq
+_LINEAR_TOLERANCE = 1e-6
+"""Rounding of rotations and scales by exporters."""
+
+_TRANSLATION_TOLERANCE = 1e-9
+"""Rounding of translations by `invert_transform`."""
+
+_MIN_DETERMINANT = 1e-30
 
 
-def undoing(above: NDArray[np.float64]) -> dict[str, Any] | None:
-    """Return the transform that nearly inverts a parent's ``(4, 4)``, {} for the identity, None if there is none."""
-    if np.array_equal(above, np.eye(4)):
+def invert_transform(matrix: NDArray[np.float64]) -> dict[str, Any] | None:
+    """Return the inverse of a matrix ``(4, 4)`` as TRS members of a node, {} for the identity, None without one."""
+    if np.array_equal(matrix, np.eye(4)):
         return {}
-    if not np.isfinite(above).all() or abs(np.linalg.det(above)) < 1e-30:
+    if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix)) < _MIN_DETERMINANT:
         return None
-    inverse = np.linalg.inv(above)
-    scale = np.linalg.norm(inverse[:3, :3], axis=0)
+    inverse = np.linalg.inv(matrix)
+    translation, scale = inverse[:3, 3], np.linalg.norm(inverse[:3, :3], axis=0)
     scale[0] = np.copysign(scale[0], np.linalg.det(inverse))
     rotation = Rotation.from_matrix(inverse[:3, :3] / scale)
-    own = np.eye(4)
-    own[:3, :3], own[:3, 3] = rotation.as_matrix() * scale, inverse[:3, 3]
-    if not nearly_undone(above[None] @ own):
+    composed = np.eye(4)
+    composed[:3, :3], composed[:3, 3] = rotation.as_matrix() * scale, translation
+    if not is_nearly_identity(matrix[None] @ composed):
         return None
     return {
-        "translation": (own[:3, 3] + 0.0).tolist(),
+        "translation": (translation + 0.0).tolist(),
         "rotation": rotation.as_quat().tolist(),
         "scale": scale.tolist(),
     }
 
 
-def nearly_undone(world: Float) -> bool:
+def is_nearly_identity(matrices: Float) -> bool:
     """Whether matrices ``(B, 4, 4)`` are the identity within the rounding of exporters."""
-    off = np.abs(world - np.eye(4))
-    return bool((off[:, :3, :3] < _NEARLY).all() and (off[:, :3, 3] < _HERE).all())
+    error = np.abs(matrices - np.eye(4))
+    return bool(
+        (error[:, :3, :3] < _LINEAR_TOLERANCE).all() and (error[:, :3, 3] < _TRANSLATION_TOLERANCE).all()
+    )
 
 
 Pose = Mapping[tuple[int, str], NDArray[np.float64]]
 """Animated values ``(B, k)`` by node and property: "translation", "rotation", "scale", "weights"."""
 
-_LONGEST_PATH = 1 << 14
-_REST = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0), "scale": (1.0, 1.0, 1.0)}
+_MAX_PATH_LENGTH = 1 << 14
+_IDENTITY_TRS = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0), "scale": (1.0, 1.0, 1.0)}
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Nodes of a file, and those of its default scene."""
+    """Nodes of a file with their parents (-1 for roots), and the objects and hidden nodes of its default scene."""
 
     nodes: Sequence[Fields]
     parents: Sequence[int]
@@ -75,39 +82,39 @@ class Scene:
     @cached_property
     def paths(self) -> Mapping[int, str]:
         """Paths of the default scene's nodes, depth-first."""
-        return {node: each.path for node, each in self.objects.items()}
+        return {node: scene_object.path for node, scene_object in self.objects.items()}
 
-    def above(self, node: int) -> list[int]:
+    def lineage(self, node: int) -> list[int]:
         """Return a node and its ancestors, the root last."""
-        found = []
+        chain = []
         while node >= 0:
-            found.append(node)
+            chain.append(node)
             node = self.parents[node]
-        return found
+        return chain
 
-    def with_above(self, nodes: Iterable[int]) -> set[int]:
+    def with_ancestors(self, nodes: Iterable[int]) -> set[int]:
         """Return nodes and all their ancestors."""
-        found = {-1}
+        visited = {-1}
         for node in nodes:
-            while node not in found:
-                found.add(node)
+            while node not in visited:
+                visited.add(node)
                 node = self.parents[node]
-        return found - {-1}
+        return visited - {-1}
 
-    def world(self, wanted: Iterable[int], pose: Pose) -> dict[int, Float]:
-        """Return the local-to-world matrices of nodes, ``(B, 4, 4)``, or ``(1, 4, 4)`` if they are constant."""
-        found: dict[int, Float] = {-1: np.eye(4)[None]}
-        for node in wanted:
+    def world_matrices(self, nodes: Iterable[int], pose: Pose) -> dict[int, Float]:
+        """Return the local-to-world matrices of nodes and their ancestors, ``(B, 4, 4)`` or constant ``(1, 4, 4)``."""
+        world: dict[int, Float] = {-1: np.eye(4)[None]}
+        for node in nodes:
             missing = []
-            while node not in found:
+            while node not in world:
                 missing.append(node)
                 node = self.parents[node]
             for each in reversed(missing):
-                matrices = found[self.parents[each]] @ _local(self.nodes[each], each, pose)
+                matrices = world[self.parents[each]] @ _local_matrices(self.nodes[each], each, pose)
                 extras = self.nodes[each].values.get("extras")
-                undone = isinstance(extras, dict) and MARK in extras and nearly_undone(matrices)
-                found[each] = np.eye(4)[None] if undone else matrices
-        return found
+                is_marked = isinstance(extras, dict) and WORLD_SPACE_MARK in extras
+                world[each] = np.eye(4)[None] if is_marked and is_nearly_identity(matrices) else matrices
+        return world
 
 
 def read_scene(document: Document) -> Scene:
@@ -115,31 +122,32 @@ def read_scene(document: Document) -> Scene:
     nodes = document.items("nodes")
     children = [node.integers("children") for node in nodes]
     parents = [-1] * len(nodes)
-    for parent, below in enumerate(children):
-        for child in below:
+    for parent, own_children in enumerate(children):
+        for child in own_children:
             node = document.item("nodes", child)
             if parents[child] >= 0:
                 raise node.error(f"is a child of two nodes, {parents[child]} and {parent}; one is allowed")
             parents[child] = parent
     _check_acyclic(nodes, parents)
-    order = _depth_first(_roots(document, parents), children)
-    return Scene(nodes, parents, _objects(document, parents, order), _hidden(nodes, parents, order))
+    order = _order_depth_first(_read_roots(document, parents), children)
+    return Scene(nodes, parents, _read_objects(document, parents, order), _find_hidden(nodes, parents, order))
 
 
 def _check_acyclic(nodes: Sequence[Fields], parents: Sequence[int]) -> None:
-    sound = {-1}
+    """Raise an error if a node is its own ancestor."""
+    checked = {-1}
     for node in range(len(nodes)):
         chain = set()
-        while node not in sound:
+        while node not in checked:
             if node in chain:
                 raise nodes[node].error("is below itself; the file is damaged")
             chain.add(node)
             node = parents[node]
-        sound |= chain
+        checked |= chain
 
 
-def _roots(document: Document, parents: Sequence[int]) -> list[int]:
-    """Return the roots of the default scene, or of the file without scenes."""
+def _read_roots(document: Document, parents: Sequence[int]) -> list[int]:
+    """Return the roots of the default scene, or of all nodes in a file without scenes."""
     if not document.items("scenes"):
         return [node for node, parent in enumerate(parents) if parent < 0]
     scene = document.item("scenes", document.top.integer("scene", 0))
@@ -151,37 +159,39 @@ def _roots(document: Document, parents: Sequence[int]) -> list[int]:
     return roots
 
 
-def _depth_first(roots: Sequence[int], children: Sequence[Sequence[int]]) -> list[int]:
-    order, waiting = [], list(reversed(roots))
-    while waiting:
-        node = waiting.pop()
+def _order_depth_first(roots: Sequence[int], children: Sequence[Sequence[int]]) -> list[int]:
+    order, stack = [], list(reversed(roots))
+    while stack:
+        node = stack.pop()
         order.append(node)
-        waiting.extend(reversed(children[node]))
+        stack.extend(reversed(children[node]))
     return list(dict.fromkeys(order))
 
 
-def _objects(document: Document, parents: Sequence[int], order: Sequence[int]) -> dict[int, SceneObject]:
+def _read_objects(document: Document, parents: Sequence[int], order: Sequence[int]) -> dict[int, SceneObject]:
+    """Return an object with a unique path for every node, parents before children."""
     objects: dict[int, SceneObject] = {}
-    taken: set[str] = set()
-    letters = 0
+    paths: set[str] = set()
+    path_lengths = 0
     for node in order:
         fields = document.item("nodes", node)
         mesh, name = fields.index("mesh"), fields.text("name")
-        above = objects.get(parents[node])
-        path = f"{above.path}/{name or f'node {node}'}" if above else name or f"node {node}"
-        if path in taken:
+        parent = objects.get(parents[node])
+        path = f"{parent.path}/{name or f'node {node}'}" if parent else name or f"node {node}"
+        if path in paths:
             path = f"{path} (node {node})"
-        if len(path) > _LONGEST_PATH:
-            raise fields.error(f"is too deep below others; names of all together have {len(path)} characters")
-        letters += len(path)
-        document.check_effort(letters, "paths of all nodes together")
-        taken.add(path)
+        if len(path) > _MAX_PATH_LENGTH:
+            raise fields.error(f"is nested too deeply; its path has {len(path)} characters")
+        path_lengths += len(path)
+        document.check_effort(path_lengths, "paths of all nodes together")
+        paths.add(path)
         mesh_name = "" if mesh is None else document.item("meshes", mesh).text("name")
-        objects[node] = SceneObject(path, (name, mesh_name), above)
+        objects[node] = SceneObject(path, (name, mesh_name), parent)
     return objects
 
 
-def _hidden(nodes: Sequence[Fields], parents: Sequence[int], order: Sequence[int]) -> set[int]:
+def _find_hidden(nodes: Sequence[Fields], parents: Sequence[int], order: Sequence[int]) -> set[int]:
+    """Return the invisible nodes and all nodes below them."""
     hidden: set[int] = set()
     for node in order:
         visibility = nodes[node].object("extensions").object("KHR_node_visibility")
@@ -190,9 +200,9 @@ def _hidden(nodes: Sequence[Fields], parents: Sequence[int], order: Sequence[int
     return hidden
 
 
-def _local(node: Fields, index: int, pose: Pose) -> Float:
-    """Return the local matrices of a node, relative to its parent."""
-    animated = [name for name in _REST if (index, name) in pose]
+def _local_matrices(node: Fields, index: int, pose: Pose) -> Float:
+    """Return the parent-relative matrices of a node, ``(B, 4, 4)`` or constant ``(1, 4, 4)``."""
+    animated = [name for name in _IDENTITY_TRS if (index, name) in pose]
     matrix = node.numbers("matrix", 16)
     if matrix is not None:
         if animated:
@@ -200,23 +210,24 @@ def _local(node: Fields, index: int, pose: Pose) -> Float:
                 f"has a matrix, and its {animated[0]} is animated; export the node with TRS instead"
             )
         return matrix.reshape(1, 4, 4).transpose(0, 2, 1)
-    translation, rotation, scale = (_property(node, index, name, pose) for name in _REST)
+    translation, rotation, scale = (_read_property(node, index, name, pose) for name in _IDENTITY_TRS)
     matrices = np.zeros((max(map(len, (translation, rotation, scale))), 4, 4))
-    matrices[:, :3, :3] = _rotations(rotation) * scale[:, None, :]
+    matrices[:, :3, :3] = _quaternion_matrices(rotation) * scale[:, None, :]
     matrices[:, :3, 3] = translation
     matrices[:, 3, 3] = 1.0
     return matrices
 
 
-def _property(node: Fields, index: int, name: str, pose: Pose) -> NDArray[np.float64]:
+def _read_property(node: Fields, index: int, name: str, pose: Pose) -> NDArray[np.float64]:
+    """Return the animated values ``(B, k)`` of a node's property, or the static one ``(1, k)``."""
     if (index, name) in pose:
         return pose[index, name]
-    values = node.numbers(name, len(_REST[name]))
-    return np.array(_REST[name] if values is None else values)[None]
+    values = node.numbers(name, len(_IDENTITY_TRS[name]))
+    return np.array(_IDENTITY_TRS[name] if values is None else values)[None]
 
 
-def _rotations(quaternions: NDArray[np.float64]) -> Float:
+def _quaternion_matrices(quaternions: NDArray[np.float64]) -> Float:
     """Return rotation matrices ``(n, 3, 3)`` of quaternions ``(n, 4)``; the identity for zero length."""
     lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
     unit = quaternions / np.where(lengths > 0, lengths, 1)
-    return rotation_matrices(np.where(lengths > 0, unit, _REST["rotation"]))
+    return rotation_matrices(np.where(lengths > 0, unit, _IDENTITY_TRS["rotation"]))

@@ -28,14 +28,14 @@ from mixseq.types import FloatArray, Index
 from mixseq_io.files import atomic_file
 from mixseq_io.gltf.codecs import (
     ELEMENT_ARRAY_BUFFER,
-    GENERATOR,
+    GENERATOR_NAME,
     Json,
     Layout,
     append,
     decompress_document,
     open_buffer_writer,
 )
-from mixseq_io.gltf.document import DAMAGE, Document, Fields, load_document
+from mixseq_io.gltf.document import MALFORMED_JSON_ERRORS, Document, Fields, load_document
 from mixseq_io.gltf.edits import (
     NOTHING,
     OtherMotion,
@@ -60,7 +60,7 @@ from mixseq_io.gltf.new_document import (
     time_shift,
 )
 from mixseq_io.gltf.primitives import Primitive, Weld, weld
-from mixseq_io.gltf.scene import MARK, Scene, read_scene, undoing
+from mixseq_io.gltf.scene import WORLD_SPACE_MARK, Scene, invert_transform, read_scene
 from mixseq_io.originals import match_meshes, open_original_file
 from mixseq_io.reader import as_float32, translate_read_errors, validate_blocks, warn
 from mixseq_io.scene_meshes import SceneMesh, format_names, split_meshes
@@ -147,7 +147,7 @@ def lay_over(
     others.warn_of_times(document.path, header, sources)
     _drop_animations(carried, document, scene, places)
     meshes = [_new_mesh(carried, document, place) for place in places]
-    roots = {scene.above(place.node)[-1] for place in places}
+    roots = {scene.lineage(place.node)[-1] for place in places}
     shown_in = [each for each in carried.get("scenes", ()) if roots.intersection(each.get("nodes", ()))]
     above = {scene.parents[place.node] for place in places}
     animated = {channel.node for channel in others.channels}
@@ -162,7 +162,7 @@ def lay_over(
         root = group(carried, [place.node for place in places], header, vacant(carried, scene, above))
         for each in shown_in:
             each["nodes"] = [root, *(node for node in each.get("nodes", ()) if node != root)]
-    carried["asset"]["generator"] = GENERATOR
+    carried["asset"]["generator"] = GENERATOR_NAME
     json.dumps(carried, allow_nan=False)  # NaN is read, but must not be written; fail early
     prune(document.path, carried)
     layout = _with_data(carried, document)
@@ -180,19 +180,19 @@ def lay_over(
 def _inverse(scene: Scene, node: int, moved: Set[int]) -> Json | None:
     """Return the transform of a node that inverts its parents'; None if there is none, or the node is hidden."""
     parent = scene.parents[node]
-    if node in scene.hidden or not moved.isdisjoint(scene.above(parent)):
+    if node in scene.hidden or not moved.isdisjoint(scene.lineage(parent)):
         return None
     if not isinstance(scene.nodes[node].values.get("extras", {}), dict):
         return None  # there is no room for the mark
-    return undoing(scene.world([parent], {})[parent][0])
+    return invert_transform(scene.world_matrices([parent], {})[parent][0])
 
 
 def _stand_in_world(entry: Json, inverse: Json | None) -> None:
     """Set a node's transform to an inverse, marked in its extras; leave it without for None or {}."""
     extras = entry.pop("extras", {})
     if isinstance(extras, dict):
-        extras = {key: value for key, value in extras.items() if key != MARK} | (
-            {MARK: True} if inverse else {}
+        extras = {key: value for key, value in extras.items() if key != WORLD_SPACE_MARK} | (
+            {WORLD_SPACE_MARK: True} if inverse else {}
         )
     entry.update(inverse or {})
     if extras != {}:
@@ -283,7 +283,7 @@ def write_gltf(
     """
 
     def opened(file: Path) -> tuple[Layout, list[MovingMesh], OtherMotion]:
-        with translate_read_errors(file, "glTF", *DAMAGE):
+        with translate_read_errors(file, "glTF", *MALFORMED_JSON_ERRORS):
             return lay_over(decompress_document(load_document(file)), header, sources)
 
     overlay = open_original_file(path, header, flatten, onto, "glTF", opened)

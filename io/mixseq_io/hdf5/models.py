@@ -198,11 +198,11 @@ def shape_blocks(space: StoredSpace) -> Blocks:
         case GradientSpace():
             return {"turns": (len(space.topology.faces), 3), "stretches": (len(space.topology.faces), 6)}
         case LRISpace():
-            return {"connections": (len(space.edges), 3, 3), "ends": (len(space.edges), 2, 3)}
+            return {"connections": (len(space.edge_rows), 3, 3), "ends": (len(space.edge_rows), 2, 3)}
         case EdgeSpace():
             return {
                 name: (size,)
-                for name, size in zip(("lengths", "angles", "volumes"), space.sizes, strict=True)
+                for name, size in zip(("lengths", "angles", "volumes"), space.block_sizes, strict=True)
             }
         case MixedSpace():
             parts, relations = len(space.decomposition.parts), len(space.articulation.pairs)
@@ -341,7 +341,7 @@ def _check_frames(path: Path, header: SequenceHeader, **curves: Curve) -> None:
 def _read_placement(path: Path, file: Contents, space: StoredSpace) -> Curve:
     knots = increasing(path, file, "signals/placement/times")
     placements = _get_blocks(path, file, "signals/placement", placement_blocks(space), len(knots))
-    norms = np.linalg.norm(space.poses(placements).rotations, axis=2)
+    norms = np.linalg.norm(space.unpack_placements(placements).rotations, axis=2)
     if (norms < _UNIT).any():
         raise FormatError(
             f"{path}: signals/placement/rotations has quaternions that are nearly zero, no rotations"

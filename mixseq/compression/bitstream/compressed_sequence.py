@@ -31,9 +31,9 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.signals.modes import NEGLIGIBLE_MODE
-from mixseq.signals.pose import straight_modes
+from mixseq.signals.pose import pose_signal_from_modes
 from mixseq.spaces.base import ShapeSpace
-from mixseq.spaces.temporal import Operator, chosen, with_middles
+from mixseq.spaces.temporal import TemporalOperator, insert_midpoints, select_operator
 from mixseq.spaces.vertex import BasisSpace, VertexSpace
 from mixseq.types import Float
 
@@ -112,7 +112,7 @@ class CodingParameters:
 
 @dataclass(frozen=True)
 class TemporalInterpolation:
-    """The prediction of coefficients between frames, as found by `mixseq.spaces.temporal.chosen`."""
+    """The prediction of coefficients between frames, as found by `mixseq.spaces.temporal.select_operator`."""
 
     length: float  # length of the covariance, in mean steps between frames: from 0.5 to 64, or infinite
     # Shares of the usual cubic spline in the first and in the last interval, from 0 to 1.
@@ -167,7 +167,7 @@ def decode(coded: CompressedSequence) -> tuple[Model, TemporalInterpolation]:
         if not (np.isfinite(basis.norms).all() and np.isfinite(coefficients).all()):
             raise FormatError("coded signals are not finite; the file is damaged")
         space, scores, mean, directions = _affine(basis, coefficients, parameters.diagonal)
-        pose, shapes = straight_modes(scores, mean, directions)
+        pose, shapes = pose_signal_from_modes(scores, mean, directions)
     residual_layer = None
     if any(chunk.residuals for chunk in coded.chunks):
         residual_layer = CodedResidualLayer(
@@ -180,10 +180,13 @@ def decode(coded: CompressedSequence) -> tuple[Model, TemporalInterpolation]:
         )
     between = coded.between
     if between is None:
-        operator = chosen(header.times, scores)
-        between = TemporalInterpolation(operator.length, operator.cubic)
-    times = with_middles(header.times)
-    time = Curve(times, Operator(header.times, between.length, between.cubic).at(times).of(scores))
+        operator = select_operator(header.times, scores)
+        between = TemporalInterpolation(operator.length_scale, operator.cubic_shares)
+    times = insert_midpoints(header.times)
+    time = Curve(
+        times,
+        TemporalOperator(header.times, between.length, between.cubic).weights_at(times).interpolate(scores),
+    )
     placement = Curve(times, np.zeros((len(times), 0)))
     return Model(header, space, time, pose, shapes, placement, residual_layer=residual_layer), between
 

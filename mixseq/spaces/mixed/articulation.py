@@ -11,7 +11,7 @@ with the rotations :math:`T_i` of parts since the reference frame, their centres
 :math:`t_i^T t_j` and the place of a pivot of j, the middle of their boundary. Both are invariant under rigid motions.
 
 Blends of poses and blends of relations disagree. The agreeing poses are found as for the faces of joints
-(`mixseq.spaces.mixed.joints`): rotations are averaged, then centres follow from the pivots, by constant
+(`mixseq.spaces.mixed.joint_projection`): rotations are averaged, then centres follow from the pivots, by constant
 matrices of the weights :math:`m_i r_i^2` and :math:`m_i`.
 """
 
@@ -41,7 +41,7 @@ from mixseq.mesh.topology import Topology, connected
 from mixseq.segmentation.elements import Boundaries
 from mixseq.segmentation.joints import Decomposition
 from mixseq.spaces.mixed import posing_kernels as kernels
-from mixseq.spaces.mixed.joints import Numbers
+from mixseq.spaces.mixed.joint_projection import RealOrComplex
 from mixseq.spaces.temporal import Poses
 from mixseq.types import Float, Index
 
@@ -59,10 +59,10 @@ class PartPoses(NamedTuple):
     """Articulation in T frames: p parts and n relations of neighbours."""
 
     # (T, p, 4) rotations of parts since the reference frame, as seen from the body: quaternions.
-    turns: Numbers
-    centres: Numbers  # (T, p, 3) centres of parts, as seen from the body
-    relation_turns: Numbers  # (T, n, 4) quaternions of part j in the axes of part i
-    relation_points: Numbers  # (T, n, 3) where the pivot of part j is, as seen from part i
+    rotations: RealOrComplex
+    centres: RealOrComplex  # (T, p, 3) centres of parts, as seen from the body
+    relation_rotations: RealOrComplex  # (T, n, 4) quaternions of part j in the axes of part i
+    relation_points: RealOrComplex  # (T, n, 3) where the pivot of part j is, as seen from part i
 
 
 class Steadiness(NamedTuple):
@@ -74,7 +74,7 @@ class Steadiness(NamedTuple):
     relation_points: Float  # (n,) of pivots as seen from neighbours
 
     @classmethod
-    def equal(cls, parts: int, relations: int) -> Steadiness:
+    def uniform(cls, parts: int, relations: int) -> Steadiness:
         """Return unit weights for all poses and relations."""
         return cls(*(np.ones(count) for count in (parts, parts, relations, relations)))
 
@@ -87,7 +87,7 @@ class Articulation:
     radii: Float  # (p,) radii of gyration of the parts, in diagonals
     masses: Float  # (p,) numbers of vertices of the parts
     areas: Float  # (p,) areas of the parts in the reference frame, in squared diagonals
-    bodies: Index  # (p,) the body of every part
+    body_of_part: Index  # (p,) the body of every part
     pairs: Index  # (n, 2) neighbours: parts i and j, every pair in both orders
     pivots: Float  # (n, 3) where they meet in the reference frame, as seen from the centre of j
     steadiness: Steadiness  # inverse variances of poses and relations
@@ -96,19 +96,19 @@ class Articulation:
     @property
     def part_count(self) -> int:
         """Number p of parts."""
-        return len(self.bodies)
+        return len(self.body_of_part)
 
     @cached_property
     def body_count(self) -> int:
         """Number B of bodies."""
-        return int(self.bodies.max(initial=-1)) + 1
+        return int(self.body_of_part.max(initial=-1)) + 1
 
     @cached_property
     def body_radii(self) -> Float:
         """Radii of gyration ``(B,)`` of the bodies in the reference frame, in diagonals."""
-        away = self.rest_centres - self._body_means(self.rest_centres[None])[0][self.bodies]
+        away = self.rest_centres - self._body_means(self.rest_centres[None])[0][self.body_of_part]
         squares = self.masses * (np.square(self.radii) + np.square(away).sum(axis=1))
-        return np.sqrt(np.bincount(self.bodies, squares) / np.bincount(self.bodies, self.masses))
+        return np.sqrt(np.bincount(self.body_of_part, squares) / np.bincount(self.body_of_part, self.masses))
 
     @cached_property
     def _graph(self) -> sparse.csr_array:
@@ -140,7 +140,7 @@ class Articulation:
         return parts, self.parents[parts]
 
     @cached_property
-    def _links(self) -> Index:
+    def _tree_relations(self) -> Index:
         """The relation of each part of the tree to its parent."""
         parts, above = self._tree
         number = {(i, j): k for k, (i, j) in enumerate(self.pairs.tolist())}
@@ -152,10 +152,12 @@ class Articulation:
     def _systems(self) -> tuple[Float, ...]:
         """Weights ``(p,)``, ``(n,)`` and inverse ``(p, p)`` of rotations; weights ``(n,)`` and inverse of centres."""
         steady, inertia = self.steadiness, self.masses * np.square(self.radii)
-        _, *places = self._system(self.masses, steady.centres, steady.relation_points)
-        return *self._system(inertia, steady.turns, steady.relation_turns), *places
+        _, *places = self._weights_and_inverse(self.masses, steady.centres, steady.relation_points)
+        return *self._weights_and_inverse(inertia, steady.turns, steady.relation_turns), *places
 
-    def _system(self, sizes: Float, parts: Float, relations: Float) -> tuple[Float, Float, Float]:
+    def _weights_and_inverse(
+        self, sizes: Float, parts: Float, relations: Float
+    ) -> tuple[Float, Float, Float]:
         """Weights of parts ``(p,)`` and relations ``(n,)``, and the inverse ``(p, p)`` of their matrix."""
         i, j = self.pairs.T
         own, weights = sizes * parts, self.relation_weight * np.minimum(sizes[i], sizes[j]) * relations
@@ -168,11 +170,11 @@ class Articulation:
 
     # From frames -------------------------------------------------------------------------------------------
 
-    def bodies_of(self, poses: Poses) -> Poses:
+    def fit_bodies(self, poses: Poses) -> Poses:
         """Return the poses ``(T, B)`` of the bodies of parts with poses ``(T, p)``, rotations since the reference."""
         centres = self._body_means(poses.centres)
-        rest = self.rest_centres - self._body_means(self.rest_centres[None])[0][self.bodies]
-        away = poses.centres - centres[:, self.bodies]
+        rest = self.rest_centres - self._body_means(self.rest_centres[None])[0][self.body_of_part]
+        away = poses.centres - centres[:, self.body_of_part]
         moments = np.einsum("p,tpa,pb->tpab", self.masses, away, rest)
         moments += (self.masses * np.square(self.radii))[:, None, None] * rotations_of(poses.rotations)
         return Poses(quaternions(nearest_rotations(self._body_sums(moments))), centres)
@@ -180,29 +182,30 @@ class Articulation:
     def _body_means(self, centres: Float) -> Float:
         """Means ``(T, B, 3)`` of the centres ``(T, p, 3)`` of parts."""
         return (
-            self._body_sums(self.masses[:, None] * centres) / np.bincount(self.bodies, self.masses)[:, None]
+            self._body_sums(self.masses[:, None] * centres)
+            / np.bincount(self.body_of_part, self.masses)[:, None]
         )
 
     def _body_sums(self, values: Float) -> Float:
         """Sums ``(T, B, ...)`` of values ``(T, p, ...)`` of parts."""
         sums = np.zeros((len(values), self.body_count, *values.shape[2:]))
-        for part, body in enumerate(self.bodies):
+        for part, body in enumerate(self.body_of_part):
             sums[:, body] += values[:, part]
         return sums
 
-    def seen_from_bodies(self, poses: Poses, bodies: Poses) -> Poses:
+    def to_body_axes(self, poses: Poses, bodies: Poses) -> Poses:
         """Return poses of parts ``(T, p)`` as seen from their bodies ``(T, B)``."""
-        back = inverse(normalised(bodies.rotations))[:, self.bodies]
-        away = poses.centres - bodies.centres[:, self.bodies]
+        back = inverse(normalised(bodies.rotations))[:, self.body_of_part]
+        away = poses.centres - bodies.centres[:, self.body_of_part]
         return Poses(product(back, poses.rotations), turned(rotations_of(back), away))
 
-    def placed(self, poses: Poses, bodies: Poses) -> Poses:
+    def to_world_axes(self, poses: Poses, bodies: Poses) -> Poses:
         """Return poses of parts in the world; the inverse of `seen_from_bodies`."""
-        turns = normalised(bodies.rotations)[:, self.bodies]
-        centres = turned(rotations_of(turns), poses.centres) + bodies.centres[:, self.bodies]
+        turns = normalised(bodies.rotations)[:, self.body_of_part]
+        centres = turned(rotations_of(turns), poses.centres) + bodies.centres[:, self.body_of_part]
         return Poses(product(turns, poses.rotations), centres)
 
-    def with_relations(self, poses: Poses) -> PartPoses:
+    def add_relations(self, poses: Poses) -> PartPoses:
         """Return poses ``(T, p)``, in any axes, with their relations."""
         i, j = self.pairs.T
         back = inverse(poses.rotations[:, i])
@@ -212,19 +215,19 @@ class Articulation:
 
     # To frames ---------------------------------------------------------------------------------------------
 
-    def agreed(self, poses: PartPoses) -> Poses:
+    def reconcile(self, poses: PartPoses) -> Poses:
         """Return poses ``(T, p)`` that agree best with poses and relations ``(T, ...)``."""
-        found = [self._agreed(PartPoses(*frame)) for frame in zip(*poses, strict=True)]
+        found = [self._reconcile_frame(PartPoses(*frame)) for frame in zip(*poses, strict=True)]
         turns, centres = (np.stack(each) for each in zip(*found, strict=True))
         return Poses(turns, centres)
 
-    def _agreed(self, poses: PartPoses) -> tuple[Numbers, Numbers]:
+    def _reconcile_frame(self, poses: PartPoses) -> tuple[RealOrComplex, RealOrComplex]:
         """Return the poses ``(p, 4)``, ``(p, 3)`` of one frame that agree best."""
-        tree = *self._tree, self._links
+        tree = *self._tree, self._tree_relations
         arrays = *map(np.ascontiguousarray, poses), self.pairs, self.pivots, *tree, *self._systems
-        return kernels.agree(*arrays)
+        return kernels.reconcile_poses(*arrays)
 
-    def measured(self, poses: PartPoses) -> Steadiness:
+    def measure_steadiness(self, poses: PartPoses) -> Steadiness:
         """Return the inverse variances of poses and relations over frames ``(T, ...)``."""
         i, j = self.pairs.T
         radii = self.radii, np.minimum(self.radii[i], self.radii[j])
@@ -238,24 +241,28 @@ class Articulation:
             found += [np.clip(1.0 / square, *STEADINESS_RANGE) for square in squares]
         return Steadiness(*found)
 
-    def corrections(self, poses: Poses, targets: Poses) -> Float:
+    def pose_corrections(self, poses: Poses, targets: Poses) -> Float:
         """Return rotation vectors and shifts ``(T, 6 p)`` from poses to targets at increasing times."""
         spins = continuous_vectors(rotations_of(product(inverse(poses.rotations), targets.rotations)))
         shifts = targets.centres - poses.centres
         return np.concatenate([each.reshape(len(each), -1) for each in (spins, shifts)], axis=1)
 
-    def motions(self, poses: PartPoses, bodies: tuple[Numbers, Numbers], correction: Numbers) -> Numbers:
+    def part_motions(
+        self, poses: PartPoses, bodies: tuple[RealOrComplex, RealOrComplex], correction: RealOrComplex
+    ) -> RealOrComplex:
         """Return the motions of parts in one frame as unit dual quaternions ``(p, 8)``.
 
         Shapes: bodies ``(B, 4), (B, 3)``; correction ``(6 p,)``.
         """
-        turns, centres = self._agreed(poses)
+        turns, centres = self._reconcile_frame(poses)
         spins, shifts = correction.reshape(2, -1, 3)
-        turns, centres = kernels.correct(turns, centres, spins, shifts)
-        return kernels.motions(turns, centres, *bodies, self.bodies, self.rest_centres, *self._tree)
+        turns, centres = kernels.correct_poses(turns, centres, spins, shifts)
+        return kernels.part_motions(
+            turns, centres, *bodies, self.body_of_part, self.rest_centres, *self._tree
+        )
 
 
-def articulation_of(
+def find_articulation(
     topology: Topology,
     decomposition: Decomposition,
     reference: Float,
@@ -292,9 +299,9 @@ def articulation_of(
         radii=radii,
         masses=np.array([len(part) for part in decomposition.parts], dtype=np.float64),
         areas=areas,
-        bodies=connected(count, pairs),
+        body_of_part=connected(count, pairs),
         pairs=pairs,
         pivots=places - rest_centres[pairs[:, 1]],
-        steadiness=Steadiness.equal(count, len(pairs)) if steadiness is None else steadiness,
+        steadiness=Steadiness.uniform(count, len(pairs)) if steadiness is None else steadiness,
         relation_weight=relation_weight,
     )

@@ -24,7 +24,7 @@ from mixseq.runtime.progress import Progress, silent
 from mixseq.segmentation.joints import Decomposition, frames_to_look_at
 from mixseq.sequence.sequence import bounding_diagonal
 from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
-from mixseq.spaces.mixed.skinning_weights import fitted_skinning_weights
+from mixseq.spaces.mixed.skinning_weights import fit_skinning_weights
 from mixseq.types import Float, FloatArray, Mask, evenly
 
 Purpose = Literal["sequence", "reduced", "blends"]
@@ -69,7 +69,7 @@ SAMPLED_FACES = 100_000
 MAX_POSES_FOR_ALL_PAIRS = 12
 """Number of poses up to which all pairs are compared, not only neighbours."""
 
-MIN_STEPS, MAX_STEPS = 6, 20
+MIN_RELAXATION_STEPS, MAX_RELAXATION_STEPS = 6, 20
 """Relaxation steps between far poses with no joint faces and with joint faces only; linear in between."""
 
 FREE_STEPS = 10
@@ -97,8 +97,10 @@ def mixed_space(
     first = points[:1][0]
     scale = bounding_diagonal(first) or 1.0
     frames = points[frames_to_look_at(len(points), MAX_SHAPE_FRAMES)]
-    shapes = _rounded(np.concatenate([mean_shape(frames[:, part] / scale) for part in decomposition.parts]))
-    reference = _rounded(first.astype(np.float64) / scale)
+    shapes = _round_positions(
+        np.concatenate([mean_shape(frames[:, part] / scale) for part in decomposition.parts])
+    )
+    reference = _round_positions(first.astype(np.float64) / scale)
     progress(1, 2, "registering parts")
     posed = MixedSpace(
         topology=topology,
@@ -106,49 +108,53 @@ def mixed_space(
         scale=scale,
         shapes=shapes,
         reference=reference,
-        skinning_weights=fitted_skinning_weights(topology, decomposition, shapes, frames / scale, reference),
+        skinning_weights=fit_skinning_weights(topology, decomposition, shapes, frames / scale, reference),
         steadiness=None,
         joint_faces=np.zeros(len(topology.faces), dtype=bool),
         projection=Projection(),
     )
     if purpose == "blends":
         posed = replace(posed, projection=Projection(relations=FAR_RELATIONS))
-    posed = replace(posed, steadiness=posed.articulation.measured(posed.split(posed.encode(frames)).parts))
+    posed = replace(
+        posed, steadiness=posed.articulation.measure_steadiness(posed.split(posed.encode(frames)).part_poses)
+    )
     progress(2, 2, "registering parts")
     limits = MAX_STRETCH, MAX_BEND_DEGREES
     if placement == "free":
         limits = MAX_FREE_STRETCH, MAX_FREE_BEND_DEGREES
     elif purpose == "blends":
         limits = MAX_BLEND_STRETCH, MAX_BLEND_BEND_DEGREES
-    pairs = _all_pairs(frames) if purpose == "blends" else _neighbours(points)
-    wrong = half_way_errors(posed, pairs, *limits)
+    pairs = _all_pairs(frames) if purpose == "blends" else _neighbour_pairs(points)
+    wrong = midpoint_errors(posed, pairs, *limits)
     if placement == "free":
-        corners = posed.only_part[topology.faces]
+        corners = posed.rigid_part_of_vertex[topology.faces]
         mixed = (corners < 0).any(axis=1) | (corners != corners[:, :1]).any(axis=1)
         return replace(
             posed,
             joint_faces=mixed | (wrong > 1.0),
             projection=Projection("free", 1.0, FAR_HOLD, FREE_STEPS, FAR_RELATIONS),
         )
-    wrong[flat_in_some_frame(topology, frames) | at_winding_hinges(topology, frames)] = 0.0
+    wrong[faces_without_area(topology, frames) | faces_at_winding_hinges(topology, frames)] = 0.0
     joint_faces = wrong > 1.0
     if purpose != "blends":
-        joint_faces = _within_budget(posed, wrong)
+        joint_faces = _limit_joint_faces(posed, wrong)
     space = replace(posed, joint_faces=joint_faces)
     if purpose == "reduced" or not joint_faces.any():
         return space
-    if purpose == "blends" or are_far(posed, points):
-        steps = MIN_STEPS + round((MAX_STEPS - MIN_STEPS) * float(joint_faces.mean()))
+    if purpose == "blends" or are_far_apart(posed, points):
+        steps = MIN_RELAXATION_STEPS + round(
+            (MAX_RELAXATION_STEPS - MIN_RELAXATION_STEPS) * float(joint_faces.mean())
+        )
         return replace(space, projection=Projection("anchored", 1.0, FAR_HOLD, steps, FAR_RELATIONS))
     return space
 
 
-def _rounded(x: Float) -> Float:
+def _round_positions(x: Float) -> Float:
     """Round positions in diagonals to `REFERENCE_STEP`, to save bytes."""
     return np.asarray(np.round(x / REFERENCE_STEP) * REFERENCE_STEP)
 
 
-def _within_budget(posed: MixedSpace, wrong: Float) -> Mask:
+def _limit_joint_faces(posed: MixedSpace, wrong: Float) -> Mask:
     """Mark the faces with the largest errors above 1 as joint faces, up to the limit of `SIZE_REDUCTION`."""
     topology = posed.topology
     budget = (len(topology.edges) + len(topology.hinge_faces)) / SIZE_REDUCTION - posed.dim
@@ -172,13 +178,13 @@ def _within_budget(posed: MixedSpace, wrong: Float) -> Mask:
     return marked(low)
 
 
-def flat_in_some_frame(topology: Topology, frames: FloatArray) -> Mask:
+def faces_without_area(topology: Topology, frames: FloatArray) -> Mask:
     """Mark the faces ``(F,)`` that have no area in some of the frames ``(S, V, 3)``."""
     flat = [flat_faces(frame.astype(np.float64), topology.faces, MIN_HEIGHT_RATIO) for frame in frames]
     return np.asarray(np.any(flat, axis=0))
 
 
-def at_winding_hinges(topology: Topology, frames: FloatArray) -> Mask:
+def faces_at_winding_hinges(topology: Topology, frames: FloatArray) -> Mask:
     """Mark the faces ``(F,)`` at hinges whose angles in frames ``(S, V, 3)`` are more than half a turn apart."""
     lowest = highest = dihedral_angles(frames[0].astype(np.float64), topology.hinges)
     for frame in frames[1:]:
@@ -189,16 +195,19 @@ def at_winding_hinges(topology: Topology, frames: FloatArray) -> Mask:
     return winding
 
 
-def are_far(space: MixedSpace, frames: LargeArray) -> bool:
+def are_far_apart(space: MixedSpace, frames: LargeArray) -> bool:
     """Whether more than `FAR_TORN_SHARE` of faces are torn half-way between neighbours of frames ``(T, V, 3)``."""
-    pairs = list(_neighbours(frames))
-    for middle in (_plain_mean, _middle):  # plain means are quick, and show most animations to be near
-        if not sum(_torn(space, pair, middle) for pair in pairs) > FAR_TORN_SHARE * len(pairs):
+    pairs = list(_neighbour_pairs(frames))
+    for middle in (
+        _linear_midpoint,
+        _skinned_midpoint,
+    ):  # plain means are quick, and show most animations to be near
+        if not sum(_torn_share(space, pair, middle) for pair in pairs) > FAR_TORN_SHARE * len(pairs):
             return False
     return bool(pairs)
 
 
-def half_way_errors(space: MixedSpace, pairs: Iterable[FloatArray], stretch: float, bend: float) -> Float:
+def midpoint_errors(space: MixedSpace, pairs: Iterable[FloatArray], stretch: float, bend: float) -> Float:
     """Return the largest errors ``(F,)`` half-way between pairs ``(2, V, 3)``, over limits of edges and hinges.
 
     `stretch` limits relative errors of edges, `bend` errors of hinges in degrees.
@@ -206,9 +215,9 @@ def half_way_errors(space: MixedSpace, pairs: Iterable[FloatArray], stretch: flo
     topology = space.topology
     wrong = np.zeros(len(topology.faces))
     for pair in pairs:
-        middle = _middle(space, pair)
-        edges = _stretched(middle, pair, topology.edges) / stretch
-        hinges = _bent(middle, pair, topology.hinges) / bend
+        middle = _skinned_midpoint(space, pair)
+        edges = _length_errors(middle, pair, topology.edges) / stretch
+        hinges = _angle_errors(middle, pair, topology.hinges) / bend
         np.maximum(wrong, edges[topology.face_edges].max(axis=1), out=wrong)
         for side in (0, 1):
             np.maximum.at(wrong, topology.hinge_faces[:, side], hinges)
@@ -222,37 +231,39 @@ def _all_pairs(frames: FloatArray) -> Iterator[FloatArray]:
     return (frames[[first, second]] for first, second in pairs)
 
 
-def _neighbours(frames: LargeArray) -> Iterator[FloatArray]:
+def _neighbour_pairs(frames: LargeArray) -> Iterator[FloatArray]:
     """Yield evenly spread pairs of neighbours among frames ``(T, V, 3)``."""
     return (frames[first : first + 2] for first in frames_to_look_at(len(frames) - 1, MAX_NEIGHBOUR_PAIRS))
 
 
-def _torn(space: MixedSpace, pair: FloatArray, between: Callable[[MixedSpace, FloatArray], Float]) -> float:
+def _torn_share(
+    space: MixedSpace, pair: FloatArray, between: Callable[[MixedSpace, FloatArray], Float]
+) -> float:
     """Share of faces, or of `SAMPLED_FACES` of them, that are torn in a mesh between two frames."""
     faces = space.topology.faces[evenly(len(space.topology.faces), SAMPLED_FACES)]
     sides = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
-    torn = _stretched(between(space, pair), pair, sides) > TORN_STRETCH
+    torn = _length_errors(between(space, pair), pair, sides) > TORN_STRETCH
     return float(torn.reshape(-1, 3).any(axis=1).mean())
 
 
-def _middle(space: MixedSpace, pair: FloatArray) -> Float:
+def _skinned_midpoint(space: MixedSpace, pair: FloatArray) -> Float:
     """Return the posed mesh half-way between two frames, in their unit."""
-    return np.asarray(space.posed(space.encode(pair).mean(axis=0)[None])[0] * space.scale)
+    return np.asarray(space.skin(space.encode(pair).mean(axis=0)[None])[0] * space.scale)
 
 
-def _plain_mean(space: MixedSpace, pair: FloatArray) -> Float:
+def _linear_midpoint(space: MixedSpace, pair: FloatArray) -> Float:
     """Return the mean vertices of two frames."""
     return np.asarray(pair.mean(axis=0, dtype=np.float64))
 
 
-def _stretched(middle: Float, pair: FloatArray, edges: NDArray[np.integer]) -> Float:
+def _length_errors(middle: Float, pair: FloatArray, edges: NDArray[np.integer]) -> Float:
     """Return relative errors of lengths ``(E,)`` against those half-way between two frames."""
     lengths = edge_lengths(pair.astype(np.float64), edges).mean(axis=0)
     off = np.abs(edge_lengths(middle, edges) - lengths)
     return np.asarray(np.divide(off, lengths, out=np.zeros_like(off), where=lengths > 0))
 
 
-def _bent(middle: Float, pair: FloatArray, hinges: NDArray[np.integer]) -> Float:
+def _angle_errors(middle: Float, pair: FloatArray, hinges: NDArray[np.integer]) -> Float:
     """Return errors of angles ``(H,)``, in degrees, against those half-way between two frames."""
     first, second = dihedral_angles(pair.astype(np.float64), hinges)
     wanted = first + 0.5 * wrap(second - first)

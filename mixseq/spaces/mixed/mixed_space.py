@@ -14,9 +14,10 @@ A vector, in diagonals and radians, is
   (`mixseq.signals`).
 
 P_m poses the vertices by the part poses that agree best with poses and relations, then moves those of joints
-(`mixseq.spaces.mixed.joints`). Between far poses relaxation steps over the whole mesh follow (`mixseq.shells.shell`).
-With the free placement P_m finds the poses of parts from lengths and angles (`mixseq.spaces.mixed.assembly`). All is
-exact at the frames, and, except for these steps, analytic, with a derivative by a complex step.
+(`mixseq.spaces.mixed.joint_projection`). Between far poses relaxation steps over the whole mesh follow
+(`mixseq.shells.shell`). With the free placement P_m finds the poses of parts from lengths and angles
+(`mixseq.spaces.mixed.assembly`). All is exact at the frames, and, except for these steps, analytic, with a derivative
+by a complex step.
 """
 
 from __future__ import annotations
@@ -38,14 +39,20 @@ from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, silent
 from mixseq.segmentation.joints import Decomposition
 from mixseq.shells.shell import Relaxation
-from mixseq.spaces.base import ANGLE, ShapeSpace, radii_of_gyration
+from mixseq.spaces.base import ANGLE_WEIGHT, ShapeSpace, radii_of_gyration
 from mixseq.spaces.mixed import posing_kernels as kernels
-from mixseq.spaces.mixed.articulation import Articulation, PartPoses, Steadiness, articulation_of
+from mixseq.spaces.mixed.articulation import Articulation, PartPoses, Steadiness, find_articulation
 from mixseq.spaces.mixed.assembly import Assembly, FreeFrame
-from mixseq.spaces.mixed.joints import BENDING_WEIGHT, JointProjection, Numbers, values_and_rates, with_rates
-from mixseq.spaces.mixed.pose_prediction import PosePrediction
-from mixseq.spaces.pieces import registered
-from mixseq.spaces.temporal import Operator, Poses
+from mixseq.spaces.mixed.joint_projection import (
+    BENDING_WEIGHT,
+    JointProjection,
+    RealOrComplex,
+    from_complex_step,
+    to_complex_step,
+)
+from mixseq.spaces.mixed.pose_interpolation import PoseInterpolation
+from mixseq.spaces.pieces import register_parts
+from mixseq.spaces.temporal import Poses, TemporalOperator
 from mixseq.types import Float, FloatArray, Index, Mask
 
 JOINT_WEIGHT = 1e-3
@@ -94,25 +101,29 @@ class Projection:
 class MixedBlocks(NamedTuple):
     """The blocks of T vectors: p parts with n relations, and B bodies."""
 
-    lengths: Numbers  # (T, E') edge lengths of joint faces, in diagonals
-    angles: Numbers  # (T, H') hinge angles of joint faces, in radians, unwrapped
-    unposed: Numbers  # (T, V, 3) vertices as seen from their frames
-    turns: Numbers  # (T, p, 4) quaternions of parts since the reference frame, seen from their bodies
-    centres: Numbers  # (T, p, 3) centres of parts, seen from their bodies
-    relation_turns: Numbers  # (T, n, 4) quaternions of parts since the reference frame, seen from neighbours
-    relation_points: Numbers  # (T, n, 3) pivots of parts, seen from neighbours
-    body_turns: Numbers  # (T, B, 4) quaternions of the bodies since the reference frame
-    body_centres: Numbers  # (T, B, 3) centres of the bodies
+    lengths: RealOrComplex  # (T, E') edge lengths of joint faces, in diagonals
+    angles: RealOrComplex  # (T, H') hinge angles of joint faces, in radians, unwrapped
+    rest_vertices: RealOrComplex  # (T, V, 3) vertices as seen from their frames
+    part_rotations: (
+        RealOrComplex  # (T, p, 4) quaternions of parts since the reference frame, seen from their bodies
+    )
+    part_centres: RealOrComplex  # (T, p, 3) centres of parts, seen from their bodies
+    relation_rotations: (
+        RealOrComplex  # (T, n, 4) quaternions of parts since the reference frame, seen from neighbours
+    )
+    relation_points: RealOrComplex  # (T, n, 3) pivots of parts, seen from neighbours
+    body_rotations: RealOrComplex  # (T, B, 4) quaternions of the bodies since the reference frame
+    body_centres: RealOrComplex  # (T, B, 3) centres of the bodies
     # (T, 6 p) rotation vectors of parts in their own axes, and shifts as seen from the body.
-    corrections: Numbers
+    corrections: RealOrComplex
 
     @property
-    def parts(self) -> PartPoses:
+    def part_poses(self) -> PartPoses:
         """Poses and relations of parts."""
         return PartPoses(*self[3:7])
 
 
-QUATERNION_BLOCKS = ("turns", "relation_turns", "body_turns")
+QUATERNION_BLOCKS = ("part_rotations", "relation_rotations", "body_rotations")
 """Names of the blocks of quaternions."""
 
 
@@ -132,8 +143,8 @@ class MixedSpace(ShapeSpace):
     name = "mixed"
 
     @property
-    def decomposed(self) -> Decomposition:
-        """Implement `ShapeSpace.decomposed`."""
+    def segmentation(self) -> Decomposition:
+        """Implement `ShapeSpace.segmentation`."""
         return self.decomposition
 
     @property
@@ -149,15 +160,15 @@ class MixedSpace(ShapeSpace):
     @property
     def edge_ids(self) -> Index:
         """Edges ``(E',)`` whose lengths are in a vector, ascending."""
-        return self.joints.edge_ids
+        return self.joint_projection.edge_ids
 
     @property
     def hinge_ids(self) -> Index:
         """Hinges ``(H',)`` whose angles are in a vector, ascending."""
-        return self.joints.hinge_ids
+        return self.joint_projection.hinge_ids
 
     @cached_property
-    def joints(self) -> JointProjection:
+    def joint_projection(self) -> JointProjection:
         """The projection at the joints."""
         return JointProjection(self.topology, self.reference, self.joint_faces, self.projection.hold)
 
@@ -166,7 +177,7 @@ class MixedSpace(ShapeSpace):
         """The projection of the free placement."""
         return Assembly(
             self.topology,
-            self.only_part,
+            self.rigid_part_of_vertex,
             self.joint_faces,
             self.edge_ids,
             self.hinge_ids,
@@ -175,7 +186,7 @@ class MixedSpace(ShapeSpace):
         )
 
     @cached_property
-    def only_part(self) -> Index:
+    def rigid_part_of_vertex(self) -> Index:
         """Part ``(V,)`` of vertices skinned to one part alone, -1 for others."""
         weights = self.skinning_weights
         first = weights.indices[weights.indptr[:-1]]
@@ -187,37 +198,37 @@ class MixedSpace(ShapeSpace):
         return weights.indptr.astype(np.int64), weights.indices.astype(np.int64), weights.data
 
     @cached_property
-    def _rest(self) -> Poses:
+    def _rest_poses(self) -> Poses:
         """Poses of the parts in the reference frame, from their mean shapes."""
-        _, rotations, centres = registered(self.shapes, self.decomposition.parts, self.reference)
+        _, rotations, centres = register_parts(self.shapes, self.decomposition.parts, self.reference)
         return Poses(quaternions(rotations)[None], centres[None])
 
     @cached_property
-    def radii(self) -> Float:
+    def part_radii(self) -> Float:
         """Radii of gyration ``(p,)`` of the parts, in diagonals; at least a small number."""
         return radii_of_gyration(self.shapes, self.decomposition.parts)
 
     @cached_property
     def articulation(self) -> Articulation:
         """Bodies, and relations of neighbouring parts."""
-        return articulation_of(
+        return find_articulation(
             self.topology,
             self.decomposition,
             self.reference,
-            self._rest.centres[0],
-            self.radii,
+            self._rest_poses.centres[0],
+            self.part_radii,
             self.steadiness,
             self.projection.relations,
         )
 
     def constants(self) -> tuple[object, ...]:
         """Implement `PickledWithoutCaches.constants`."""
-        _ = self.articulation._systems, self.articulation._tree, self._skinning, self.sizes
+        _ = self.articulation._systems, self.articulation._tree, self._skinning, self.block_sizes
         if self.placement == "free":
             return (self.assembly,)
         if self.projection.steps:
-            return self.joints, self.joints.shell
-        return (self.joints,) if self.projection.share else ()
+            return self.joint_projection, self.joint_projection.shell
+        return (self.joint_projection,) if self.projection.share else ()
 
     # The vector --------------------------------------------------------------------------------------------
 
@@ -240,14 +251,14 @@ class MixedSpace(ShapeSpace):
         )
 
     @cached_property
-    def sizes(self) -> tuple[int, ...]:
+    def block_sizes(self) -> tuple[int, ...]:
         """Lengths of the blocks of a vector, in order."""
         return tuple(int(np.prod(shape)) for shape in self._block_shapes)
 
     @property
     def dim(self) -> int:
         """Length D of a vector."""
-        return sum(self.sizes)
+        return sum(self.block_sizes)
 
     @property
     def rotation_count(self) -> int:
@@ -262,18 +273,18 @@ class MixedSpace(ShapeSpace):
     @property
     def correction_dim(self) -> int:
         """Implement `ShapeSpace.correction_dim`: six numbers per part."""
-        return self.sizes[-1]
+        return self.block_sizes[-1]
 
     @property
     def pose_dim(self) -> int:
         """Implement `ShapeSpace.pose_dim`: poses and relations of parts."""
-        return sum(self.sizes[3:7])
+        return sum(self.block_sizes[3:7])
 
     @cached_property
     def angle_weights(self) -> Float:
         """Weights ``(H',)`` of angles relative to lengths: `ANGLE` times the length of the edge in the reference."""
         edges = self.topology.edges[self.topology.hinge_edges[self.hinge_ids]]
-        return ANGLE * edge_lengths(self.reference, edges)
+        return ANGLE_WEIGHT * edge_lengths(self.reference, edges)
 
     @cached_property
     def weights(self) -> Float:
@@ -283,87 +294,92 @@ class MixedSpace(ShapeSpace):
         times that, for all vertices of the part, for part poses; `JOINT_WEIGHT` for lengths, and for angles times the
         length of their edges. Relations follow part poses, and weigh nothing.
         """
-        edges, _, vertices, *_ = self.sizes
+        edges, _, vertices, *_ = self.block_sizes
         own = ARTICULATION_WEIGHT * np.sqrt(self.articulation.masses)
         return np.concatenate(
             [
                 np.full(edges, JOINT_WEIGHT),
                 JOINT_WEIGHT * self.angle_weights,
                 np.ones(vertices),
-                np.repeat(2.0 * self.radii * own, 4),
+                np.repeat(2.0 * self.part_radii * own, 4),
                 np.repeat(own, 3),
-                np.zeros(sum(self.sizes[5:7])),
+                np.zeros(sum(self.block_sizes[5:7])),
                 np.repeat(2.0 * self.articulation.body_radii, 4),
-                np.ones(self.sizes[8]),
-                np.repeat(self.radii, 3),
-                np.ones(self.sizes[9] // 2),
+                np.ones(self.block_sizes[8]),
+                np.repeat(self.part_radii, 3),
+                np.ones(self.block_sizes[9] // 2),
             ]
         )
 
     @property
-    def coarseness(self) -> Float:
-        """Implement `ShapeSpace.coarseness`: angles rotate short edges, steps magnify errors of lengths."""
-        edges, hinges, *_ = self.sizes
+    def rounding_step_ratios(self) -> Float:
+        """Implement `ShapeSpace.rounding_step_ratios`: angles rotate short edges, steps magnify errors of lengths."""
+        edges, hinges, *_ = self.block_sizes
         result = np.ones(self.shape_dim)
         if self.projection.steps:
             result[:edges] = LENGTH_STEP_RATIO
         if self.placement == "anchored":
-            sizes = np.clip(self.angle_weights / ANGLE, 1 / MAX_ANGLE_STEP_RATIO, 1.0)
+            sizes = np.clip(self.angle_weights / ANGLE_WEIGHT, 1 / MAX_ANGLE_STEP_RATIO, 1.0)
             result[edges : edges + hinges] = 2.0 ** np.floor(-np.log2(sizes))
         return result
 
     @property
     def embedding_weights(self) -> Float:
         """Implement `ShapeSpace.embedding_weights`: mostly joints and part poses."""
-        edges, hinges, *_ = self.sizes
+        edges, hinges, *_ = self.block_sizes
         joints = np.concatenate(
             [np.full(edges, JOINT_EMBEDDING_WEIGHT), JOINT_EMBEDDING_WEIGHT * self.angle_weights]
         )
         rest = self.shape_weights[edges + hinges :].copy()
-        rest[self.sizes[2] :] /= ARTICULATION_WEIGHT
+        rest[self.block_sizes[2] :] /= ARTICULATION_WEIGHT
         return np.concatenate([joints, rest])
 
-    def split(self, vectors: Numbers) -> MixedBlocks:
+    def split(self, vectors: RealOrComplex) -> MixedBlocks:
         """Return the blocks of vectors ``(T, D)``, as views where possible; raises what `checked` does."""
-        return MixedBlocks(*self._shaped(self.checked(vectors), slice(None)))
+        return MixedBlocks(*self._split_columns(self.check_vectors(vectors), slice(None)))
 
     def join(self, blocks: MixedBlocks) -> Float:
         """Return the vectors ``(T, D)`` of blocks; the inverse of `split`."""
         return np.concatenate([block.reshape(len(block), -1) for block in blocks], axis=1)
 
-    def part_poses(self, poses: Float) -> PartPoses:
+    def split_poses(self, poses: Float) -> PartPoses:
         """Return the poses and relations of parts from the pose columns ``(T, pose_dim)`` of shapes."""
-        return PartPoses(*self._shaped(poses, slice(3, 7)))
+        return PartPoses(*self._split_columns(poses, slice(3, 7)))
 
-    def _shaped(self, columns: Numbers, which: slice) -> Iterator[Numbers]:
+    def _split_columns(self, columns: RealOrComplex, which: slice) -> Iterator[RealOrComplex]:
         """Cut columns ``(T, n)`` into some blocks of vectors."""
-        blocks = np.split(columns, np.cumsum(self.sizes[which])[:-1], axis=1)
+        blocks = np.split(columns, np.cumsum(self.block_sizes[which])[:-1], axis=1)
         shaped = zip(blocks, self._block_shapes[which], strict=True)
         return (block.reshape(len(columns), *shape) for block, shape in shaped)
 
     # Encoding ----------------------------------------------------------------------------------------------
 
-    def encode_apart(self, points: FloatArray) -> Float:
-        """Implement `ShapeSpace.encode_apart`: the smallest angles, and quaternions with w >= 0."""
+    def encode_independently(self, points: FloatArray) -> Float:
+        """Implement `ShapeSpace.encode_independently`: the smallest angles, and quaternions with w >= 0."""
         frames = [frame.astype(np.float64) / self.scale for frame in points]
-        found = [registered(self.shapes, self.decomposition.parts, x)[1:] for x in frames]
+        found = [register_parts(self.shapes, self.decomposition.parts, x)[1:] for x in frames]
         rotations, centres = (np.stack(each) for each in zip(*found, strict=True))
-        turns = product(quaternions(rotations), inverse(self._rest.rotations))
+        turns = product(quaternions(rotations), inverse(self._rest_poses.rotations))
         world = Poses(turns, centres)
-        bodies = self.articulation.bodies_of(world)
-        parts = self.articulation.with_relations(self.articulation.seen_from_bodies(world, bodies))
-        parts = parts._replace(turns=_canonical(parts.turns), relation_turns=_canonical(parts.relation_turns))
+        bodies = self.articulation.fit_bodies(world)
+        parts = self.articulation.add_relations(self.articulation.to_body_axes(world, bodies))
+        parts = parts._replace(
+            rotations=_with_positive_w(parts.rotations),
+            relation_rotations=_with_positive_w(parts.relation_rotations),
+        )
         none = np.zeros((len(frames), self.correction_dim))
         rows = zip(*parts, bodies.rotations, bodies.centres, none, strict=True)
-        duals = [self.articulation.motions(PartPoses(*row[:4]), (row[4], row[5]), row[6]) for row in rows]
-        unposed = [self._unposed(dual, x) for dual, x in zip(duals, frames, strict=True)]
-        joints = [self.lengths_and_angles(x) for x in frames]
+        duals = [
+            self.articulation.part_motions(PartPoses(*row[:4]), (row[4], row[5]), row[6]) for row in rows
+        ]
+        unposed = [self._unskin(dual, x) for dual, x in zip(duals, frames, strict=True)]
+        joints = [self.measure_joints(x) for x in frames]
         lengths, angles = (np.stack(each) for each in zip(*joints, strict=True))
         return self.join(
             MixedBlocks(lengths, angles, np.stack(unposed), *parts, bodies.rotations, bodies.centres, none)
         )
 
-    def lengths_and_angles(self, x: Float) -> tuple[Float, Float]:
+    def measure_joints(self, x: Float) -> tuple[Float, Float]:
         """Return the lengths ``(..., E')`` and angles ``(..., H')`` of joints in frames ``(..., V, 3)``."""
         edges, hinges = self.topology.edges[self.edge_ids], self.topology.hinges_at(self.hinge_ids)
         return edge_lengths(x, edges), dihedral_angles(x, hinges)
@@ -372,20 +388,20 @@ class MixedSpace(ShapeSpace):
         """Implement `ShapeSpace.unwrap`."""
         blocks = self.split(vectors)
         before = None if previous is None else self.split(previous[None])
-        start = self.lengths_and_angles(self.reference)[1] if before is None else before.angles[0]
+        start = self.measure_joints(self.reference)[1] if before is None else before.angles[0]
         signed = {
             name: continued(getattr(blocks, name), None if before is None else getattr(before, name)[0])
             for name in QUATERNION_BLOCKS
         }
         return self.join(blocks._replace(angles=unwrap_angles(blocks.angles, start), **signed))
 
-    def _unposed(self, duals: Float, x: Float) -> Float:
-        return np.asarray(kernels.unpose(*self._skinning, duals, x))
+    def _unskin(self, duals: Float, x: Float) -> Float:
+        return np.asarray(kernels.unskin_vertices(*self._skinning, duals, x))
 
-    def _duals(self, row: MixedBlocks) -> Numbers:
+    def _part_motions(self, row: MixedBlocks) -> RealOrComplex:
         """Motions ``(p, 8)`` of the parts in one frame."""
-        bodies = np.ascontiguousarray(row.body_turns), np.ascontiguousarray(row.body_centres)
-        return self.articulation.motions(row.parts, bodies, np.ascontiguousarray(row.corrections))
+        bodies = np.ascontiguousarray(row.body_rotations), np.ascontiguousarray(row.body_centres)
+        return self.articulation.part_motions(row.part_poses, bodies, np.ascontiguousarray(row.corrections))
 
     # Decoding ----------------------------------------------------------------------------------------------
 
@@ -395,40 +411,44 @@ class MixedSpace(ShapeSpace):
         points = np.empty((len(vectors), self.vertex_count, 3))
         with one_blas_thread():
             for number, frame in enumerate(zip(*blocks, strict=True)):
-                points[number] = self._projected(MixedBlocks(*frame))
+                points[number] = self._project(MixedBlocks(*frame))
                 progress(number + 1, len(vectors), "decoding frames")
         points *= self.scale
         return points
 
-    def _projected(self, row: MixedBlocks) -> Numbers:
+    def _project(self, row: MixedBlocks) -> RealOrComplex:
         """Return the mesh ``(V, 3)`` of one vector, in diagonals; complex for a complex vector of an analytic P_m."""
-        x = self._posed(row)
+        x = self._skin(row)
         lengths, angles = (np.ascontiguousarray(block) for block in (row.lengths, row.angles))
         if self.placement == "free":
-            return self.assembly.assemble(FreeFrame(lengths, angles, row.unposed, x)).points
-        moved = self.joints.project(x, lengths, angles, self.projection.share)
+            return self.assembly.assemble(FreeFrame(lengths, angles, row.rest_vertices, x)).points
+        moved = self.joint_projection.project(x, lengths, angles, self.projection.share)
         if not self.projection.steps:
             return moved
-        targets = self.joints.targets(x, lengths, angles)
-        return self.joints.shell.relaxed(moved, *targets, self.projection.steps).points
+        targets = self.joint_projection.mesh_targets(x, lengths, angles)
+        return self.joint_projection.shell.relax(moved, *targets, self.projection.steps).points
 
-    def _posed(self, row: MixedBlocks) -> Numbers:
-        return np.asarray(kernels.pose(*self._skinning, self._duals(row), np.ascontiguousarray(row.unposed)))
+    def _skin(self, row: MixedBlocks) -> RealOrComplex:
+        return np.asarray(
+            kernels.skin_vertices(
+                *self._skinning, self._part_motions(row), np.ascontiguousarray(row.rest_vertices)
+            )
+        )
 
-    def posed(self, vectors: Float) -> Float:
+    def skin(self, vectors: Float) -> Float:
         """Return posed vertices ``(T, V, 3)`` of vectors ``(T, D)``, in diagonals, before the projection at joints."""
         rows = zip(*self.split(vectors), strict=True)
-        return np.stack([self._posed(MixedBlocks(*row)) for row in rows])
+        return np.stack([self._skin(MixedBlocks(*row)) for row in rows])
 
-    def decode_moving(self, vectors: Float, rates: Float) -> tuple[Float, Float]:
-        """Implement `ShapeSpace.decode_moving` by a complex step, where all of P_m is analytic."""
+    def decode_with_velocities(self, vectors: Float, rates: Float) -> tuple[Float, Float]:
+        """Implement `ShapeSpace.decode_with_velocities` by a complex step, where all of P_m is analytic."""
         if self.projection.steps or self.placement == "free":
-            return super().decode_moving(vectors, rates)
-        blocks = self.split(with_rates(np.asarray(vectors, dtype=np.float64), rates))
+            return super().decode_with_velocities(vectors, rates)
+        blocks = self.split(to_complex_step(np.asarray(vectors, dtype=np.float64), rates))
         points, velocities = np.empty((2, len(vectors), self.vertex_count, 3))
         with one_blas_thread():
             for number, frame in enumerate(zip(*blocks, strict=True)):
-                points[number], velocities[number] = values_and_rates(self._projected(MixedBlocks(*frame)))
+                points[number], velocities[number] = from_complex_step(self._project(MixedBlocks(*frame)))
         return points * self.scale, velocities * self.scale
 
     def shape_difference(self, vector: Float, before: Float, after: Float) -> Float:
@@ -437,7 +457,7 @@ class MixedSpace(ShapeSpace):
         rest, offset = np.inf, before - self.decode(vector[None])[0]
         for _ in range(MAX_EDIT_ROUNDS):
             tried = changed.copy()
-            tried[:size] += self._measured_difference(changed, found, after)
+            tried[:size] += self._rest_difference(changed, found, after)
             found = self.decode(tried[None])[0] + offset
             left = float(np.abs(found - after).max())
             if left > 0.5 * rest:
@@ -447,47 +467,49 @@ class MixedSpace(ShapeSpace):
                 break
         return changed[:size] - vector[:size]
 
-    def _measured_difference(self, vector: Float, before: Float, after: Float) -> Float:
+    def _rest_difference(self, vector: Float, before: Float, after: Float) -> Float:
         """Return the differences ``(S,)`` of lengths, angles and unposed vertices of two frames."""
         row = MixedBlocks(*(block[0] for block in self.split(vector[None])))
-        duals = self._duals(row)
+        duals = self._part_motions(row)
         first, second = (x / self.scale for x in (before, after))
-        (lengths, angles), (other_lengths, other_angles) = map(self.lengths_and_angles, (first, second))
-        unposed = self._unposed(duals, second) - self._unposed(duals, first)
+        (lengths, angles), (other_lengths, other_angles) = map(self.measure_joints, (first, second))
+        unposed = self._unskin(duals, second) - self._unskin(duals, first)
         change = other_lengths - lengths, wrap(other_angles - angles), unposed.reshape(-1)
         return np.concatenate([*change, np.zeros(self.pose_dim)])
 
     # Between frames ----------------------------------------------------------------------------------------
 
-    def predicted_poses(
-        self, operator: Operator, poses: Float, placements: Float, times: Float, in_body: bool
+    def interpolate_poses(
+        self, operator: TemporalOperator, poses: Float, placements: Float, times: Float, in_body: bool
     ) -> tuple[Float, Float]:
-        """Implement `ShapeSpace.predicted_poses`: in the world, optionally in the body, and by neighbours."""
-        found, seen = self.pose_prediction(operator, poses, placements, in_body).at(times)
-        before = self.poses(placements[:1]).rotations[0]
-        placed = self.placements(found._replace(rotations=continued(found.rotations, before)))
+        """Implement `ShapeSpace.interpolate_poses`: in the world, optionally in the body, and by neighbours."""
+        found, seen = self.pose_interpolation(operator, poses, placements, in_body).at(times)
+        before = self.unpack_placements(placements[:1]).rotations[0]
+        placed = self.pack_placements(found._replace(rotations=continued(found.rotations, before)))
         return np.concatenate([each.reshape(len(times), -1) for each in seen], axis=1), placed
 
-    def pose_prediction(
-        self, operator: Operator, poses: Float, placements: Float, in_body: bool
-    ) -> PosePrediction:
+    def pose_interpolation(
+        self, operator: TemporalOperator, poses: Float, placements: Float, in_body: bool
+    ) -> PoseInterpolation:
         """Return the prediction of poses from those at the frames ``(T, pose_dim)``, ``(T, P)``."""
-        parts = self.part_poses(poses)
-        world = self.articulation.placed(Poses(parts.turns, parts.centres), self.poses(placements))
+        parts = self.split_poses(poses)
+        world = self.articulation.to_world_axes(
+            Poses(parts.rotations, parts.centres), self.unpack_placements(placements)
+        )
         world = world._replace(rotations=continued(world.rotations))
-        return PosePrediction(self.articulation, operator, world, in_body)
+        return PoseInterpolation(self.articulation, operator, world, in_body)
 
-    def held(self, points: Float, vertices: Index, placements: Float) -> Float:
-        """Implement `ShapeSpace.held`: in the axes of the body of each vertex's main part."""
-        bodies = self.poses(placements)
+    def to_body_axes(self, points: Float, vertices: Index, placements: Float) -> Float:
+        """Implement `ShapeSpace.to_body_axes`: in the axes of the body of each vertex's main part."""
+        bodies = self.unpack_placements(placements)
         weights = self.skinning_weights[vertices]
-        body = self.articulation.bodies[np.asarray(weights.argmax(axis=1)).reshape(-1)]
+        body = self.articulation.body_of_part[np.asarray(weights.argmax(axis=1)).reshape(-1)]
         back = np.swapaxes(rotations_of(bodies.rotations), -1, -2)[:, body]
         return turned(back, points - self.scale * bodies.centres[:, body])
 
-    def signs(self, poses: Float, before: Float) -> Float:
-        """Implement `ShapeSpace.signs`."""
-        here, there = self.part_poses(poses[None]), self.part_poses(before[None])
+    def quaternion_signs(self, poses: Float, before: Float) -> Float:
+        """Implement `ShapeSpace.quaternion_signs`."""
+        here, there = self.split_poses(poses[None]), self.split_poses(before[None])
         turns, relations = (
             np.where(np.einsum("tpi,tpi->p", one, other) < 0, -1.0, 1.0)
             for one, other in zip(here[::2], there[::2], strict=True)
@@ -495,16 +517,18 @@ class MixedSpace(ShapeSpace):
         blocks = (turns, 4), (np.ones_like(turns), 3), (relations, 4), (np.ones_like(relations), 3)
         return np.concatenate([np.repeat(factors, size) for factors, size in blocks])
 
-    def corrections(self, poses: Float, targets: Float) -> Float:
-        """Implement `ShapeSpace.corrections`."""
+    def pose_corrections(self, poses: Float, targets: Float) -> Float:
+        """Implement `ShapeSpace.pose_corrections`."""
         parts = len(self.decomposition.parts)
         turns, centres = np.split(targets, [4 * parts], axis=1)
         wanted = Poses(turns.reshape(-1, parts, 4), centres.reshape(-1, parts, 3))
-        return self.articulation.corrections(self.articulation.agreed(self.part_poses(poses)), wanted)
+        return self.articulation.pose_corrections(
+            self.articulation.reconcile(self.split_poses(poses)), wanted
+        )
 
-    def corrected_poses(self, poses: Float, corrections: Float) -> Poses:
+    def correct_poses(self, poses: Float, corrections: Float) -> Poses:
         """Return part poses ``(T, p)`` relative to bodies, of pose columns and corrections ``(T, ...)``."""
-        agreed = self.articulation.agreed(self.part_poses(poses))
+        agreed = self.articulation.reconcile(self.split_poses(poses))
         spins, shifts = corrections.reshape(len(poses), 2, -1, 3).swapaxes(0, 1)
         return Poses(product(agreed.rotations, exponentials(spins)), agreed.centres + shifts)
 
@@ -516,6 +540,6 @@ def as_mixed(space: ShapeSpace) -> MixedSpace:
     return space
 
 
-def _canonical(turns: Float) -> Float:
+def _with_positive_w(turns: Float) -> Float:
     """Return quaternions ``(..., 4)`` with w >= 0: rotations by at most half a turn."""
     return np.where(turns[..., :1] < 0, -turns, turns)

@@ -1,7 +1,8 @@
 """Compiled inner loops that pose a mesh: agreement of poses and relations, motions of parts, and skinning.
 
 Skinning blends dual quaternions. Quaternions are (w, x, y, z), inputs of any length, results of unit length; positions
-are in diagonals. Arrays are real or complex, for derivatives by a complex step (`mixseq.spaces.mixed.joints`).
+are in diagonals. Arrays are real or complex, for derivatives by a complex step
+(`mixseq.spaces.mixed.joint_projection`).
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from mixseq.runtime.jit import compiled, inlined
-from mixseq.shells.face_frames import product, product_with_inverse
+from mixseq.shells.face_frames import multiply, multiply_by_inverse
 from mixseq.types import Float, Index
 
 AVERAGING_ROUNDS = 2
@@ -20,7 +21,7 @@ SERIES_SQUARED_ANGLE = 1e-6
 
 
 @inlined
-def _turned(
+def _rotate(
     w: float, p: float, q: float, r: float, x: float, y: float, z: float
 ) -> tuple[float, float, float]:
     """Rotate a vector by a unit quaternion: ``v + 2 w (u x v) + 2 u x (u x v)``."""
@@ -31,9 +32,9 @@ def _turned(
 
 
 @inlined
-def _turn(q: Float, v: Float, r: Float) -> None:
+def _rotate_into(q: Float, v: Float, r: Float) -> None:
     """Write a vector rotated by a unit quaternion to r, which must not alias it."""
-    r[0], r[1], r[2] = _turned(q[0], q[1], q[2], q[3], v[0], v[1], v[2])
+    r[0], r[1], r[2] = _rotate(q[0], q[1], q[2], q[3], v[0], v[1], v[2])
 
 
 @inlined
@@ -49,7 +50,7 @@ def _normalise(q: Float) -> None:
 
 
 @compiled
-def agree(
+def reconcile_poses(
     turns: Float,
     centres: Float,
     relation_turns: Float,
@@ -81,7 +82,7 @@ def agree(
         for a in range(4):
             seen[a] = relation_turns[links[k], a]
         _normalise(seen)
-        product(t[before[k]], seen, expected)
+        multiply(t[before[k]], seen, expected)
         for a in range(4):
             t[order[k], a] = expected[a]
     right = np.empty((count, 3), t.dtype)
@@ -89,14 +90,14 @@ def agree(
         # Misfits count by their sines, which are smooth: half a turn has no side. A blend of rotations that are far
         # apart is a short quaternion, and counts less.
         for part in range(count):
-            product_with_inverse(turns[part], t[part], off)
+            multiply_by_inverse(turns[part], t[part], off)
             scale = 2.0 * own_turns[part] * off[0]
             for a in range(3):
                 right[part, a] = scale * off[1 + a]
         for k in range(len(pairs)):
             i, j = pairs[k, 0], pairs[k, 1]
-            product(t[i], relation_turns[k], expected)
-            product_with_inverse(expected, t[j], off)
+            multiply(t[i], relation_turns[k], expected)
+            multiply_by_inverse(expected, t[j], off)
             scale = 2.0 * turn_weights[k] * off[0]
             for a in range(3):
                 right[j, a] += scale * off[1 + a]
@@ -107,7 +108,7 @@ def agree(
                 step[1 + a] = 0.0
                 for other in range(count):
                     step[1 + a] += 0.5 * turn_inverse[part, other] * right[other, a]
-            product(step, t[part], expected)
+            multiply(step, t[part], expected)
             _normalise(expected)
             for a in range(4):
                 t[part, a] = expected[a]
@@ -115,8 +116,8 @@ def agree(
     here, there = np.empty(3, t.dtype), np.empty(3, t.dtype)
     for k in range(len(pairs)):
         i, j = pairs[k, 0], pairs[k, 1]
-        _turn(t[i], relation_points[k], here)
-        _turn(t[j], pivots[k], there)
+        _rotate_into(t[i], relation_points[k], here)
+        _rotate_into(t[j], pivots[k], there)
         for a in range(3):
             gap = place_weights[k] * (c[i, a] + here[a] - c[j, a] - there[a])
             right[j, a] += gap
@@ -129,7 +130,7 @@ def agree(
 
 
 @compiled
-def correct(turns: Float, centres: Float, spins: Float, shifts: Float) -> tuple[Float, Float]:
+def correct_poses(turns: Float, centres: Float, spins: Float, shifts: Float) -> tuple[Float, Float]:
     """Rotate poses ``(p, 4)``, ``(p, 3)`` by rotation vectors ``(p, 3)`` in their own axes, and shift centres."""
     t, c = np.empty_like(turns), centres + shifts
     step = np.empty(4, t.dtype)
@@ -144,12 +145,12 @@ def correct(turns: Float, centres: Float, spins: Float, shifts: Float) -> tuple[
             scale = np.sin(0.5 * angle) / angle
         for a in range(3):
             step[1 + a] = scale * spins[part, a]
-        product(turns[part], step, t[part])
+        multiply(turns[part], step, t[part])
     return t, c
 
 
 @compiled
-def motions(
+def part_motions(
     turns: Float,
     centres: Float,
     body_turns: Float,
@@ -173,9 +174,9 @@ def motions(
     shift = np.empty(3, turns.dtype)
     for part in range(count):
         body = bodies[part]
-        product(frames[body], turns[part], q)
-        _turn(frames[body], centres[part], point)
-        _turn(q, rest_centres[part], rest)
+        multiply(frames[body], turns[part], q)
+        _rotate_into(frames[body], centres[part], point)
+        _rotate_into(q, rest_centres[part], rest)
         for a in range(3):
             shift[a] = point[a] + body_centres[body, a] - rest[a]
         duals[part, 0], duals[part, 1], duals[part, 2], duals[part, 3] = q[0], q[1], q[2], q[3]
@@ -220,24 +221,24 @@ def _blend(starts: Index, parts: Index, weights: Float, duals: Float, v: int, to
 
 
 @compiled
-def pose(starts: Index, parts: Index, weights: Float, duals: Float, unposed: Float) -> Float:
+def skin_vertices(starts: Index, parts: Index, weights: Float, duals: Float, unposed: Float) -> Float:
     """Move vertices ``(V, 3)`` by blended motions ``(p, 8)`` of parts; `starts` ``(V + 1,)`` index the weights."""
     x = np.empty_like(unposed)
     m = np.empty(8, duals.dtype)
     for v in range(len(x)):
         _blend(starts, parts, weights, duals, v, m)
-        a, b, c = _turned(m[0], m[1], m[2], m[3], unposed[v, 0], unposed[v, 1], unposed[v, 2])
+        a, b, c = _rotate(m[0], m[1], m[2], m[3], unposed[v, 0], unposed[v, 1], unposed[v, 2])
         x[v, 0], x[v, 1], x[v, 2] = a + m[4], b + m[5], c + m[6]
     return x
 
 
 @compiled
-def unpose(starts: Index, parts: Index, weights: Float, duals: Float, x: Float) -> Float:
+def unskin_vertices(starts: Index, parts: Index, weights: Float, duals: Float, x: Float) -> Float:
     """Move vertices ``(V, 3)`` by the inverse of `pose`."""
     unposed = np.empty_like(x)
     m = np.empty(8, duals.dtype)
     for v in range(len(x)):
         _blend(starts, parts, weights, duals, v, m)
-        a, b, c = _turned(m[0], -m[1], -m[2], -m[3], x[v, 0] - m[4], x[v, 1] - m[5], x[v, 2] - m[6])
+        a, b, c = _rotate(m[0], -m[1], -m[2], -m[3], x[v, 0] - m[4], x[v, 1] - m[5], x[v, 2] - m[6])
         unposed[v, 0], unposed[v, 1], unposed[v, 2] = a, b, c
     return unposed

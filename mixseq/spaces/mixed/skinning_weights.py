@@ -21,15 +21,15 @@ from mixseq.mesh.topology import Topology, vertices_near
 from mixseq.runtime.jit import compiled
 from mixseq.segmentation.joints import Decomposition
 from mixseq.shells.solvers import factorise
-from mixseq.spaces.pieces import registered
+from mixseq.spaces.pieces import register_parts
 from mixseq.types import Float, FloatArray, Index
 
-EXCHANGES = 4
+EXCHANGE_ROUNDS = 4
 """Number of rounds of exchanges between the parts of a vertex, per sweep."""
 
 
 @compiled
-def compare(
+def accumulate_errors(
     some: Index,
     parts: Index,
     shares: Float,
@@ -68,7 +68,7 @@ def compare(
 
 
 @compiled
-def smooth_and_fit(
+def fit_weights(
     some: Index,
     parts: Index,
     shares: Float,
@@ -108,7 +108,7 @@ def smooth_and_fit(
             for a in range(count):
                 wanted[a] /= total
             # Exchanges between two parts keep the sum; each is a parabola.
-            for _ in range(EXCHANGES):
+            for _ in range(EXCHANGE_ROUNDS):
                 for a in range(count):
                     for b in range(a):
                         slope = mu * (shares[v, a] - wanted[a] - shares[v, b] + wanted[b])
@@ -124,66 +124,71 @@ def smooth_and_fit(
                             shares[v, b] -= step
 
 
-RINGS = 6.0
+INFLUENCE_RADIUS_RINGS = 6.0
 """Radius of influence of parts, in edges; chosen on half of the benchmark animations, as are the next constants."""
 
-MOST = 6
+MAX_PARTS_PER_VERTEX = 6
 """Largest number of parts per vertex."""
 
-LEAST = 0.01
+MIN_WEIGHT = 0.01
 """Least skinning weight; smaller ones are set to zero."""
 
-SMOOTH = 0.1
+SMOOTHNESS_WEIGHT = 0.1
 """Weight of smoothness."""
 
-NOISE = 1e-12
+MOTION_NOISE = 1e-12
 """Squared distance of motions, in diagonals, below which weights are only smooth."""
 
-SWEEPS = 20
+GAUSS_SEIDEL_SWEEPS = 20
 """Number of Gauss-Seidel sweeps."""
 
-LARGE = 200_000
+MAX_FULLY_FITTED_VERTICES = 200_000
 """Number of vertices above which only those near boundaries of parts are fitted; others follow one part."""
 
-NEAR = 32
+FITTED_BOUNDARY_RINGS = 32
 """Rings of vertices about boundaries that are fitted. Weights fall to a hundredth within half of them."""
 
-GRID = 2.0**-16
+WEIGHT_STEP = 2.0**-16
 """Rounding step of skinning weights."""
 
-_AT_ONCE = 16  # parts that are spread at once
+_PARTS_PER_BLOCK = 16  # parts that are spread at once
 
 
-def fitted_skinning_weights(
+def fit_skinning_weights(
     topology: Topology, decomposition: Decomposition, shapes: Float, frames: FloatArray, reference: Float
 ) -> sparse.csr_array:
     """Fit skinning weights ``(V, p)``, rows adding up to one, to frames ``(S, V, 3)``; shapes ``(N, 3)``."""
-    near, far, part_of_far = _looked_at(topology, decomposition)
+    near, far, part_of_far = _split_vertices(topology, decomposition)
     graph = topology.vertex_adjacency[near][:, near]
-    parts, shares = _spread(graph, _parts_of_faces(topology, decomposition, near))
+    parts, shares = _diffuse(graph, _parts_around_vertices(topology, decomposition, near))
     some = np.flatnonzero(parts[:, 1] >= 0)
     if len(some):
-        _, rest, rest_centres = registered(shapes, decomposition.parts, reference)
-        products, apart = np.zeros((len(some), MOST, MOST)), np.zeros(len(some))
+        _, rest, rest_centres = register_parts(shapes, decomposition.parts, reference)
+        products, apart = (
+            np.zeros((len(some), MAX_PARTS_PER_VERTEX, MAX_PARTS_PER_VERTEX)),
+            np.zeros(len(some)),
+        )
         for frame in frames:
             x = frame.astype(np.float64)
-            _, rotations, centres = registered(shapes, decomposition.parts, x)
+            _, rotations, centres = register_parts(shapes, decomposition.parts, x)
             turns = rotations @ np.swapaxes(rest, 1, 2)
             shifts = centres - turned(turns, rest_centres)
-            compare(some, parts, shares, turns, shifts, reference[near], x[near], products, apart)
+            accumulate_errors(some, parts, shares, turns, shifts, reference[near], x[near], products, apart)
         starts, others = graph.indptr.astype(np.int64), graph.indices.astype(np.int64)
-        strengths = SMOOTH * apart + NOISE * len(frames)
-        smooth_and_fit(some, parts, shares, products, strengths, starts, others, SWEEPS)
-    shares[shares < LEAST] = 0.0
+        strengths = SMOOTHNESS_WEIGHT * apart + MOTION_NOISE * len(frames)
+        fit_weights(some, parts, shares, products, strengths, starts, others, GAUSS_SEIDEL_SWEEPS)
+    shares[shares < MIN_WEIGHT] = 0.0
     rows, places = np.nonzero(shares)
     vertices = np.concatenate([near[rows], far])
     followed = np.concatenate([parts[rows, places], part_of_far])
     values = np.concatenate([shares[rows, places], np.ones(len(far))])
     size = (topology.vertex_count, len(decomposition.parts))
-    return _rounded(_normalised(sparse.coo_array((values, (vertices, followed)), shape=size).tocsr()))
+    return _round_weights(
+        _normalise_rows(sparse.coo_array((values, (vertices, followed)), shape=size).tocsr())
+    )
 
 
-def _looked_at(topology: Topology, decomposition: Decomposition) -> tuple[Index, Index, Index]:
+def _split_vertices(topology: Topology, decomposition: Decomposition) -> tuple[Index, Index, Index]:
     """Return fitted vertices ``(n,)``, the others ``(m,)``, and the part ``(m,)`` of each of these.
 
     Fitted are those within `NEAR` rings of a vertex with faces of several parts; in small meshes all with faces.
@@ -192,16 +197,16 @@ def _looked_at(topology: Topology, decomposition: Decomposition) -> tuple[Index,
     part = np.full(topology.vertex_count, len(decomposition.parts) - 1)  # of no face: they are the last part
     part[topology.faces] = labels
     near = np.zeros(topology.vertex_count, dtype=bool)
-    if topology.vertex_count <= LARGE:
+    if topology.vertex_count <= MAX_FULLY_FITTED_VERTICES:
         near[topology.faces] = True
     else:
         near[topology.faces[part[topology.faces] != labels]] = True
-        near = vertices_near(topology, near, NEAR)
+        near = vertices_near(topology, near, FITTED_BOUNDARY_RINGS)
     far = np.flatnonzero(~near)
     return np.flatnonzero(near), far, part[far]
 
 
-def _parts_of_faces(topology: Topology, decomposition: Decomposition, some: Index) -> sparse.csr_array:
+def _parts_around_vertices(topology: Topology, decomposition: Decomposition, some: Index) -> sparse.csr_array:
     """Return the shares ``(n, p)`` of parts in the faces of vertices ``(n,)``."""
     row = np.full(topology.vertex_count, -1)
     row[some] = np.arange(len(some))
@@ -209,37 +214,42 @@ def _parts_of_faces(topology: Topology, decomposition: Decomposition, some: Inde
     counted = rows >= 0
     places = rows[counted], np.repeat(decomposition.part_of_face, 3)[counted]
     size = (len(some), len(decomposition.parts))
-    return _normalised(sparse.coo_array((np.ones(len(places[0])), places), shape=size).tocsr())
+    return _normalise_rows(sparse.coo_array((np.ones(len(places[0])), places), shape=size).tocsr())
 
 
-def _spread(graph: sparse.csr_array, at_faces: sparse.csr_array) -> tuple[Index, Float]:
+def _diffuse(graph: sparse.csr_array, at_faces: sparse.csr_array) -> tuple[Index, Float]:
     """Return nearby parts ``(n, MOST)`` and their weights, largest first, -1 for none: graph ``(n, n)``."""
     vertices, count = at_faces.shape
     degrees = np.asarray(graph.sum(axis=1)).reshape(-1)
     laplacian = sparse.diags_array(degrees) - graph
-    factor = factorise(sparse.csr_array(sparse.eye_array(vertices) + RINGS**2 / 4.0 * laplacian))
-    parts, shares = np.full((vertices, MOST), -1, dtype=np.int64), np.zeros((vertices, MOST))
-    for start in range(0, count, _AT_ONCE):
-        columns = at_faces[:, start : start + _AT_ONCE].toarray()
+    factor = factorise(
+        sparse.csr_array(sparse.eye_array(vertices) + INFLUENCE_RADIUS_RINGS**2 / 4.0 * laplacian)
+    )
+    parts, shares = (
+        np.full((vertices, MAX_PARTS_PER_VERTEX), -1, dtype=np.int64),
+        np.zeros((vertices, MAX_PARTS_PER_VERTEX)),
+    )
+    for start in range(0, count, _PARTS_PER_BLOCK):
+        columns = at_faces[:, start : start + _PARTS_PER_BLOCK].toarray()
         spread = factor.solve(factor.solve(columns))
-        both = np.concatenate([shares, np.where(spread >= LEAST, spread, 0.0)], axis=1)
+        both = np.concatenate([shares, np.where(spread >= MIN_WEIGHT, spread, 0.0)], axis=1)
         which = np.concatenate(
             [parts, np.broadcast_to(start + np.arange(columns.shape[1]), columns.shape)], axis=1
         )
-        order = np.argsort(-both, axis=1, kind="stable")[:, :MOST]
+        order = np.argsort(-both, axis=1, kind="stable")[:, :MAX_PARTS_PER_VERTEX]
         shares, parts = np.take_along_axis(both, order, axis=1), np.take_along_axis(which, order, axis=1)
     parts[shares == 0.0] = -1
     return parts, shares / shares.sum(axis=1, keepdims=True)
 
 
-def _normalised(matrix: sparse.csr_array) -> sparse.csr_array:
+def _normalise_rows(matrix: sparse.csr_array) -> sparse.csr_array:
     sums = np.asarray(matrix.sum(axis=1)).reshape(-1)
     return sparse.csr_array(sparse.diags_array(1.0 / np.where(sums > 0, sums, 1.0)) @ matrix)
 
 
-def _rounded(weights: sparse.csr_array) -> sparse.csr_array:
+def _round_weights(weights: sparse.csr_array) -> sparse.csr_array:
     """Round weights to `GRID`, to save bytes; the largest of each row takes the rest of one."""
-    data = np.round(weights.data / GRID) * GRID
+    data = np.round(weights.data / WEIGHT_STEP) * WEIGHT_STEP
     starts = weights.indptr[:-1]
     largest = np.repeat(np.maximum.reduceat(weights.data, starts), np.diff(weights.indptr)) == weights.data
     rows = np.repeat(np.arange(len(starts)), np.diff(weights.indptr))

@@ -354,7 +354,7 @@ class Charts:
 
 def _fits(model: Model, plane: Plane) -> bool:
     try:
-        model.known(plane)
+        model.check_plane(plane)
     except SettingsError:
         return False
     return True

@@ -10,7 +10,7 @@ from scipy.interpolate import make_interp_spline
 import mixseq
 from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap
 from mixseq.sequence.sequence import MeshSequence
-from mixseq.spaces.temporal import chosen
+from mixseq.spaces.temporal import select_operator
 from mixseq.types import Float, Index
 
 Motion = Callable[[Float], Float]
@@ -48,8 +48,8 @@ def vertex_spline(keys: MeshSequence) -> Motion:
 def vertex_operator(keys: MeshSequence) -> Motion:
     """Interpolation of vertices by the operator that the model chooses in time: better ends, and no more."""
     x = keys.points.astype(np.float64)
-    operator = chosen(keys.times, x.reshape(len(x), -1))
-    return lambda times: operator.at(times).of(x)
+    operator = select_operator(keys.times, x.reshape(len(x), -1))
+    return lambda times: operator.weights_at(times).interpolate(x)
 
 
 def errors(truth: MeshSequence, points: Float) -> dict[str, float | None]:

@@ -19,7 +19,7 @@ import numpy as np
 import mixseq
 from mixseq.errors import MixseqError
 from mixseq.sequence.sequence import MeshSequence
-from mixseq.signals.detail import EXACT
+from mixseq.signals.detail import EXACT_TOLERANCE
 from mixseq.types import FloatArray, Index
 from mixseq_io.verification import read_compressed
 
@@ -64,7 +64,7 @@ class Outcome:
 def attempts(name: str, points: FloatArray, faces: Index, bounds: tuple[float, ...]) -> Iterator[Outcome]:
     """Try all ways with all bounds; exact models once."""
     for way in WAYS:
-        for bound in (EXACT,) if way == "exact" else bounds:
+        for bound in (EXACT_TOLERANCE,) if way == "exact" else bounds:
             start = time.perf_counter()
             kind, error, words = _attempt(points, faces, way, bound)
             yield Outcome(name, way, bound, kind, error, words, time.perf_counter() - start)

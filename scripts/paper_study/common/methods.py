@@ -26,7 +26,7 @@ from scipy import sparse
 from mixseq.choices import PlacementName
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.segmentation.joints import Decomposition, decompose
-from mixseq.shells.fitting import Patch, fit_shell, rebuild
+from mixseq.shells.fitting import Patch, fit_shell, rebuild_patch
 from mixseq.shells.gauss_newton import ShellReport, ShellSettings
 from mixseq.spaces.edge import DiscreteShell, EdgeSettings, EdgeSpace
 from mixseq.spaces.mixed.assembly import FreeFrame
@@ -112,8 +112,8 @@ class ManyScales(Edge):
     def at(self, weights: Float) -> Blended:
         shapes, turns, centres = self.space.split((weights @ self.vectors)[None])
         with one_blas_thread():
-            rows, reports = self.projection.fit(self.space.wanted(shapes[0]), self.space.shell)
-            return Blended(self.space.placed(rows, turns[0], centres[0]), reports)
+            rows, reports = self.projection.fit(self.space.targets(shapes[0]), self.space.shell)
+            return Blended(self.space.place_pieces(rows, turns[0], centres[0]), reports)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,16 +125,18 @@ class FromPose(Edge):
         shell = space.projection
         assert isinstance(shell, DiscreteShell)
         shapes, turns, centres = space.split((weights @ self.vectors)[None])
-        wanted = space.wanted(shapes[0])
+        wanted = space.targets(shapes[0])
         rows, reports = np.zeros_like(shell.pieces.shapes), []
         with one_blas_thread():
-            for number, (own, piece) in enumerate(zip(shell.pieces.vertices, shell.shells, strict=True)):
+            for number, (own, piece) in enumerate(
+                zip(shell.pieces.vertices, shell.shell_pieces, strict=True)
+            ):
                 if piece is not None:
                     problem = shell.problem(number, piece, wanted, space.shell)
                     start = self.poses.points[0][own] / space.scale
                     rows[piece.rows], report = fit_shell(problem, start, space.shell)
                     reports.append(report)
-        return Blended(space.placed(rows, turns[0], centres[0]), reports)
+        return Blended(space.place_pieces(rows, turns[0], centres[0]), reports)
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,12 +213,14 @@ class Free(Anchored):
         with one_blas_thread():
             vector = (weights @ self.vectors)[None]
             blocks = space.split(vector)
-            frame = FreeFrame(blocks.lengths[0], blocks.angles[0], blocks.unposed[0], space.posed(vector)[0])
+            frame = FreeFrame(
+                blocks.lengths[0], blocks.angles[0], blocks.rest_vertices[0], space.skin(vector)[0]
+            )
             lengths, angles = assembly.targets(frame)
-            start = assembly.start(frame, lengths, angles)
+            start = assembly.integrate(frame, lengths, angles)
             first = clock.lap()
-            relaxed = assembly.shell.relaxed(start, lengths, angles, assembly.relaxation.steps)
-            points = assembly.placed(frame.posed, relaxed.points)
+            relaxed = assembly.shell.relax(start, lengths, angles, assembly.relaxation.steps)
+            points = assembly.place_components(frame.skinned_vertices, relaxed.points)
         return Blended(points * space.scale, []), (first, 0.0, clock.lap())
 
 
@@ -263,7 +267,7 @@ class Printed(Mixed):
     def patches(self) -> tuple[Patch, ...]:
         topology = self.poses.topology
         return tuple(
-            Patch.of_joint(topology, joint, np.zeros(len(joint.vertices), dtype=bool))
+            Patch.from_joint(topology, joint, np.zeros(len(joint.vertices), dtype=bool))
             for joint in self.decomposition.joints
         )
 
@@ -280,8 +284,8 @@ class Printed(Mixed):
             frame = self.space.frame(weights)
             for joint, patch in zip(self.decomposition.joints, self.patches, strict=True):
                 wanted = frame.lengths[joint.edge_ids], frame.angles[joint.hinge_ids], typical[joint.edge_ids]
-                nowhere = np.zeros((len(patch.fixed), 3))
-                points, report = rebuild(patch, *wanted, nowhere, ShellSettings())
+                nowhere = np.zeros((len(patch.fixed_mask), 3))
+                points, report = rebuild_patch(patch, *wanted, nowhere, ShellSettings())
                 joints.append(points)
                 reports.append(report)
             first = clock.lap()

@@ -18,7 +18,7 @@ from mixseq.mesh.rigid import mean_shape, transform
 from mixseq.mesh.rotations import continued, quaternions, rotations_of
 from mixseq.segmentation.joints import Decomposition
 from mixseq.shells.kernels import lengths_and_angles
-from mixseq.spaces.pieces import registered
+from mixseq.spaces.pieces import register_parts
 from mixseq.types import Float, Index
 from scripts.paper_study.common.poses import Poses
 from scripts.paper_study.common.registration import Overlaps, register
@@ -62,7 +62,7 @@ class PaperSpace:
     def aligned(self) -> tuple[Float, Float, Float]:
         """Aligned vertices ``(T, N, 3)`` of all parts, and their poses: quaternions and centres."""
         frames = self.poses.points / self.poses.diagonal
-        found = [registered(self.shapes, self.decomposition.parts, frame) for frame in frames]
+        found = [register_parts(self.shapes, self.decomposition.parts, frame) for frame in frames]
         parts, rotations, centres = (np.stack(each) for each in zip(*found, strict=True))
         return parts, continued(quaternions(rotations)), centres
 

@@ -34,9 +34,9 @@ from mixseq.mesh.measures import sound_lengths
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.segmentation.joints import make_joint
-from mixseq.shells.fitting import Patch, rebuild
+from mixseq.shells.fitting import Patch, rebuild_patch
 from mixseq.shells.gauss_newton import ShellReport, ShellSettings
-from mixseq.spaces.edge import Wanted
+from mixseq.spaces.edge import ShellTargets
 from mixseq.spaces.pieces import Pieces
 from mixseq.types import Float, Index
 from scripts.paper_study.common.registration import Overlaps, register
@@ -90,7 +90,7 @@ class Leaf(PickledWithoutCaches):
         inside = np.zeros(len(topology.faces), dtype=bool)
         inside[faces] = True
         joint = make_joint(topology, inside, np.zeros(topology.vertex_count, dtype=bool))
-        patch = Patch.of_joint(topology, joint, ~joint.free)
+        patch = Patch.from_joint(topology, joint, ~joint.free)
         return cls(joint.vertices, joint.edge_ids, joint.hinge_ids, patch)
 
     def constants(self) -> tuple[object, ...]:
@@ -106,7 +106,7 @@ class Leaf(PickledWithoutCaches):
         )
         nowhere = np.zeros((len(self.vertices), 3))
         own = lengths[self.edges], angles[self.hinges], weights[self.edges]
-        return rebuild(self.patch, *own, nowhere, settings)
+        return rebuild_patch(self.patch, *own, nowhere, settings)
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,9 +211,9 @@ class MultiScale(PickledWithoutCaches):
         """Implement `PickledWithoutCaches.constants`."""
         return [step for steps in self.steps for step in steps]
 
-    def fit(self, wanted: Wanted, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
+    def fit(self, wanted: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Implement `EdgeProjection.fit`, with a report for every leaf."""
-        lengths, angles, weights = wanted.lengths, wanted.angles, wanted.weights
+        lengths, angles, weights = wanted.lengths, wanted.angles, wanted.length_weights
         for name, values, of in (("length", lengths, "edge"), ("angle", angles, "hinge")):
             wrong = np.flatnonzero(~np.isfinite(values))
             if wrong.size:

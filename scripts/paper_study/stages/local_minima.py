@@ -62,10 +62,10 @@ def whole(poses: Poses, from_pose: bool) -> Search:
     """Gauss-Newton on the whole mesh; without noise from the first pose, or from the linear start."""
     edge = Edge(poses, EdgeSettings("dso"))
     space, length = edge.space, float(poses.lengths.mean()) / poses.diagonal
-    shell = space.discrete
+    shell = space.discrete_shell
     (shape,), _, _ = space.split((between(0.5) @ edge.vectors)[None])
-    wanted = space.wanted(shape)
-    (piece, *_) = (each for each in shell.shells if each is not None)
+    wanted = space.targets(shape)
+    (piece, *_) = (each for each in shell.shell_pieces if each is not None)
     problem = shell.problem(0, piece, wanted, space.shell)
     start = poses.points[0][shell.pieces.vertices[0]] / space.scale
     if not from_pose:
@@ -103,14 +103,14 @@ def relaxed(poses: Poses, labels: Index) -> Search:
     method = Anchored(poses, strips(poses, labels))
     space, length = method.space, float(poses.lengths.mean()) / poses.diagonal
     vector = (between(0.5) @ method.vectors)[None]
-    joints, shell, steps = space.joints, space.joints.shell, space.projection.steps
-    blocks, x = space.split(vector), space.posed(vector)[0]
+    joints, shell, steps = space.joint_projection, space.joint_projection.shell, space.projection.steps
+    blocks, x = space.split(vector), space.skin(vector)[0]
     wanted = lengths_and_angles(x, poses.topology.edges, poses.topology.hinges)
     wanted[0][space.edge_ids], wanted[1][space.hinge_ids] = blocks.lengths[0], blocks.angles[0]
 
     def search(size: float, rng: np.random.Generator) -> float:
         start = joints.project(shaken(x, length, size, rng), blocks.lengths[0], blocks.angles[0], 1.0)
-        return 2.0 * shell.energy(shell.relaxed(start, *wanted, steps).points, *wanted)
+        return 2.0 * shell.energy(shell.relax(start, *wanted, steps).points, *wanted)
 
     return search
 

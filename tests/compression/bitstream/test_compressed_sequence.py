@@ -24,7 +24,7 @@ from mixseq.compression.encoder.compress import compress
 from mixseq.errors import FormatError
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.model import Model
-from mixseq.spaces.temporal import Operator, with_middles
+from mixseq.spaces.temporal import TemporalOperator, insert_midpoints
 from mixseq.spaces.vertex import BasisSpace, VertexSpace
 from mixseq.types import Float
 from tests.meshes import bar, tetrahedron, tube
@@ -117,7 +117,7 @@ def test_what_encoders_choose_between_frames_is_what_decoders_would(
 ) -> None:
     made = coded()  # type: ignore[operator]
     expected = to_model(replace(made, between=None)).time
-    monkeypatch.setattr(compressed_sequence, "chosen", None)  # nobody asks for it
+    monkeypatch.setattr(compressed_sequence, "select_operator", None)  # nobody asks for it
     found = to_model(made).time
     np.testing.assert_array_equal(found.times, expected.times)
     np.testing.assert_array_equal(found.values, expected.values)
@@ -128,8 +128,8 @@ def test_what_a_file_says_is_between_frames_is_there() -> None:
     for between in (TemporalInterpolation(inf, (0.25, 1.0)), TemporalInterpolation(1.0, (0.0, 0.0))):
         model = to_model(replace(made, between=between))
         scores = model.time(model.times)
-        operator = Operator(model.times, between.length, between.cubic)
-        expected = operator.at(with_middles(model.times)).of(scores)
+        operator = TemporalOperator(model.times, between.length, between.cubic)
+        expected = operator.weights_at(insert_midpoints(model.times)).interpolate(scores)
         np.testing.assert_allclose(model.time.values, expected, atol=1e-12)
 
 

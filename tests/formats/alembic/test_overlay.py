@@ -244,7 +244,7 @@ def test_without_the_original_it_is_written_alone(shot: Path, body: MeshSequence
     assert [each.path for each in load(path).objects] == ["/rig/body/body"]
     assert Abc.IArchive(str(path)).getTop().getNumChildren() == 1
     shot.unlink()
-    with pytest.warns(MixseqWarning, match="does not exist; the sequence is written alone"):
+    with pytest.warns(MixseqWarning, match="does not exist; the result is a stand-alone file"):
         mixseq.write(path, body)
     assert [each.path for each in load(path).objects] == ["/rig/body/body"]
 

@@ -58,7 +58,7 @@ def test_references_out_of_the_folder(tmp_path: Path, uri: str) -> None:
         ("missing.bin", "not a file beside"),
         (".", "not a file beside"),
         ("data:,abc", "without base64"),
-        ("data:;base64,a!", "not base64"),
+        ("data:;base64,a!", "invalid base64"),
         ("data:;base64,AAAA", "has 3 bytes of .*truncated"),
     ],
 )
@@ -151,7 +151,7 @@ DAMAGES: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
         lambda it: it.update(bufferViews=[{"buffer": 7, "byteLength": 1}] * 3),
         r"buffers\[7\] is referred",
     ),
-    "version": (lambda it: it["asset"].update(version="1.0"), "version 1.0; version 2 is read"),
+    "version": (lambda it: it["asset"].update(version="1.0"), "version 1.0; convert it to version 2"),
     "asset": (lambda it: it.pop("asset"), "version unknown"),
     "no nodes": (lambda it: it.pop("nodes"), "no triangles to read"),
     "list": (lambda it: it.update(nodes={}), "nodes is missing or damaged; a list"),

@@ -304,7 +304,7 @@ CHANGES: list[tuple[Callable[[dict[str, Any]], object], str]] = [
         lambda c: extension_of(c).pop("coding"),
         "coding is missing or damaged; a non-negative integer is expected",
     ),
-    (lambda c: extension_of(c).update(streams=99), r"bufferViews\[99\] is referred to, but there are"),
+    (lambda c: extension_of(c).update(streams=99), r"bufferViews\[99\] is referenced, but there are"),
     (lambda c: extension_of(c).update(streams=-1), "streams is missing or damaged"),
     (lambda c: extension_of(c).update(coding=1), "its index is damaged"),
     (lambda c: extension_of(c).update(version=9), "of version 9, this mixseq reads 1"),

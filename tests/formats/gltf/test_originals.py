@@ -33,13 +33,13 @@ def test_a_file_that_is_gone_or_another_is_done_without(
     rig: Path, lifted: MeshSequence, tmp_path: Path
 ) -> None:
     rig.rename(tmp_path / "moved.glb")
-    with pytest.warns(MixseqWarning, match=r"rig.glb does not exist; the sequence is written alone"):
+    with pytest.warns(MixseqWarning, match=r"rig.glb does not exist; the result is a stand-alone file"):
         file = written(tmp_path / "new.glb", lifted)
     assert "images" not in file.json
     file = written(tmp_path / "new.glb", lifted, onto=tmp_path / "moved.glb")
     assert "images" in file.json
     rig.write_bytes(b"glTF")
-    with pytest.warns(MixseqWarning, match="the sequence is written alone"):
+    with pytest.warns(MixseqWarning, match="the result is a stand-alone file"):
         written(tmp_path / "new.glb", lifted)
 
 
@@ -75,7 +75,7 @@ def test_files_that_do_not_fit(
     rig: Path, lifted: MeshSequence, tmp_path: Path, edit: Callable[[Json], object], message: str
 ) -> None:
     change(rig, edit)
-    with pytest.warns(MixseqWarning, match=f"{message}.*; the sequence is written alone"):
+    with pytest.warns(MixseqWarning, match=f"{message}.*; the result is a stand-alone file"):
         written(tmp_path / "new.glb", lifted)
     (tmp_path / "new.glb").unlink()
     with pytest.raises(OutputError, match=f"cannot write .*new.glb onto another file: .*{message}"):

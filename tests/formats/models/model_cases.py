@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 import mixseq
 from mixseq.sequence.sequence import MeshSequence
-from mixseq.signals.detail import Detail, build, encode
+from mixseq.signals.detail import Detail, build_model, encode_sequence
 from mixseq.signals.model import Model
 from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
 from mixseq.spaces.vertex import VertexSpace
@@ -139,9 +139,9 @@ ATTRIBUTES = {
 def jointed(sequence: MeshSequence, detail: Detail) -> Model:
     """Make a model of two parts where lengths and angles move the vertices of joints half of the way."""
     space = mixseq.fit(sequence, parts=2).mixed
-    joints = np.asarray((space.only_part[space.topology.faces] < 0).all(axis=1))
+    joints = np.asarray((space.rigid_part_of_vertex[space.topology.faces] < 0).all(axis=1))
     space = replace_fields(space, joint_faces=joints, projection=Projection(share=0.5))
-    return build(encode(sequence, space), detail)
+    return build_model(encode_sequence(sequence, space), detail)
 
 
 def assert_equal(first: Model, second: Model) -> None:

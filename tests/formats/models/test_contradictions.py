@@ -146,7 +146,7 @@ def test_quaternions_of_one_key_shape_may_be_zero(copy: Path) -> None:
 
     replace(copy, "signals/shape/part_rotations", change)
     model = mixseq.load(copy)
-    assert not model.mixed.part_poses(model.shapes[:, -model.mixed.pose_dim :]).turns[0, 1].any()
+    assert not model.mixed.split_poses(model.shapes[:, -model.mixed.pose_dim :]).rotations[0, 1].any()
 
 
 def with_two_signs(values: Any) -> Any:

@@ -127,7 +127,7 @@ def kept_by(model: Model, part: int) -> NDArray[np.integer]:
     """Return vertices that follow one part, and are no neighbours of joints."""
     space, faces = model.mixed, model.mixed.topology.faces
     near = np.isin(faces, faces[space.joint_faces]).any(axis=1)
-    kept = np.setdiff1d(np.flatnonzero(space.only_part == part), faces[near])
+    kept = np.setdiff1d(np.flatnonzero(space.rigid_part_of_vertex == part), faces[near])
     assert len(kept) > 3
     return kept.astype(np.int64)
 
@@ -139,7 +139,7 @@ def test_an_edited_correction_moves_a_part_there(copy: Path, model: Model) -> No
         file["signals/correction/translations"][knot, 0] += shift
     times = model.correction.times
     moved = points_at(mixseq.load(copy), times) - points_at(model, times)
-    body = rotations_of(normalised(space.poses(model.placement(times[[knot]])).rotations))[0, 0]
+    body = rotations_of(normalised(space.unpack_placements(model.placement(times[[knot]])).rotations))[0, 0]
     found = moved[knot][kept_by(model, 0)]
     np.testing.assert_allclose(found, np.broadcast_to(space.scale * body @ shift, found.shape), atol=1e-9)
     assert np.abs(moved[knot][kept_by(model, 1)]).max() < 1e-9
@@ -163,8 +163,8 @@ def test_an_edited_vertex_moves_with_its_frame(copy: Path, model: Model) -> None
     moved = points_at(mixseq.load(copy), times) - points_at(model, times)
     vectors = model.curve(times)
     blocks, poses = space.split(vectors), vectors[:, : space.shape_dim][:, -space.pose_dim :]
-    turns = space.corrected_poses(poses, blocks.corrections).rotations
-    turns = product(normalised(blocks.body_turns[:, 0]), turns[:, 0])
+    turns = space.correct_poses(poses, blocks.corrections).rotations
+    turns = product(normalised(blocks.body_rotations[:, 0]), turns[:, 0])
     np.testing.assert_allclose(moved[:, vertex], space.scale * rotations_of(turns) @ bump, atol=1e-9)
 
 
@@ -188,6 +188,6 @@ def test_skinning_weights_that_are_edited_by_hand_move_vertices(copy: Path, mode
     replace(copy, "space/skinning/weights", lambda _: np.ones(67))
     replace(copy, "space/skinning/sizes", lambda sizes: np.ones_like(sizes))
     space = mixseq.load(copy).mixed
-    assert (space.only_part >= 0).all()
+    assert (space.rigid_part_of_vertex >= 0).all()
     points = bar(sides=5, rings=13, frames=7).points
     np.testing.assert_allclose(space.decode(space.encode(points)), points, atol=1e-12)

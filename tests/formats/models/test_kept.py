@@ -189,7 +189,7 @@ def test_other_spaces_are_an_output_error(tmp_path: Path) -> None:
         dim = 3
         weights = np.ones(3)
 
-        def encode_apart(self, points: Any) -> Any:
+        def encode_independently(self, points: Any) -> Any:
             return points.mean(axis=1)
 
         def decode(self, vectors: Any, progress: Any = None) -> Any:

@@ -21,7 +21,7 @@ from mixseq.shells import shell
 from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.spaces.edge import EdgeSettings, EdgeSpace
 from mixseq.spaces.mixed.construction import mixed_space
-from mixseq.spaces.mixed.joints import BENDING_WEIGHT
+from mixseq.spaces.mixed.joint_projection import BENDING_WEIGHT
 from mixseq.spaces.mixed.mixed_space import Projection
 from mixseq.types import Float
 from tests.meshes import SEQUENCES, bent, rotation, torus, tube
@@ -128,7 +128,7 @@ def test_blocks_are_as_the_whole() -> None:
     first = space.encode(frames[:4])
     second = space.encode(frames[4:], first[-1])
     np.testing.assert_array_equal(np.concatenate([first, second]), whole)
-    np.testing.assert_array_equal(space.unwrap(space.encode_apart(frames)), whole)
+    np.testing.assert_array_equal(space.unwrap(space.encode_independently(frames)), whole)
     assert np.abs(np.diff(whole[:, : space.shape_dim], axis=0)).max() < np.pi
 
 
@@ -140,7 +140,7 @@ def test_velocities_are_those_of_meshes_that_fit_best() -> None:
     best = space_of(sequence, DSO, ShellSettings(accuracy=1e-12, tolerance=1e-12))
     first, last = early.encode(sequence.points)
     middle, rate, step = (first + last)[None] / 2, (last - first)[None], 1e-5
-    _, velocities = early.decode_moving(middle, rate)
+    _, velocities = early.decode_with_velocities(middle, rate)
     expected = (best.decode(middle + step * rate) - best.decode(middle - step * rate)) / (2 * step)
     rough = (early.decode(middle + step * rate) - early.decode(middle - step * rate)) / (2 * step)
     assert np.linalg.norm(velocities - expected) < 1e-3 * np.linalg.norm(expected)
@@ -165,8 +165,8 @@ def test_volume_is_kept_better_with_its_term() -> None:
 
 def test_a_mesh_that_is_one_joint_is_the_same_in_the_mixed_space(monkeypatch: pytest.MonkeyPatch) -> None:
     """In the free placement, where all faces are of joints."""
-    monkeypatch.setattr(shell, "SLENDER", 1e-3)  # all hinges count the same, as in S_e
-    monkeypatch.setattr(shell, "SHRUNK", 0.0)  # whatever the areas of their triangles
+    monkeypatch.setattr(shell, "SLENDER_HEIGHT_RATIO", 1e-3)  # all hinges count the same, as in S_e
+    monkeypatch.setattr(shell, "MIN_AREA_RATIO", 0.0)  # whatever the areas of their triangles
     sequence = sequence_of("bar")
     topology = Topology(sequence.faces, sequence.vertex_count)
     whole = decompose(topology, np.zeros(len(topology.faces), dtype=np.int64))

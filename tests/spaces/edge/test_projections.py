@@ -19,7 +19,7 @@ from mixseq.mesh.measures import (
 from mixseq.mesh.rigid import kabsch
 from mixseq.shells.fitting import ShellProblem, fit_shell
 from mixseq.shells.gauss_newton import ShellSettings
-from mixseq.spaces.edge import DiscreteShell, EdgeProjection, RelaxedShell, Wanted, is_sheet
+from mixseq.spaces.edge import DiscreteShell, EdgeProjection, RelaxedShell, ShellTargets, is_sheet
 from mixseq.spaces.pieces import Pieces
 from mixseq.types import Float
 from tests.meshes import (
@@ -46,14 +46,16 @@ KINDS = "steps", "dso"
 
 def projection_of(kind: str, mesh: Mesh) -> EdgeProjection:
     topology = topology_of(mesh)
-    pieces = Pieces.of(topology, mesh[0])
+    pieces = Pieces.from_mesh(topology, mesh[0])
     if kind == "dso":
         return DiscreteShell(topology, pieces)
     return RelaxedShell(topology, pieces, edge_lengths(mesh[0], topology.edges), ShellSettings().bending)
 
 
-def wanted(lengths: Float, angles: Float, weights: Float | None = None) -> Wanted:
-    return Wanted(lengths, 1 / lengths if weights is None else weights, angles, np.zeros(0), np.zeros(0))
+def wanted(lengths: Float, angles: Float, weights: Float | None = None) -> ShellTargets:
+    return ShellTargets(
+        lengths, 1 / lengths if weights is None else weights, angles, np.zeros(0), np.zeros(0)
+    )
 
 
 def measured(mesh: Mesh, x: Float) -> tuple[Float, Float]:
@@ -71,8 +73,8 @@ def test_pieces_come_back(kind: str, size: float) -> None:
     rows, reports = made.fit(wanted(*measured(STRAY, x)), ShellSettings())
     assert all(report.converged for report in reports)
     assert len(rows) == len(x)
-    pieces = Pieces.of(topology_of(STRAY), STRAY[0])
-    for place, vertices in zip(pieces.slices, pieces.vertices, strict=True):
+    pieces = Pieces.from_mesh(topology_of(STRAY), STRAY[0])
+    for place, vertices in zip(pieces.row_slices, pieces.vertices, strict=True):
         rotation, translation = kabsch(rows[place], x[vertices])
         np.testing.assert_allclose(rows[place] @ rotation.T + translation, x[vertices], atol=1e-9)
 
@@ -115,15 +117,15 @@ def test_steps_go_nearly_as_far_as_gauss_newton(mesh: Mesh) -> None:
 
 def test_volumes_of_pieces() -> None:
     topology = topology_of(STRAY)
-    made = DiscreteShell(topology, Pieces.of(topology, STRAY[0]))
-    volumes = made.volumes(STRAY[0])
+    made = DiscreteShell(topology, Pieces.from_mesh(topology, STRAY[0]))
+    volumes = made.piece_volumes(STRAY[0])
     assert volumes[1] == pytest.approx(8 / 3)
     assert volumes[2] == pytest.approx(volume(*torus(9, 5)))
     assert volumes[-1] == 0
     weights = made.volume_weights(STRAY[0])
     np.testing.assert_allclose(weights[1:3] * np.abs(volumes[1:3]), 1.0)
-    assert weights[-1] == made.areas(STRAY[0])[-1] == 0
-    assert made.areas(STRAY[0])[1] == pytest.approx(8 * np.sqrt(3))
+    assert weights[-1] == made.piece_areas(STRAY[0])[-1] == 0
+    assert made.piece_areas(STRAY[0])[1] == pytest.approx(8 * np.sqrt(3))
 
 
 # Volumes: those of formulas, their gradients, and that the term pulls towards them
@@ -173,7 +175,7 @@ def inflated(weight: float) -> tuple[ShellProblem, Float]:
     mesh = torus(12, 8)
     points, faces = mesh[0] / 5.0, mesh[1]
     topology = topology_of(mesh)
-    (piece,) = DiscreteShell(topology, Pieces.of(topology, points)).shells
+    (piece,) = DiscreteShell(topology, Pieces.from_mesh(topology, points)).shell_pieces
     assert piece is not None
     lengths, angles = edge_lengths(points, topology.edges), dihedral_angles(points, topology.hinges)
     before = volume(points, faces)
@@ -185,7 +187,7 @@ def test_steps_are_those_of_all_equations() -> None:
     """Sherman-Morrison finds what the dense normal equations give."""
     problem, points = inflated(3.0)
     residuals = problem.residuals(points)
-    row = problem.volume_row(points)
+    row = problem.volume_gradient(points)
     assert row is not None
     slopes = np.vstack([jacobian(problem, points).toarray(), row])
     values, gradient = problem.normal_equations(points, residuals)
@@ -232,5 +234,5 @@ def test_without_a_term_nothing_changes() -> None:
     one, first = fit_shell(plain, start)
     other, second = fit_shell(light, start)
     np.testing.assert_allclose(one, other, atol=1e-7)
-    assert plain.volume_row(start) is None
+    assert plain.volume_gradient(start) is None
     assert first.iterations == second.iterations

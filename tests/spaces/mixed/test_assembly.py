@@ -22,7 +22,9 @@ def rms(differences: Float) -> float:
 
 def frame_of(space: MixedSpace, vector: Float) -> FreeFrame:
     blocks = space.split(vector[None])
-    return FreeFrame(blocks.lengths[0], blocks.angles[0], blocks.unposed[0], space.posed(vector[None])[0])
+    return FreeFrame(
+        blocks.lengths[0], blocks.angles[0], blocks.rest_vertices[0], space.skin(vector[None])[0]
+    )
 
 
 def test_half_way_the_joint_bends_by_half() -> None:
@@ -45,17 +47,17 @@ def test_how_parts_stand_to_each_other_does_not_matter(name: str) -> None:
     space, points = space_of(name, "free"), sequence_of(name).points
     vectors = space.encode(points[2:3])
     assembly, parts = space.assembly, len(space.decomposition.parts)
-    seeds = {int(space.only_part[vertices[0]]) for vertices in assembly._seed_vertices}
+    seeds = {int(space.rigid_part_of_vertex[vertices[0]]) for vertices in assembly._seed_vertices}
     others = sorted(set(range(parts)) - seeds - {-1})
     assert others
     frame = frame_of(space, vectors[0])
-    moved = frame.posed.copy()
+    moved = frame.skinned_vertices.copy()
     for part in others:
-        own = space.only_part == part
+        own = space.rigid_part_of_vertex == part
         moved[own] = moved[own] @ rotation((0.3, 0.1, -0.2)).T + 0.05
     held = np.unique(np.concatenate(assembly._seed_vertices))
-    np.testing.assert_array_equal(moved[held], frame.posed[held])
-    found = assembly.assemble(frame._replace(posed=moved)).points
+    np.testing.assert_array_equal(moved[held], frame.skinned_vertices[held])
+    found = assembly.assemble(frame._replace(skinned_vertices=moved)).points
     assert error(space, points[2] / space.scale, found) * space.scale < 1e-9
 
 
@@ -65,15 +67,15 @@ def test_bodies_turn_with_their_placement() -> None:
     blocks = space.split(vectors)
     turn = rotation((0.3, -1.0, 0.4))
     for body in range(space.rotation_count):
-        turns, centres = blocks.body_turns.copy(), blocks.body_centres.copy()
+        turns, centres = blocks.body_rotations.copy(), blocks.body_centres.copy()
         turns[:, body] = product(quaternions(turn), turns[:, body])
         centres[:, body] += [0.1, 0.2, -0.3]
-        decoded = space.decode(space.join(blocks._replace(body_turns=turns, body_centres=centres)))[0]
-        own = np.isin(space.only_part, np.flatnonzero(space.articulation.bodies == body))
+        decoded = space.decode(space.join(blocks._replace(body_rotations=turns, body_centres=centres)))[0]
+        own = np.isin(space.rigid_part_of_vertex, np.flatnonzero(space.articulation.body_of_part == body))
         there, here = decoded[own], points[1][own]
         np.testing.assert_allclose(kabsch(here, there)[0], turn, atol=1e-9)
         np.testing.assert_allclose(transform(here, *kabsch(here, there)), there, atol=1e-9)
-        rest = np.isin(space.only_part, np.flatnonzero(space.articulation.bodies != body))
+        rest = np.isin(space.rigid_part_of_vertex, np.flatnonzero(space.articulation.body_of_part != body))
         np.testing.assert_allclose(decoded[rest], points[1][rest], atol=1e-9)
 
 
@@ -82,7 +84,7 @@ def test_vertices_of_no_face_are_posed() -> None:
     loose = space.topology.unused_vertices
     assert len(loose) == 3
     blend = space.encode(points)[[0, 2]].mean(axis=0, keepdims=True)
-    np.testing.assert_array_equal(space.decode(blend)[0, loose], space.posed(blend)[0, loose] * space.scale)
+    np.testing.assert_array_equal(space.decode(blend)[0, loose], space.skin(blend)[0, loose] * space.scale)
 
 
 def test_steps_make_lengths_and_angles_agree() -> None:
@@ -105,6 +107,6 @@ def test_rigid_parts_stay_rigid_at_the_start() -> None:
     plain = replace(space, projection=replace(space.projection, steps=0))
     blend = plain.encode(sequence_of("bar").points)[[0, 4]].mean(axis=0)
     points, frame = plain.decode(blend[None])[0] / plain.scale, frame_of(plain, blend)
-    for part in plain.assembly._parts:
-        here = frame.unposed[part]
+    for part in plain.assembly._rigid_parts:
+        here = frame.rest_vertices[part]
         np.testing.assert_allclose(transform(here, *kabsch(here, points[part])), points[part], atol=2e-2)

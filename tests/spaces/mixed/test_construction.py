@@ -17,15 +17,15 @@ from mixseq.spaces.mixed.construction import (
     FAR_HOLD,
     FAR_RELATIONS,
     FREE_STEPS,
-    MAX_STEPS,
-    MIN_STEPS,
+    MAX_RELAXATION_STEPS,
+    MIN_RELAXATION_STEPS,
     REFERENCE_STEP,
     SIZE_REDUCTION,
     Purpose,
-    are_far,
-    at_winding_hinges,
-    flat_in_some_frame,
-    half_way_errors,
+    are_far_apart,
+    faces_at_winding_hinges,
+    faces_without_area,
+    midpoint_errors,
     mixed_space,
 )
 from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
@@ -70,13 +70,13 @@ def test_faces_are_wrong_by_how_far_they_are_off_half_way() -> None:
     topology = topology_of(mesh)
     labels = (mesh[0][mesh[1]].mean(axis=1)[:, 1] > 6).astype(int)
     space = mixed_space(frames, topology, decompose(topology, labels, 2))
-    assert half_way_errors(space, [frames], 0.1, 25.0).max() < 0.06
+    assert midpoint_errors(space, [frames], 0.1, 25.0).max() < 0.06
     folded = np.stack([mesh[0], bent(mesh[0][:, [0, 2, 1]], 2.4, 6.0, 1.0)[:, [0, 2, 1]]])
     space = mixed_space(folded, topology, decompose(topology, labels, 2))
-    wrong = half_way_errors(space, [folded], 0.01, 4.0)
+    wrong = midpoint_errors(space, [folded], 0.01, 4.0)
     near = np.abs(mesh[0][mesh[1]].mean(axis=1)[:, 1] - 6.0) < 2.0
     assert wrong[~near].max() < 0.2 < 1.0 < wrong[near].max()
-    np.testing.assert_allclose(half_way_errors(space, [folded], 0.02, 8.0), wrong / 2, rtol=1e-9)
+    np.testing.assert_allclose(midpoint_errors(space, [folded], 0.02, 8.0), wrong / 2, rtol=1e-9)
 
 
 @pytest.mark.parametrize("name", SEQUENCES)
@@ -95,10 +95,12 @@ def test_the_worst_faces_are_joints_within_the_budget() -> None:
     assert 0 < small.joint_faces.sum() < len(mesh[1])
     assert SIZE_REDUCTION * 0.999 <= share_of_all(small) < SIZE_REDUCTION * 1.05
     plain = mixed_space(points, topology, decomposition, purpose="blends")
-    wrong = half_way_errors(small, (points[k : k + 2] for k in range(2)), 0.1, 25.0)
+    wrong = midpoint_errors(small, (points[k : k + 2] for k in range(2)), 0.1, 25.0)
     told, others = (
         small.joint_faces,
-        ~small.joint_faces & ~flat_in_some_frame(topology, points) & ~at_winding_hinges(topology, points),
+        ~small.joint_faces
+        & ~faces_without_area(topology, points)
+        & ~faces_at_winding_hinges(topology, points),
     )
     assert wrong[told].min() >= wrong[others].max() * 0.9
     assert share_of_all(plain) < SIZE_REDUCTION
@@ -114,9 +116,9 @@ def test_frames_that_are_far_apart_have_steps() -> None:
     """But not in reduced models."""
     ends = MeshSequence.from_arrays(CURLED.points[[0, 2]], CURLED.faces)
     far = space_for(ends, 1)
-    assert are_far(far, ends.points)
+    assert are_far_apart(far, ends.points)
     projection = far.projection
-    assert MIN_STEPS <= projection.steps <= MAX_STEPS
+    assert MIN_RELAXATION_STEPS <= projection.steps <= MAX_RELAXATION_STEPS
     assert (projection.share, projection.hold, projection.relations) == (1.0, FAR_HOLD, FAR_RELATIONS)
     few = space_for(ends, 1, "reduced")
     assert few.projection == Projection() and few.joint_faces.any()
@@ -124,7 +126,7 @@ def test_frames_that_are_far_apart_have_steps() -> None:
 
 def test_blends_follow_lengths_and_angles_all_the_way() -> None:
     space = space_for(bar(frames=2), 2, "blends")
-    assert space.projection.share == 1.0 and space.projection.steps >= MIN_STEPS
+    assert space.projection.share == 1.0 and space.projection.steps >= MIN_RELAXATION_STEPS
     assert space.joint_faces.sum() > space_for(bar(frames=2), 2).joint_faces.sum()
 
 
@@ -132,12 +134,12 @@ def test_blends_follow_lengths_and_angles_all_the_way() -> None:
 def test_what_does_not_move_has_no_joints(purpose: Purpose) -> None:
     for name in ("still", "one frame"):
         space = space_of(name, purpose=purpose)
-        assert not space.joint_faces.any() and space.sizes[:2] == (0, 0)
+        assert not space.joint_faces.any() and space.block_sizes[:2] == (0, 0)
         assert space.projection.steps == 0
 
 
 def far(points: FloatArray) -> bool:
-    return are_far(space_for(MeshSequence.from_arrays(points, CURLED.faces), 1), points)
+    return are_far_apart(space_for(MeshSequence.from_arrays(points, CURLED.faces), 1), points)
 
 
 def test_steps_between_many_frames_on_the_way_are_not_needed() -> None:
@@ -163,10 +165,10 @@ def test_triangles_that_lose_their_area_are_no_joints() -> None:
     face = int(np.flatnonzero(sound.joint_faces)[7])
     a, b, c = mesh[1][face]
     points[1, c] = (points[1, a] + points[1, b]) / 2
-    assert face in np.flatnonzero(flat_in_some_frame(topology, points))
-    assert not flat_in_some_frame(topology, points[::2]).any()
+    assert face in np.flatnonzero(faces_without_area(topology, points))
+    assert not faces_without_area(topology, points[::2]).any()
     space = mixed_space(points, topology, decomposition, purpose="blends")
-    assert not space.joint_faces[flat_in_some_frame(topology, points)].any()
+    assert not space.joint_faces[faces_without_area(topology, points)].any()
     assert space.joint_faces.any()
 
 
@@ -196,7 +198,7 @@ def test_steadiness_is_learned_from_the_frames() -> None:
 @pytest.mark.parametrize("name", SEQUENCES)
 def test_in_the_free_placement_faces_that_follow_no_part_alone_are_joints(name: str) -> None:
     space = space_of(name, "free")
-    corners = space.only_part[space.topology.faces]
+    corners = space.rigid_part_of_vertex[space.topology.faces]
     mixed = (corners < 0).any(axis=1) | (corners != corners[:, :1]).any(axis=1)
     assert (space.joint_faces >= mixed).all()
     assert space.projection == Projection("free", 1.0, FAR_HOLD, FREE_STEPS, FAR_RELATIONS)
@@ -257,5 +259,5 @@ def test_faces_at_hinges_that_turn_by_more_than_half_a_turn_are_marked(turn: flo
     for angle in np.radians([-turn, 0.0, turn]):
         flap = [0.5, -np.cos(angle), np.sin(angle)]
         frames.append([[0, 0, 0], [1, 0, 0], [0.5, 1, 0], flap, [1.5, 1, 0]])
-    marked = at_winding_hinges(topology, np.array(frames, dtype=np.float32))
+    marked = faces_at_winding_hinges(topology, np.array(frames, dtype=np.float32))
     np.testing.assert_array_equal(marked, [winding, winding, False])

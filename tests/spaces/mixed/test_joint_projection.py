@@ -12,9 +12,14 @@ from hypothesis import strategies as st
 
 from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap
 from mixseq.mesh.rotations import normalised, product, quaternions
-from mixseq.shells.solvers import factored_laplacian
+from mixseq.shells.solvers import factorise_laplacian
 from mixseq.spaces.mixed import posing_kernels as kernels
-from mixseq.spaces.mixed.joints import JointProjection, solve, values_and_rates, with_rates
+from mixseq.spaces.mixed.joint_projection import (
+    JointProjection,
+    from_complex_step,
+    solve_columns,
+    to_complex_step,
+)
 from mixseq.types import Float, Index, Mask
 from tests.meshes import Mesh, grid, joined, rigid_motions, rotation, seeds, topology_of, torus, tube
 from tests.spaces.mixed.made import MESHES
@@ -104,8 +109,8 @@ def test_meshes_stay_where_triangles_have_lost_their_area(place: str) -> None:
     joints = joints_of(mesh)
     lengths, angles = told(joints, x + 1e-16 * np.random.default_rng(0).normal(size=x.shape))
     np.testing.assert_allclose(joints.project(x, lengths, angles, 1.0), x, atol=1e-12)
-    targets = joints.targets(x, lengths, angles)
-    np.testing.assert_allclose(joints.shell.relaxed(x, *targets, 10).points, x, atol=1e-12)
+    targets = joints.mesh_targets(x, lengths, angles)
+    np.testing.assert_allclose(joints.shell.relax(x, *targets, 10).points, x, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -144,8 +149,8 @@ def test_only_joints_and_a_ring_around_them_move() -> None:
     joints, x = joints_of(SHEET, marked), SHEET[0] / 10.0
     lengths, angles = told(joints, rolled(stretched(SHEET[0], 1.2), 0.7) / 10.0)
     still = np.flatnonzero((x != joints.project(x, lengths, angles, 1.0)).any(axis=1))
-    np.testing.assert_array_equal(still, joints.vertices)
-    y = SHEET[0][joints.vertices, 1]
+    np.testing.assert_array_equal(still, joints.moving_vertex_ids)
+    y = SHEET[0][joints.moving_vertex_ids, 1]
     assert y.min() == 8.0 and y.max() == 16.0
 
 
@@ -162,12 +167,12 @@ def test_the_whole_mesh_has_targets() -> None:
     joints, x = joints_of(SHEET, marked), rolled(SHEET[0], 0.9) / 10.0
     lengths, angles = told(joints, 1.2 * x)
     angles = angles + 0.1
-    all_lengths, all_angles = joints.targets(x, lengths, angles)
+    all_lengths, all_angles = joints.mesh_targets(x, lengths, angles)
     expected = edge_lengths(x, joints.topology.edges), dihedral_angles(x, joints.topology.hinges)
     expected[0][joints.edge_ids], expected[1][joints.hinge_ids] = lengths, angles
     np.testing.assert_allclose(all_lengths, expected[0], atol=1e-13)
     np.testing.assert_allclose(wrap(all_angles - expected[1]), 0.0, atol=1e-9)
-    assert (joints.targets(x, -lengths, angles)[0][joints.edge_ids] == 0).all()
+    assert (joints.mesh_targets(x, -lengths, angles)[0][joints.edge_ids] == 0).all()
 
 
 @settings(max_examples=15, deadline=None)
@@ -221,8 +226,8 @@ def test_complex_steps_are_difference_quotients(seed: int, mesh: Mesh, share: fl
             joints.project(x + time * speeds, lengths + time * growth, angles + time * bends, share)
         )
 
-    numbers = with_rates(x, speeds), with_rates(lengths, growth), with_rates(angles, bends)
-    values, found = values_and_rates(joints.project(*numbers, share))
+    numbers = to_complex_step(x, speeds), to_complex_step(lengths, growth), to_complex_step(angles, bends)
+    values, found = from_complex_step(joints.project(*numbers, share))
     np.testing.assert_allclose(values, at(0.0), atol=1e-12)
     step = 1e-7
     quotient = (8 * (at(step) - at(-step)) - (at(2 * step) - at(-2 * step))) / (12 * step)
@@ -274,14 +279,16 @@ def test_who_follows_one_part_moves_as_it_does(motion: tuple[Float, Float]) -> N
     turn, shift = motion
     weights = rows(np.tile([[1.0, 0.0]], (len(POINTS), 1)))
     duals = np.stack([dual(turn, shift), dual(rotation((1.0, 2, 3)), np.ones(3))])
-    np.testing.assert_allclose(kernels.pose(*weights, duals, POINTS), POINTS @ turn.T + shift, atol=1e-13)
+    np.testing.assert_allclose(
+        kernels.skin_vertices(*weights, duals, POINTS), POINTS @ turn.T + shift, atol=1e-13
+    )
 
 
 @pytest.mark.parametrize("share", [0.0, 0.25, 0.5, 1.0])
 def test_parts_that_move_as_one_take_all_along(share: float) -> None:
     turn, shift = rotation((1.0, -2, 0.5)), np.array([3.0, -1, 2])
     weights = rows(np.tile([[share, 1.0 - share]], (len(POINTS), 1)))
-    moved = kernels.pose(*weights, np.stack([dual(turn, shift)] * 2), POINTS)
+    moved = kernels.skin_vertices(*weights, np.stack([dual(turn, shift)] * 2), POINTS)
     np.testing.assert_allclose(moved, POINTS @ turn.T + shift, atol=1e-13)
 
 
@@ -294,17 +301,19 @@ def test_half_of_a_screw_is_half_the_turn_and_half_the_way(angle: float, way: fl
     duals = np.stack([dual(np.eye(3), np.zeros(3)), dual(full, pivot - full @ pivot + way * AXIS)])
     weights = rows(np.full((len(POINTS), 2), 0.5))
     expected = (POINTS - pivot) @ half.T + pivot + way / 2 * AXIS
-    np.testing.assert_allclose(kernels.pose(*weights, duals, POINTS), expected, atol=1e-13)
+    np.testing.assert_allclose(kernels.skin_vertices(*weights, duals, POINTS), expected, atol=1e-13)
 
 
 @settings(max_examples=30, deadline=None)
 @given(seed=seeds)
 def test_posing_and_unposing_are_inverse(seed: int) -> None:
     weights, duals = wild(seed)
-    posed = kernels.pose(*weights, duals, POINTS)
-    np.testing.assert_allclose(kernels.unpose(*weights, duals, posed), POINTS, atol=1e-12)
+    posed = kernels.skin_vertices(*weights, duals, POINTS)
+    np.testing.assert_allclose(kernels.unskin_vertices(*weights, duals, posed), POINTS, atol=1e-12)
     np.testing.assert_allclose(
-        kernels.pose(*weights, duals, kernels.unpose(*weights, duals, POINTS)), POINTS, atol=1e-12
+        kernels.skin_vertices(*weights, duals, kernels.unskin_vertices(*weights, duals, POINTS)),
+        POINTS,
+        atol=1e-12,
     )
 
 
@@ -320,14 +329,14 @@ def test_distances_to_neighbours_that_follow_the_same_are_kept(seed: int) -> Non
         np.tile(parts[first], len(POINTS)),
         np.tile(shares[first], len(POINTS)),
     )
-    moved = kernels.pose(*alike, duals, POINTS)
+    moved = kernels.skin_vertices(*alike, duals, POINTS)
     here, there = (np.linalg.norm(x[:, None] - x, axis=2) for x in (POINTS, moved))
     np.testing.assert_allclose(there, here, atol=1e-12)
 
 
 def test_motions_that_add_up_to_nothing_move_nothing() -> None:
     weights, duals = rows(np.full((len(POINTS), 2), 0.5)), dual(rotation((1.0, 2, 3)), np.ones(3))
-    np.testing.assert_array_equal(kernels.pose(*weights, np.stack([duals, -duals]), POINTS), POINTS)
+    np.testing.assert_array_equal(kernels.skin_vertices(*weights, np.stack([duals, -duals]), POINTS), POINTS)
 
 
 @settings(max_examples=15, deadline=None)
@@ -337,14 +346,16 @@ def test_complex_steps_of_posing_are_difference_quotients(seed: int, back: bool)
     weights, duals = wild(seed)
     rates, speeds = rng.normal(size=duals.shape), rng.normal(size=POINTS.shape)
     rates[:, :4] -= duals[:, :4] * np.einsum("pi,pi->p", rates[:, :4], duals[:, :4])[:, None]
-    kernel, step = kernels.unpose if back else kernels.pose, 1e-5
+    kernel, step = kernels.unskin_vertices if back else kernels.skin_vertices, 1e-5
 
     def at(time: float) -> Float:
         real = duals[:, :4] + time * rates[:, :4]
         moved = np.concatenate([normalised(real), duals[:, 4:] + time * rates[:, 4:]], axis=1)
         return np.asarray(kernel(*weights, moved, POINTS + time * speeds))
 
-    values, found = values_and_rates(kernel(*weights, with_rates(duals, rates), with_rates(POINTS, speeds)))
+    values, found = from_complex_step(
+        kernel(*weights, to_complex_step(duals, rates), to_complex_step(POINTS, speeds))
+    )
     np.testing.assert_allclose(values, at(0.0), atol=1e-13)
     quotient = (at(step) - at(-step)) / (2 * step)
     assert np.abs(found - quotient).max() < 1e-6 * np.abs(quotient).max()
@@ -357,15 +368,15 @@ VALUES, RATES = RNG.normal(size=(2, 5, 3))
 
 
 def test_numbers_with_rates_have_these() -> None:
-    values, rates = values_and_rates(with_rates(VALUES, RATES))
+    values, rates = from_complex_step(to_complex_step(VALUES, RATES))
     np.testing.assert_array_equal(values, VALUES)
     np.testing.assert_array_equal(rates, RATES)
     assert values.flags.c_contiguous
 
 
 def test_functions_have_their_derivatives_to_the_last_digits() -> None:
-    x = with_rates(VALUES, RATES)
-    values, rates = values_and_rates(np.sqrt(1.0 + x * x) * np.sin(x))
+    x = to_complex_step(VALUES, RATES)
+    values, rates = from_complex_step(np.sqrt(1.0 + x * x) * np.sin(x))
     root = np.sqrt(1.0 + VALUES**2)
     np.testing.assert_allclose(values, root * np.sin(VALUES), rtol=1e-15)
     expected = RATES * (VALUES / root * np.sin(VALUES) + root * np.cos(VALUES))
@@ -373,8 +384,8 @@ def test_functions_have_their_derivatives_to_the_last_digits() -> None:
 
 
 def test_a_system_is_solved_for_values_and_for_rates() -> None:
-    factor = factored_laplacian(np.array([[0, 1], [1, 2], [2, 3], [3, 4]]), np.arange(1.0, 5.0), np.ones(5))
-    values, rates = values_and_rates(solve(factor, with_rates(VALUES, RATES)))
+    factor = factorise_laplacian(np.array([[0, 1], [1, 2], [2, 3], [3, 4]]), np.arange(1.0, 5.0), np.ones(5))
+    values, rates = from_complex_step(solve_columns(factor, to_complex_step(VALUES, RATES)))
     np.testing.assert_allclose(values, factor.solve(VALUES), rtol=1e-13)
     np.testing.assert_allclose(rates, factor.solve(RATES), rtol=1e-13)
-    np.testing.assert_array_equal(solve(factor, VALUES), factor.solve(VALUES))
+    np.testing.assert_array_equal(solve_columns(factor, VALUES), factor.solve(VALUES))

@@ -21,7 +21,7 @@ from mixseq.mesh.rotations import normalised, product, quaternions, rotations_of
 from mixseq.segmentation.joints import decompose
 from mixseq.segmentation.methods import segment_by_labels
 from mixseq.sequence.sequence import MeshSequence
-from mixseq.spaces.base import ANGLE
+from mixseq.spaces.base import ANGLE_WEIGHT
 from mixseq.spaces.mixed.construction import Purpose, mixed_space
 from mixseq.spaces.mixed.mixed_space import (
     ARTICULATION_WEIGHT,
@@ -31,7 +31,7 @@ from mixseq.spaces.mixed.mixed_space import (
     Projection,
     as_mixed,
 )
-from mixseq.spaces.temporal import Operator, Poses, predicted_alone, with_middles
+from mixseq.spaces.temporal import Poses, TemporalOperator, insert_midpoints, interpolate_poses
 from mixseq.spaces.vertex import VertexSpace
 from mixseq.types import Float
 from tests.meshes import SEQUENCES, Mesh, bending, bent, rigid_motions, rotation, seeds, topology_of, tube
@@ -52,21 +52,23 @@ both = pytest.mark.parametrize("placement", PLACEMENTS)
 MOVING = ["bar", "folding sheet", "several components", "three pages", "inconsistent", "bowtie"]
 
 
-def at(space: MixedSpace, vectors: Float, operator: Operator, times: Float) -> Float:
+def at(space: MixedSpace, vectors: Float, operator: TemporalOperator, times: Float) -> Float:
     """Vectors at times, as an exact model has them."""
     size, end = space.shape_dim, space.shape_dim + space.placement_dim
     poses = vectors[:, size - space.pose_dim : size]
-    targets, placed = space.predicted_poses(operator, poses, vectors[:, size:end], times, False)
-    shapes = operator.at(times).of(vectors[:, :size])
-    corrections = space.corrections(shapes[:, size - space.pose_dim :], targets)
+    targets, placed = space.interpolate_poses(operator, poses, vectors[:, size:end], times, False)
+    shapes = operator.weights_at(times).interpolate(vectors[:, :size])
+    corrections = space.pose_corrections(shapes[:, size - space.pose_dim :], targets)
     return np.concatenate([shapes, placed, corrections], axis=1)
 
 
 def with_placement(space: MixedSpace, vectors: Float, turn: Float, shift: Float) -> Float:
     """Vectors whose bodies are all moved, in diagonals."""
     blocks = space.split(vectors)
-    turns = product(quaternions(turn), blocks.body_turns)
-    return space.join(blocks._replace(body_turns=turns, body_centres=blocks.body_centres @ turn.T + shift))
+    turns = product(quaternions(turn), blocks.body_rotations)
+    return space.join(
+        blocks._replace(body_rotations=turns, body_centres=blocks.body_centres @ turn.T + shift)
+    )
 
 
 # Frames come back -----------------------------------------------------------------------------------------
@@ -161,7 +163,7 @@ def test_encoding_block_by_block_is_encoding() -> None:
             second = space.encode(points[2:3], previous=first[-1])
             third = space.encode(points[3:], previous=second[-1])
             np.testing.assert_allclose(np.concatenate([first, second, third]), whole, atol=1e-13)
-            np.testing.assert_array_equal(space.unwrap(space.encode_apart(points)), whole)
+            np.testing.assert_array_equal(space.unwrap(space.encode_independently(points)), whole)
             np.testing.assert_array_equal(space.encode(points[0]), whole[:1])
 
 
@@ -170,7 +172,7 @@ def test_no_vectors_decode_to_no_frames(placement: PlacementName) -> None:
     space = space_of("bar", placement)
     nothing, shape = np.zeros((0, space.dim)), (0, space.vertex_count, 3)
     assert space.decode(nothing).shape == shape
-    assert [moving.shape for moving in space.decode_moving(nothing, nothing)] == [shape, shape]
+    assert [moving.shape for moving in space.decode_with_velocities(nothing, nothing)] == [shape, shape]
     assert space.encode(np.zeros(shape)).shape == nothing.shape
 
 
@@ -178,7 +180,7 @@ def test_no_vectors_decode_to_no_frames(placement: PlacementName) -> None:
 def test_vectors_of_other_spaces_are_refused(placement: PlacementName) -> None:
     space = space_of("bar", placement)
     for wrong in (np.zeros(space.dim), np.zeros((2, space.dim + 1)), np.zeros((1, 1, space.dim))):
-        for decode in (space.decode, space.split, lambda v: space.decode_moving(v, v)):
+        for decode in (space.decode, space.split, lambda v: space.decode_with_velocities(v, v)):
             with pytest.raises(SettingsError, match=rf"\(T, {space.dim}\) is expected"):
                 decode(wrong)
 
@@ -226,23 +228,23 @@ def test_blocks_are_what_they_are_called(name: str) -> None:
     for space in in_all_ways(name):
         x, vectors = points / space.scale, space.encode(points)
         blocks = space.split(vectors)
-        assert tuple(block[0].size for block in blocks) == space.sizes
-        assert space.dim == sum(space.sizes) == vectors.shape[1] == len(space.weights)
+        assert tuple(block[0].size for block in blocks) == space.block_sizes
+        assert space.dim == sum(space.block_sizes) == vectors.shape[1] == len(space.weights)
         assert space.dim == space.shape_dim + space.placement_dim + space.correction_dim
         assert space.scale == pytest.approx(np.linalg.norm(np.ptp(points[0], axis=0)))
         np.testing.assert_array_equal(blocks.lengths, edge_lengths(x, space.topology.edges[space.edge_ids]))
         angles = dihedral_angles(x, space.topology.hinges[space.hinge_ids])
         np.testing.assert_allclose(np.exp(1j * blocks.angles), np.exp(1j * angles), atol=1e-12)
-        for turns in (blocks.turns, blocks.relation_turns, blocks.body_turns):
+        for turns in (blocks.part_rotations, blocks.relation_rotations, blocks.body_rotations):
             np.testing.assert_allclose(np.linalg.norm(turns, axis=2), 1.0, atol=1e-12)
         assert not blocks.corrections.any()
         np.testing.assert_array_equal(space.join(blocks), vectors)
         size = space.shape_dim
-        poses = space.part_poses(vectors[:, size - space.pose_dim : size])
-        for found, expected in zip(poses, blocks.parts, strict=True):
+        poses = space.split_poses(vectors[:, size - space.pose_dim : size])
+        for found, expected in zip(poses, blocks.part_poses, strict=True):
             np.testing.assert_array_equal(found, expected)
-        placed = space.poses(vectors[:, size : size + space.placement_dim])
-        np.testing.assert_array_equal(placed.rotations, blocks.body_turns)
+        placed = space.unpack_placements(vectors[:, size : size + space.placement_dim])
+        np.testing.assert_array_equal(placed.rotations, blocks.body_rotations)
         np.testing.assert_array_equal(placed.centres, blocks.body_centres)
 
 
@@ -251,8 +253,8 @@ def test_parts_are_where_their_poses_say() -> None:
     space, points = space_of("rigid component"), sequence_of("rigid component").points
     assert (len(space.decomposition.parts), space.rotation_count, space.centre_count) == (3, 2, 2)
     x, blocks = points / space.scale, space.split(space.encode(points))
-    bodies = Poses(blocks.body_turns, blocks.body_centres)
-    world = space.articulation.placed(Poses(blocks.turns, blocks.centres), bodies)
+    bodies = Poses(blocks.body_rotations, blocks.body_centres)
+    world = space.articulation.to_world_axes(Poses(blocks.part_rotations, blocks.part_centres), bodies)
     for number, part in enumerate(space.decomposition.parts):
         np.testing.assert_allclose(world.centres[:, number], x[:, part].mean(axis=1), atol=1e-12)
         turn = rotations_of(world.rotations[:, number])[:, None]
@@ -264,17 +266,17 @@ def test_the_reference_is_unposed_as_it_is() -> None:
     """But for its mean shapes: parts stand in the first frame as they do in the reference."""
     space, points = space_of("three pages"), sequence_of("three pages").points
     blocks = space.split(space.encode(points[:1]))
-    np.testing.assert_allclose(blocks.unposed[0], space.reference, atol=1e-5)
-    np.testing.assert_allclose(blocks.body_turns[0, 0], [1, 0, 0, 0], atol=1e-5)
+    np.testing.assert_allclose(blocks.rest_vertices[0], space.reference, atol=1e-5)
+    np.testing.assert_allclose(blocks.body_rotations[0, 0], [1, 0, 0, 0], atol=1e-5)
 
 
 def test_inside_a_part_unposed_vertices_are_the_aligned_ones() -> None:
     """As the paper has them, but where the part is in the reference frame."""
     space, points = space_of("bar"), sequence_of("bar").points
-    unposed = space.split(space.encode(points)).unposed
+    unposed = space.split(space.encode(points)).rest_vertices
     starts = np.cumsum([0, *map(len, space.decomposition.parts)])
     for number, part in enumerate(space.decomposition.parts):
-        own = space.only_part[part] == number
+        own = space.rigid_part_of_vertex[part] == number
         assert own.any()
         shape = space.shapes[starts[number] : starts[number + 1]]
         rest = kabsch(shape, space.reference[part])
@@ -294,7 +296,9 @@ def test_a_rigid_motion_of_a_frame_changes_the_placement_only(
     still, moved = space.encode(points), space.encode(points @ turn.T + shift)
     shape = space.shape_dim
     np.testing.assert_allclose(moved[:, :shape], still[:, :shape], atol=1e-9)
-    before, after = (space.poses(each[:, shape : shape + space.placement_dim]) for each in (still, moved))
+    before, after = (
+        space.unpack_placements(each[:, shape : shape + space.placement_dim]) for each in (still, moved)
+    )
     np.testing.assert_allclose(
         rotations_of(after.rotations), turn @ rotations_of(before.rotations), atol=1e-9
     )
@@ -334,19 +338,21 @@ def test_the_metric_is_in_diagonals(name: str) -> None:
     space = steered(name)
     weights = space.split(space.weights[None])
     edges = space.topology.edges[space.topology.hinge_edges[space.hinge_ids]]
-    angle = ANGLE * edge_lengths(space.reference, edges)
+    angle = ANGLE_WEIGHT * edge_lengths(space.reference, edges)
     own = ARTICULATION_WEIGHT * np.sqrt([len(part) for part in space.decomposition.parts])
     np.testing.assert_array_equal(weights.lengths, np.full((1, len(space.edge_ids)), JOINT_WEIGHT))
     np.testing.assert_allclose(weights.angles[0], JOINT_WEIGHT * angle, rtol=1e-12)
-    assert (weights.unposed == 1).all() and (weights.body_centres == 1).all()
-    np.testing.assert_allclose(weights.turns[0], np.tile((2 * space.radii * own)[:, None], 4), rtol=1e-12)
-    np.testing.assert_allclose(weights.centres[0], np.tile(own[:, None], 3), rtol=1e-12)
-    assert not weights.relation_turns.any() and not weights.relation_points.any()
+    assert (weights.rest_vertices == 1).all() and (weights.body_centres == 1).all()
+    np.testing.assert_allclose(
+        weights.part_rotations[0], np.tile((2 * space.part_radii * own)[:, None], 4), rtol=1e-12
+    )
+    np.testing.assert_allclose(weights.part_centres[0], np.tile(own[:, None], 3), rtol=1e-12)
+    assert not weights.relation_rotations.any() and not weights.relation_points.any()
     spins, shifts = weights.corrections.reshape(2, -1, 3)
-    np.testing.assert_array_equal(spins, np.tile(space.radii[:, None], 3))
+    np.testing.assert_array_equal(spins, np.tile(space.part_radii[:, None], 3))
     assert (shifts == 1).all()
     embedding = space.embedding_weights
-    lengths, angles = space.sizes[:2]
+    lengths, angles = space.block_sizes[:2]
     np.testing.assert_array_equal(embedding[:lengths], JOINT_EMBEDDING_WEIGHT)
     np.testing.assert_allclose(embedding[lengths : lengths + angles], JOINT_EMBEDDING_WEIGHT * angle)
     assert len(embedding) == space.shape_dim == len(space.shape_weights)
@@ -356,15 +362,15 @@ def test_a_placement_that_changes_moves_vertices_by_its_weight() -> None:
     """Root mean square over the vertices of a body, for changes that keep the length of its quaternion."""
     space = space_of("rigid component")
     vectors = space.encode(sequence_of("rigid component").points[:1])
-    body = int(space.articulation.bodies[2])  # the moon, which no joint touches
-    turns = space.split(vectors).body_turns[0, body]
+    body = int(space.articulation.body_of_part[2])  # the moon, which no joint touches
+    turns = space.split(vectors).body_rotations[0, body]
     rates = np.zeros((3, space.dim))
     for axis in range(3):
         across = np.eye(4)[axis] - turns * turns[axis]
-        space.split(rates).body_turns[axis, body] = across / np.linalg.norm(across)
-    _, velocities = space.decode_moving(np.repeat(vectors, 3, axis=0), rates)
+        space.split(rates).body_rotations[axis, body] = across / np.linalg.norm(across)
+    _, velocities = space.decode_with_velocities(np.repeat(vectors, 3, axis=0), rates)
     moved = np.linalg.norm(velocities[:, space.decomposition.parts[2]], axis=2) / space.scale
-    weight = space.split(space.weights[None]).body_turns[0, body, 0]
+    weight = space.split(space.weights[None]).body_rotations[0, body, 0]
     assert np.sqrt(np.square(moved).mean()) == pytest.approx(weight * np.sqrt(2 / 3), rel=0.05)
 
 
@@ -389,12 +395,12 @@ def test_one_part_is_a_body_with_a_pose() -> None:
     whole = decompose(topology, np.zeros(len(mesh[1]), dtype=np.int64))
     for placement in PLACEMENTS:
         space = mixed_space(points, topology, whole, placement)
-        assert space.sizes == (0, 0, 3 * len(mesh[0]), 4, 3, 0, 0, 4, 3, 6)
+        assert space.block_sizes == (0, 0, 3 * len(mesh[0]), 4, 3, 0, 0, 4, 3, 6)
         vectors = space.encode(points)
         poses = space.split(vectors)
-        between = rotations_of(poses.body_turns[1, 0]) @ rotations_of(poses.body_turns[0, 0]).T
+        between = rotations_of(poses.body_rotations[1, 0]) @ rotations_of(poses.body_rotations[0, 0]).T
         np.testing.assert_allclose(between, rotation(axis * angle), atol=1e-12)
-        np.testing.assert_allclose(poses.turns, np.tile(np.eye(4)[0], (2, 1, 1)), atol=1e-12)
+        np.testing.assert_allclose(poses.part_rotations, np.tile(np.eye(4)[0], (2, 1, 1)), atol=1e-12)
         half = space.decode(vectors.mean(axis=0, keepdims=True))[0]
         assert error(space, expected, half) < 1e-12
 
@@ -427,8 +433,8 @@ def test_decoding_is_posing_then_moving_joints() -> None:
     for name in MOVING:
         space = steered(name, 0.5)
         vectors = space.encode(sequence_of(name).points).mean(axis=0, keepdims=True)
-        blocks, posed = space.split(vectors), space.posed(vectors)
-        expected = space.joints.project(posed[0], blocks.lengths[0], blocks.angles[0], 0.5)
+        blocks, posed = space.split(vectors), space.skin(vectors)
+        expected = space.joint_projection.project(posed[0], blocks.lengths[0], blocks.angles[0], 0.5)
         np.testing.assert_allclose(space.decode(vectors)[0] / space.scale, expected, atol=1e-13)
         plain = replace(space, projection=Projection(share=0.0))
         np.testing.assert_allclose(plain.decode(vectors) / space.scale, posed, atol=1e-13)
@@ -437,7 +443,7 @@ def test_decoding_is_posing_then_moving_joints() -> None:
 def test_decoding_is_linear_in_unposed_vertices() -> None:
     space = space_of("bar")
     vectors = space.encode(sequence_of("bar").points)
-    start = sum(space.sizes[:3])
+    start = sum(space.block_sizes[:3])
     vectors[:, start:] = vectors[2, start:]
     weights = np.array([0.5, -0.25, 0.75, 0.0, 0.0])
     combined = space.decode((weights @ vectors)[None])[0]
@@ -462,10 +468,10 @@ def test_half_way_a_joint_bends_by_half() -> None:
     mesh = tube(8, 33)
     points = np.stack([bent(mesh[0], angle) for angle in np.radians([0.0, 30.0, 60.0, 90.0])])
     space = of_slices(points, mesh, 2.0)
-    operator = Operator(np.arange(4.0))
+    operator = TemporalOperator(np.arange(4.0))
     middle = space.decode(at(space, space.encode(points), operator, np.array([1.5])))[0]
     expected = bent(mesh[0], np.radians(45))
-    splined = operator.at(np.array([1.5])).of(points)[0]
+    splined = operator.weights_at(np.array([1.5])).interpolate(points)[0]
     assert np.abs(middle - expected).max() < 0.25 * np.abs(splined - expected).max()
     rigid = np.abs(mesh[0][:, 2] - 2) > 1
     assert np.abs(middle - expected)[rigid].max() < 0.1 * np.abs(splined - expected)[rigid].max()
@@ -479,7 +485,7 @@ def test_between_frames_a_body_turns_as_evenly_as_at_them() -> None:
     points = np.stack([centred @ rotation(axis * step * number).T for number in range(8)])
     space = of_slices(points, mesh)
     times = np.linspace(0, 7, 50)
-    decoded = space.decode(at(space, space.encode(points), Operator(np.arange(8.0)), times))
+    decoded = space.decode(at(space, space.encode(points), TemporalOperator(np.arange(8.0)), times))
     expected = np.stack([centred @ rotation(axis * step * time).T for time in times])
     assert error(space, expected, decoded) < 1e-9
 
@@ -495,9 +501,9 @@ def test_nothing_jumps_when_parts_far_apart_turn_past_half_a_turn(links: int, de
     assert error(space, points, space.decode(vectors)) < 1e-12
     frames = np.arange(11.0)
     times = np.linspace(0, 10, 201)
-    decoded = space.decode(at(space, vectors, Operator(frames), times))
+    decoded = space.decode(at(space, vectors, TemporalOperator(frames), times))
     truth, _ = chain(np.interp(times, frames, bends), links)
-    splined = Operator(frames).at(times).of(points)
+    splined = TemporalOperator(frames).weights_at(times).interpolate(points)
     steps, true_steps = (np.linalg.norm(np.diff(x, axis=0), axis=2).max() for x in (decoded, truth))
     assert steps < 1.05 * true_steps
     assert np.abs(decoded - truth).max() < 0.5 * np.abs(splined - truth).max()
@@ -511,7 +517,7 @@ def test_signs_go_on_when_a_body_turns_twice() -> None:
     vectors = space.encode(points)
     half = angles[:, None] / 2
     expected = np.concatenate([np.cos(half), np.sin(half) * axis], axis=1)
-    np.testing.assert_allclose(space.split(vectors).body_turns[:, 0], expected, atol=1e-5)
+    np.testing.assert_allclose(space.split(vectors).body_rotations[:, 0], expected, atol=1e-5)
     block = space.encode(points[6:], previous=vectors[5])
     np.testing.assert_allclose(block, vectors[6:], atol=1e-9)
 
@@ -554,11 +560,11 @@ def test_blends_of_half_turns_are_finite() -> None:
     """Of parts, and of bodies: quaternions may add up to nothing."""
     space = space_of("bar")
     vectors = space.encode(sequence_of("bar").points[:1])
-    for name in ("turns", "relation_turns", "body_turns"):
+    for name in ("part_rotations", "relation_rotations", "body_rotations"):
         blend = vectors.copy()
         getattr(space.split(blend), name)[:] = 0.0
         assert np.isfinite(space.decode(blend)).all()
-        points, velocities = space.decode_moving(blend, np.zeros_like(blend))
+        points, velocities = space.decode_with_velocities(blend, np.zeros_like(blend))
         assert np.isfinite(points).all() and not velocities.any()
 
 
@@ -598,8 +604,8 @@ def test_velocities_are_derivatives_of_decoded_points(
     rate = (rng.normal(size=(1, len(vectors))) @ (vectors - vectors[0])) + 0.1 * rng.normal(size=vector.shape)
     space.split(vector).corrections[:] += 0.1 * rng.normal(size=space.correction_dim)
     if scaled:
-        space.split(vector).body_turns[:] *= rng.uniform(0.5, 2.0, (1, space.rotation_count, 1))
-    points, velocities = space.decode_moving(vector, rate)
+        space.split(vector).body_rotations[:] *= rng.uniform(0.5, 2.0, (1, space.rotation_count, 1))
+    points, velocities = space.decode_with_velocities(vector, rate)
     np.testing.assert_allclose(points, space.decode(vector), atol=1e-12 * space.scale)
     step = 1e-6
     ahead, behind, further, back = (space.decode(vector + n * step * rate) for n in (1, -1, 2, -2))
@@ -617,7 +623,7 @@ def test_velocities_in_the_free_placement_and_after_steps(steps: int) -> None:
         vectors = space.encode(sequence_of("bar").points)
         rate = (vectors[2] - vectors[1])[None]
         vector = vectors[1] + 0.4 * rate
-        decoded, velocities = space.decode_moving(vector, rate)
+        decoded, velocities = space.decode_with_velocities(vector, rate)
         step = 1e-3
         quotient = (space.decode(vector + step * rate) - space.decode(vector - step * rate)) / (2 * step)
         np.testing.assert_allclose(decoded, space.decode(vector), atol=1e-12)
@@ -630,14 +636,14 @@ def test_a_rate_of_a_rigid_motion_is_its_velocity() -> None:
     for space in (space_of("bar"), steered("bar")):
         moved = [points[2] @ rotation(sign * step * spin).T + sign * step * speed for sign in (1, -1)]
         ahead, behind = (space.encode(frame) for frame in moved)
-        _, velocities = space.decode_moving(space.encode(points[2]), (ahead - behind) / (2 * step))
+        _, velocities = space.decode_with_velocities(space.encode(points[2]), (ahead - behind) / (2 * step))
         np.testing.assert_allclose(velocities[0], np.cross(spin, points[2]) + speed, atol=1e-6)
 
 
 def test_still_vectors_have_no_velocity() -> None:
     for space in (space_of("three pages"), steered("three pages")):
         vectors = space.encode(sequence_of("three pages").points)
-        assert not space.decode_moving(vectors, np.zeros_like(vectors))[1].any()
+        assert not space.decode_with_velocities(vectors, np.zeros_like(vectors))[1].any()
 
 
 def test_points_that_are_not_finite_are_refused_by_steps() -> None:
@@ -659,35 +665,40 @@ def test_predictions_pass_through_the_frames(name: str, in_body: bool) -> None:
     vectors = space.encode(points)
     size, end = space.shape_dim, space.shape_dim + space.placement_dim
     times = np.arange(len(points)) / 24
-    targets, placed = space.predicted_poses(
-        Operator(times, 4.0),
+    targets, placed = space.interpolate_poses(
+        TemporalOperator(times, 4.0),
         vectors[:, size - space.pose_dim : size],
         vectors[:, size:end],
-        with_middles(times),
+        insert_midpoints(times),
         in_body,
     )
     assert len(targets) == len(placed) == 2 * len(points) - 1
     np.testing.assert_allclose(placed[::2], vectors[:, size:end], atol=1e-12)
     blocks = space.split(vectors)
     turns, centres = np.split(targets[::2], [4 * len(space.decomposition.parts)], axis=1)
-    np.testing.assert_allclose(centres, blocks.centres.reshape(len(points), -1), atol=1e-12)
-    cosines = np.einsum("tpi,tpi->tp", turns.reshape(blocks.turns.shape), blocks.turns)
+    np.testing.assert_allclose(centres, blocks.part_centres.reshape(len(points), -1), atol=1e-12)
+    cosines = np.einsum("tpi,tpi->tp", turns.reshape(blocks.part_rotations.shape), blocks.part_rotations)
     np.testing.assert_allclose(np.abs(cosines), 1.0, atol=1e-12)
-    assert np.isfinite(space.decode(at(space, vectors, Operator(times, 4.0), with_middles(times)))).all()
+    assert np.isfinite(
+        space.decode(at(space, vectors, TemporalOperator(times, 4.0), insert_midpoints(times)))
+    ).all()
 
 
 def test_bodies_that_do_not_touch_are_predicted_alone() -> None:
     """The moon has no neighbours."""
     space, points = space_of("rigid component"), sequence_of("rigid component").points
     assert 2 not in space.articulation.pairs
-    body, size = int(space.articulation.bodies[2]), space.shape_dim
+    body, size = int(space.articulation.body_of_part[2]), space.shape_dim
     vectors = space.encode(points)
     placements = vectors[:, size : size + space.placement_dim]
-    operator, middles = Operator(np.arange(5.0)), np.arange(4.0) + 0.5
-    _, placed = space.predicted_poses(
+    operator, middles = TemporalOperator(np.arange(5.0)), np.arange(4.0) + 0.5
+    _, placed = space.interpolate_poses(
         operator, vectors[:, size - space.pose_dim : size], placements, middles, False
     )
-    found, alone = space.poses(placed), predicted_alone(operator.at(middles), space.poses(placements))
+    found, alone = (
+        space.unpack_placements(placed),
+        interpolate_poses(operator.weights_at(middles), space.unpack_placements(placements)),
+    )
     turns, expected = (rotations_of(each.rotations[:, body]) for each in (found, alone))
     np.testing.assert_allclose(turns, expected, atol=1e-12)
     np.testing.assert_allclose(found.centres[:, body], alone.centres[:, body], atol=1e-12)
@@ -707,18 +718,18 @@ def test_corrected_poses_are_those_that_are_wanted(seed: int) -> None:
         turns = normalised(np.array([1.0, 0, 0, 0]) + 0.4 * rng.normal(size=(4, parts, 4)))
         centres = rng.normal(size=(4, parts, 3))
         targets = np.concatenate([turns.reshape(4, -1), centres.reshape(4, -1)], axis=1)
-        corrections = space.corrections(poses, targets)
+        corrections = space.pose_corrections(poses, targets)
         assert corrections.shape == (4, space.correction_dim)
-        found = space.corrected_poses(poses, corrections)
+        found = space.correct_poses(poses, corrections)
         np.testing.assert_allclose(rotations_of(found.rotations), rotations_of(turns), atol=1e-12)
         np.testing.assert_allclose(found.centres, centres, atol=1e-12)
         blocks = space.split(blends)
-        posed = space.posed(space.join(blocks._replace(corrections=corrections)))
-        single = [space.only_part == part for part in range(parts)]
+        posed = space.skin(space.join(blocks._replace(corrections=corrections)))
+        single = [space.rigid_part_of_vertex == part for part in range(parts)]
         for part, own in enumerate(single):
-            bodies = Poses(normalised(blocks.body_turns), blocks.body_centres)
-            world = space.articulation.placed(found, bodies)
-            rest = blocks.unposed[:, own] - space.articulation.rest_centres[part]
+            bodies = Poses(normalised(blocks.body_rotations), blocks.body_centres)
+            world = space.articulation.to_world_axes(found, bodies)
+            rest = blocks.rest_vertices[:, own] - space.articulation.rest_centres[part]
             expected = (
                 turned(rotations_of(world.rotations[:, None, part]), rest) + world.centres[:, part, None]
             )
@@ -731,9 +742,9 @@ def test_frames_need_no_corrections(name: str) -> None:
     blocks = space.split(space.encode(sequence_of(name).points))
     poses = space.encode(sequence_of(name).points)[:, space.shape_dim - space.pose_dim : space.shape_dim]
     targets = np.concatenate(
-        [blocks.turns.reshape(len(poses), -1), blocks.centres.reshape(len(poses), -1)], axis=1
+        [blocks.part_rotations.reshape(len(poses), -1), blocks.part_centres.reshape(len(poses), -1)], axis=1
     )
-    np.testing.assert_allclose(space.corrections(poses, targets), 0.0, atol=1e-9)
+    np.testing.assert_allclose(space.pose_corrections(poses, targets), 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", SEQUENCES)

@@ -12,7 +12,12 @@ from mixseq.mesh.rigid import mean_shape
 from mixseq.segmentation.joints import Decomposition, decompose
 from mixseq.segmentation.methods import segment_by_labels
 from mixseq.spaces.mixed import skinning_weights
-from mixseq.spaces.mixed.skinning_weights import GRID, LEAST, MOST, fitted_skinning_weights
+from mixseq.spaces.mixed.skinning_weights import (
+    MAX_PARTS_PER_VERTEX,
+    MIN_WEIGHT,
+    WEIGHT_STEP,
+    fit_skinning_weights,
+)
 from mixseq.types import Float
 from tests.meshes import (
     SEQUENCES,
@@ -32,7 +37,7 @@ from tests.spaces.mixed.made import MESHES, chain, sequence_of, sliced, space_of
 def shares_of(mesh: Mesh, decomposition: Decomposition, frames: Float) -> sparse.csr_array:
     """Shares of frames as they are, whose first one is the reference."""
     shapes = np.concatenate([mean_shape(frames[:, part]) for part in decomposition.parts])
-    return fitted_skinning_weights(topology_of(mesh), decomposition, shapes, frames, frames[0])
+    return fit_skinning_weights(topology_of(mesh), decomposition, shapes, frames, frames[0])
 
 
 def upper(mesh: Mesh, decomposition: Decomposition) -> int:
@@ -45,9 +50,9 @@ def assert_sound(shares: sparse.csr_array, decomposition: Decomposition) -> None
     np.testing.assert_allclose(np.asarray(shares.sum(axis=1)).reshape(-1), 1.0, atol=1e-14)
     counts = np.diff(shares.indptr)
     assert counts.min() >= 1
-    assert counts.max() <= MOST
-    assert shares.data.min() >= LEAST - GRID
-    np.testing.assert_array_equal(np.round(shares.data / GRID) * GRID, shares.data)
+    assert counts.max() <= MAX_PARTS_PER_VERTEX
+    assert shares.data.min() >= MIN_WEIGHT - WEIGHT_STEP
+    np.testing.assert_array_equal(np.round(shares.data / WEIGHT_STEP) * WEIGHT_STEP, shares.data)
 
 
 @pytest.mark.parametrize("name", SEQUENCES)
@@ -88,7 +93,7 @@ def test_of_large_meshes_only_boundaries_are_looked_at(monkeypatch: pytest.Monke
     decomposition = decompose(topology_of(mesh), sliced(mesh, 20.0), 3)
     frames = np.stack([bent(mesh[0], angle, middle=20.0) for angle in (0.0, 0.5, 1.0)])
     expected = shares_of(mesh, decomposition, frames).toarray()
-    monkeypatch.setattr(skinning_weights, "LARGE", 100)
+    monkeypatch.setattr(skinning_weights, "MAX_FULLY_FITTED_VERTICES", 100)
     found = shares_of(mesh, decomposition, frames)
     assert_sound(found, decomposition)
     np.testing.assert_allclose(found.toarray(), expected, atol=1e-3)
@@ -111,8 +116,8 @@ def test_vertices_of_no_face_follow_their_own_part() -> None:
     loose = space.topology.unused_vertices
     part = len(space.decomposition.parts) - 1
     np.testing.assert_array_equal(space.decomposition.parts[part], loose)
-    assert (space.only_part[loose] == part).all()
-    assert (np.delete(space.only_part, loose) != part).all()
+    assert (space.rigid_part_of_vertex[loose] == part).all()
+    assert (np.delete(space.rigid_part_of_vertex, loose) != part).all()
 
 
 @pytest.mark.parametrize("width", [3, 5])

@@ -27,7 +27,7 @@ import numpy as np
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.rotations import continued, quaternions, rotations_of, turned
 from mixseq.spaces.mixed.articulation import Articulation
-from mixseq.spaces.temporal import Operator, Poses, Rows, chained, predicted_alone
+from mixseq.spaces.temporal import FrameWeights, Poses, TemporalOperator, chain_rotations, interpolate_poses
 from mixseq.types import Float, Index, Mask
 
 RELATION_WEIGHT = 2.0
@@ -36,7 +36,7 @@ r"""Weight :math:`\lambda` of a relation against a pose; chosen on half of the a
 MAX_WORLD_ERROR_RATIO = 2.0
 """Largest error in the world over that in the body; above it, parts are predicted in the body only."""
 
-PRIOR_ROWS = 6.0
+PRIOR_SAMPLES = 6.0
 """Number n of rows of errors by which the isotropic covariance counts."""
 
 POSE_ERROR_FLOOR = 1e-3
@@ -47,67 +47,69 @@ TIMES_PER_BLOCK = 64
 
 
 @dataclass(frozen=True, eq=False)
-class PosePrediction:
+class PoseInterpolation:
     """The prediction of the poses of all parts of a sequence."""
 
     articulation: Articulation  # the parts
-    operator: Operator  # the temporal operator of the sequence
+    operator: TemporalOperator  # the temporal operator of the sequence
     poses: Poses  # poses of the parts in the world at the frames, (T, p): rotations since the reference frame
-    in_body: bool  # whether poses are predicted as seen from the body, too
+    in_body_axes: bool  # whether poses are predicted as seen from the body, too
 
     def at(self, times: Float) -> tuple[Poses, Poses]:
         """Predict body poses ``(N, B)``, and relative part poses ``(N, p)``, at times ``(N,)``; exact at frames."""
-        rows, known = self.operator.at(times), np.isin(times, self.operator.times)[:, None, None]
-        bodies, alone = (predicted_alone(rows, each) for each in self._bodies)
+        rows, known = self.operator.weights_at(times), np.isin(times, self.operator.times)[:, None, None]
+        bodies, alone = (interpolate_poses(rows, each) for each in self._frame_poses)
         if len(self.operator.times) < 3:
             return bodies, alone
-        found, seen = self.of(rows)
-        return _kept(bodies, found, known), _kept(alone, seen, known)
+        found, seen = self.interpolate(rows)
+        return _keep_frames(bodies, found, known), _keep_frames(alone, seen, known)
 
-    def of(self, rows: Rows) -> tuple[Poses, Poses]:
+    def interpolate(self, rows: FrameWeights) -> tuple[Poses, Poses]:
         """Predict body poses, and part poses relative to them, by weights of frames: quaternions of any sign."""
-        starts = range(0, len(rows.frames), TIMES_PER_BLOCK)
-        found = [self._predicted(rows.at(slice(start, start + TIMES_PER_BLOCK))) for start in starts]
+        starts = range(0, len(rows.frame_ids), TIMES_PER_BLOCK)
+        found = [
+            self._interpolate_block(rows.select(slice(start, start + TIMES_PER_BLOCK))) for start in starts
+        ]
         bodies, seen = (
             Poses(*(np.concatenate(blocks) for blocks in zip(*each, strict=True)))
             for each in zip(*found, strict=True)
         )
         return bodies, seen
 
-    def _predicted(self, rows: Rows) -> tuple[Poses, Poses]:
-        bodies, in_world = self._seen_in_world(rows)
+    def _interpolate_block(self, rows: FrameWeights) -> tuple[Poses, Poses]:
+        bodies, in_world = self._interpolate_in_world(rows)
         world, body = self._precisions
         guesses = [] if world is None else [(in_world, world)]
         if body is not None:
-            guesses.append((predicted_alone(rows, self._bodies[1]), body))
+            guesses.append((interpolate_poses(rows, self._frame_poses[1]), body))
         own: Float = np.sum([precision for _, precision in guesses], axis=0)
-        weighted = [precision @ _stacked(guess) for guess, precision in guesses]
+        weighted = [precision @ _pose_matrices(guess) for guess, precision in guesses]
         mean = np.asarray(np.linalg.solve(own, np.sum(weighted, axis=0)), dtype=np.float64)
         own = own / len(guesses)
         parts = self.articulation.pairs
         if not len(parts):
             turns = np.swapaxes(mean[:, :, :3], -1, -2)
             return bodies, Poses(quaternions(nearest_rotations(turns)), mean[:, :, 3])
-        seen = _relations(rows, self._related, self.articulation.pivots)
-        return bodies, Poses(*_fused(mean, own, seen, RELATION_WEIGHT * self._relation_precisions, parts))
+        seen = _interpolate_relations(rows, self._frame_relations, self.articulation.pivots)
+        return bodies, Poses(*_fuse(mean, own, seen, RELATION_WEIGHT * self._relation_precisions, parts))
 
-    def _seen_in_world(self, rows: Rows) -> tuple[Poses, Poses]:
+    def _interpolate_in_world(self, rows: FrameWeights) -> tuple[Poses, Poses]:
         """Body poses of parts predicted in the world, and part poses relative to them."""
-        predicted = predicted_alone(rows, self.poses)
-        bodies = self.articulation.bodies_of(predicted)
-        return bodies, self.articulation.seen_from_bodies(predicted, bodies)
+        predicted = interpolate_poses(rows, self.poses)
+        bodies = self.articulation.fit_bodies(predicted)
+        return bodies, self.articulation.to_body_axes(predicted, bodies)
 
     @cached_property
-    def _bodies(self) -> tuple[Poses, Poses]:
+    def _frame_poses(self) -> tuple[Poses, Poses]:
         """Body poses at the frames, and part poses relative to them."""
-        bodies = self.articulation.bodies_of(self.poses)
+        bodies = self.articulation.fit_bodies(self.poses)
         bodies = bodies._replace(rotations=continued(bodies.rotations))
-        seen = self.articulation.seen_from_bodies(self.poses, bodies)
+        seen = self.articulation.to_body_axes(self.poses, bodies)
         return bodies, seen._replace(rotations=continued(seen.rotations))
 
     @cached_property
-    def _left_out(self) -> tuple[Index, Rows]:
-        return self.operator.left_out()
+    def _left_out(self) -> tuple[Index, FrameWeights]:
+        return self.operator.leave_one_out()
 
     @cached_property
     def _precisions(self) -> tuple[Float | None, Float | None]:
@@ -115,47 +117,56 @@ class PosePrediction:
 
         Those in the world are measured there, where a standing foot is exact. Precisions do not depend on the axes.
         """
-        (left, rows), seen, radii = self._left_out, _stacked(self._bodies[1]), self.articulation.radii
-        world = _precision(_stacked(predicted_alone(rows, self.poses)) - _stacked(self.poses)[left], radii)
-        if not self.in_body:
+        (left, rows), seen, radii = (
+            self._left_out,
+            _pose_matrices(self._frame_poses[1]),
+            self.articulation.radii,
+        )
+        world = _error_precisions(
+            _pose_matrices(interpolate_poses(rows, self.poses)) - _pose_matrices(self.poses)[left], radii
+        )
+        if not self.in_body_axes:
             return world, None
-        in_world = _stacked(self._seen_in_world(rows)[1]) - seen[left]
-        in_body = _stacked(predicted_alone(rows, self._bodies[1])) - seen[left]
+        in_world = _pose_matrices(self._interpolate_in_world(rows)[1]) - seen[left]
+        in_body = _pose_matrices(interpolate_poses(rows, self._frame_poses[1])) - seen[left]
         useless = np.linalg.norm(in_world) > MAX_WORLD_ERROR_RATIO * np.linalg.norm(in_body)
-        return None if useless else world, _precision(in_body, radii)
+        return None if useless else world, _error_precisions(in_body, radii)
 
     @cached_property
-    def _related(self) -> Poses:
+    def _frame_relations(self) -> Poses:
         """Relations at the frames ``(T, n)``: rotations, and places of pivots."""
-        related = self.articulation.with_relations(self.poses)
-        return Poses(continued(related.relation_turns), related.relation_points)
+        related = self.articulation.add_relations(self.poses)
+        return Poses(continued(related.relation_rotations), related.relation_points)
 
     @cached_property
     def _relation_precisions(self) -> Float:
         """Precisions ``(n, 4, 4)`` of relations."""
         (left, rows), pivots, count = self._left_out, self.articulation.pivots, len(self.poses.centres)
-        everywhere = Rows(np.arange(count)[:, None], np.ones((count, 1)), count)
-        errors = _relations(rows, self._related, pivots) - _relations(everywhere, self._related, pivots)[left]
-        return _precision(errors[..., :3], self.articulation.radii[self.articulation.pairs[:, 1]])
+        everywhere = FrameWeights(np.arange(count)[:, None], np.ones((count, 1)), count)
+        errors = (
+            _interpolate_relations(rows, self._frame_relations, pivots)
+            - _interpolate_relations(everywhere, self._frame_relations, pivots)[left]
+        )
+        return _error_precisions(errors[..., :3], self.articulation.radii[self.articulation.pairs[:, 1]])
 
 
-def _kept(frames: Poses, predicted: Poses, known: Mask) -> Poses:
+def _keep_frames(frames: Poses, predicted: Poses, known: Mask) -> Poses:
     """Return predicted poses, replaced by those of the frames at known times ``(N, 1, 1)``."""
     turns = continued(predicted.rotations, frames.rotations[0])
     return Poses(np.where(known, frames.rotations, turns), np.where(known, frames.centres, predicted.centres))
 
 
-def _relations(rows: Rows, related: Poses, pivots: Float) -> Float:
+def _interpolate_relations(rows: FrameWeights, related: Poses, pivots: Float) -> Float:
     """Predict relations, as matrices G ``(N, n, 4, 4)``."""
-    rotations = rotations_of(chained(rows, related.rotations))
+    rotations = rotations_of(chain_rotations(rows, related.rotations))
     result = np.zeros((*rotations.shape[:2], 4, 4))
     result[..., :3, :3] = np.swapaxes(rotations, -1, -2)
-    result[..., 3, :3] = rows.of(related.centres) - turned(rotations, pivots)
+    result[..., 3, :3] = rows.interpolate(related.centres) - turned(rotations, pivots)
     result[..., 3, 3] = 1.0
     return result
 
 
-def _precision(errors: Float, radii: Float) -> Float:
+def _error_precisions(errors: Float, radii: Float) -> Float:
     """Precisions ``(n, 4, 4)`` of matrices with errors ``(F, n, 4, 3)``, of parts with given radii."""
     lengths = np.concatenate([np.repeat(radii[:, None], 3, axis=1), np.ones((len(radii), 1))], axis=1)
     errors = errors * lengths[:, :, None]
@@ -163,12 +174,12 @@ def _precision(errors: Float, radii: Float) -> Float:
     count = 3 * len(errors)
     turning = np.trace(squares[:, :3, :3], axis1=1, axis2=2) / 3.0
     isotropic = np.concatenate([np.repeat(turning[:, None], 3, axis=1), squares[:, 3:, 3]], axis=1) / count
-    covariance = squares + PRIOR_ROWS * isotropic[:, :, None] * np.eye(4)
-    inverted = np.linalg.inv(covariance / (count + PRIOR_ROWS) + POSE_ERROR_FLOOR**2 / 3.0 * np.eye(4))
+    covariance = squares + PRIOR_SAMPLES * isotropic[:, :, None] * np.eye(4)
+    inverted = np.linalg.inv(covariance / (count + PRIOR_SAMPLES) + POSE_ERROR_FLOOR**2 / 3.0 * np.eye(4))
     return np.asarray(inverted * lengths[:, :, None] * lengths[:, None, :])
 
 
-def _fused(alone: Float, own: Float, seen: Float, relative: Float, parts: Index) -> tuple[Float, Float]:
+def _fuse(alone: Float, own: Float, seen: Float, relative: Float, parts: Index) -> tuple[Float, Float]:
     """Rotations ``(N, p, 4)`` and centres ``(N, p, 3)`` that agree best with all predictions."""
     count, size = alone.shape[:2]
     i, j = parts.T
@@ -190,7 +201,7 @@ def _fused(alone: Float, own: Float, seen: Float, relative: Float, parts: Index)
     return quaternions(nearest_rotations(np.swapaxes(together[:, :, :3], -1, -2))), together[:, :, 3]
 
 
-def _stacked(poses: Poses) -> Float:
+def _pose_matrices(poses: Poses) -> Float:
     """Poses as matrices X ``(T, p, 4, 3)``."""
     rotations = np.swapaxes(rotations_of(poses.rotations), -1, -2)
     return np.concatenate([rotations, poses.centres[:, :, None]], axis=2)

@@ -33,36 +33,36 @@ from mixseq.mesh.measures import edge_lengths, wrap
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.jit import compiled, inlined
 from mixseq.runtime.lazy import PickledWithoutCaches
-from mixseq.shells.face_frames import Hinges, inverse_product, misfits, product
+from mixseq.shells.face_frames import HingeFrames, averaging_right_side, multiply, multiply_inverse_by
 from mixseq.shells.kernels import lengths_and_angles
 from mixseq.shells.shell import Shell
-from mixseq.shells.solvers import Factor, factored_laplacian
+from mixseq.shells.solvers import Factor, factorise_laplacian
 from mixseq.types import Float, Index, Mask
 
-STEP = 2.0**-400
+COMPLEX_STEP = 2.0**-400
 """Step h; its square is below rounding, and products with it are normal numbers."""
 
-Numbers = NDArray[Any]
+RealOrComplex = NDArray[Any]
 """Real numbers, or complex ones whose imaginary parts are rates times `STEP`."""
 
 
-def with_rates(values: Float, rates: Float) -> Numbers:
+def to_complex_step(values: Float, rates: Float) -> RealOrComplex:
     """Return complex numbers with values and rates."""
-    return np.asarray(values + 1j * (STEP * rates))
+    return np.asarray(values + 1j * (COMPLEX_STEP * rates))
 
 
-def values_and_rates(numbers: Numbers) -> tuple[Float, Float]:
+def from_complex_step(numbers: RealOrComplex) -> tuple[Float, Float]:
     """Return values and rates of numbers; the inverse of `with_rates`."""
-    return np.ascontiguousarray(numbers.real), numbers.imag / STEP
+    return np.ascontiguousarray(numbers.real), numbers.imag / COMPLEX_STEP
 
 
-def solve(factor: Factor, right: Numbers) -> Numbers:
+def solve_columns(factor: Factor, right: RealOrComplex) -> RealOrComplex:
     """Solve a real system for real or complex right-hand sides ``(n, k)``."""
     if not np.iscomplexobj(right):
         return np.asarray(factor.solve(right))
     columns = right.shape[1]
-    both = factor.solve(np.concatenate(values_and_rates(right), axis=1))
-    return with_rates(both[:, :columns], both[:, columns:])
+    both = factor.solve(np.concatenate(from_complex_step(right), axis=1))
+    return to_complex_step(both[:, :columns], both[:, columns:])
 
 
 MIN_SIDE = 1e-12
@@ -76,7 +76,7 @@ SLIVER_AREA_RATIO = 1e-4
 
 
 @compiled
-def lengths_of(x: Float, edges: Index) -> Float:
+def analytic_edge_lengths(x: Float, edges: Index) -> Float:
     """Return the lengths ``(e,)`` of edges ``(e, 2)``."""
     lengths = np.empty(len(edges), x.dtype)
     for k in range(len(edges)):
@@ -88,7 +88,7 @@ def lengths_of(x: Float, edges: Index) -> Float:
 
 
 @compiled
-def flatten(lengths: Float, face_edges: Index) -> Float:
+def flatten_triangles(lengths: Float, face_edges: Index) -> Float:
     """Lay triangles into the plane: length of side 01, and place of corner 2 ``(m, 3)``."""
     flat = np.empty((len(face_edges), 3), lengths.dtype)
     for f in range(len(face_edges)):
@@ -109,7 +109,7 @@ def flatten(lengths: Float, face_edges: Index) -> Float:
 
 
 @compiled
-def soundness(flat: Float) -> Float:
+def triangle_quality(flat: Float) -> Float:
     """Return the weights ``(m,)`` of lengths and angles of triangles, from 0 without area to 1."""
     sound = np.empty(len(flat), flat.dtype)
     for f in range(len(flat)):
@@ -121,7 +121,7 @@ def soundness(flat: Float) -> Float:
 
 
 @compiled
-def frames_of(x: Float, faces: Index) -> Float:
+def analytic_frames(x: Float, faces: Index) -> Float:
     """Return the frames ``(m, 4)`` of triangles: axes along side 01, across it in the plane, along the normal."""
     frames = np.empty((len(faces), 4), x.dtype)
     for f in range(len(faces)):
@@ -180,7 +180,7 @@ def _half_direction(flat: Float, f: int, side: int, back: bool) -> tuple[float, 
 
 
 @compiled
-def target_turns(
+def target_rotations(
     frames: Float,
     pairs: Index,
     flat: Float,
@@ -203,7 +203,7 @@ def target_turns(
     wanted, change = np.empty(4, frames.dtype), np.empty(4, frames.dtype)
     for k in range(len(pairs)):
         i, j = pairs[k, 0], pairs[k, 1]
-        inverse_product(frames[i], frames[j], posed)
+        multiply_inverse_by(frames[i], frames[j], posed)
         w, x, y, z = posed[0], posed[1], posed[2], posed[3]
         # Half the posed angle: the turn as seen along the edge, which leaves a rotation about it.
         ci, si = _half_direction(flat, i, sides[k, 0], backward[k, 0] != 0)
@@ -231,19 +231,19 @@ def target_turns(
         wanted[0], wanted[1] = c * (ci * cj + si * sj), s * (ci * cj - si * sj)
         wanted[2], wanted[3] = s * (si * cj + ci * sj), c * (si * cj - ci * sj)
         # The posed turn, times what the target differs by: at frames of the sequence that is exactly nothing.
-        inverse_product(seen, wanted, change)
+        multiply_inverse_by(seen, wanted, change)
         part = sound[i] * sound[j]
         sign = -1.0 if change[0].real < 0.0 else 1.0
         a, b, d, e = sign * change[0], sign * change[1], sign * change[2], sign * change[3]
         a, b, d, e = 1.0 - part + part * a, part * b, part * d, part * e
         scale = 1.0 / np.sqrt(a * a + b * b + d * d + e * e)
         change[0], change[1], change[2], change[3] = a * scale, b * scale, d * scale, e * scale
-        product(posed, change, turns[k])
+        multiply(posed, change, turns[k])
     return turns
 
 
 @compiled
-def turn_on(frames: Float, steps: Float) -> Float:
+def apply_small_rotations(frames: Float, steps: Float) -> Float:
     """Return frames ``(m, 4)`` with the first n rotated by small rotation vectors ``(n, 3)``."""
     turned = frames.copy()
     for f in range(len(steps)):
@@ -261,7 +261,7 @@ def turn_on(frames: Float, steps: Float) -> Float:
 
 
 @inlined
-def _corner(frames: Float, f: int, u: float, v: float) -> tuple[float, float, float]:
+def _rotate_corner(frames: Float, f: int, u: float, v: float) -> tuple[float, float, float]:
     """Rotate a point (u, v) of a flat triangle by the frame of the triangle."""
     w, x, y, z = frames[f, 0], frames[f, 1], frames[f, 2], frames[f, 3]
     return (
@@ -272,7 +272,7 @@ def _corner(frames: Float, f: int, u: float, v: float) -> tuple[float, float, fl
 
 
 @compiled
-def side_changes(
+def displacement_right_side(
     frames: Float,
     flat: Float,
     target_frames: Float,
@@ -289,11 +289,11 @@ def side_changes(
     """
     right = np.zeros((count, 3), frames.dtype)
     for f in range(len(faces)):
-        p0, p1, p2 = _corner(target_frames, f, target_flat[f, 0], 0.0 * target_flat[f, 0])
-        q0, q1, q2 = _corner(frames, f, flat[f, 0], 0.0 * flat[f, 0])
+        p0, p1, p2 = _rotate_corner(target_frames, f, target_flat[f, 0], 0.0 * target_flat[f, 0])
+        q0, q1, q2 = _rotate_corner(frames, f, flat[f, 0], 0.0 * flat[f, 0])
         a0, a1, a2 = p0 - q0, p1 - q1, p2 - q2
-        p0, p1, p2 = _corner(target_frames, f, target_flat[f, 1], target_flat[f, 2])
-        q0, q1, q2 = _corner(frames, f, flat[f, 1], flat[f, 2])
+        p0, p1, p2 = _rotate_corner(target_frames, f, target_flat[f, 1], target_flat[f, 2])
+        q0, q1, q2 = _rotate_corner(frames, f, flat[f, 1], flat[f, 2])
         b0, b1, b2 = p0 - q0, p1 - q1, p2 - q2
         for side in range(3):
             w = weights[f, side]
@@ -332,7 +332,7 @@ class JointProjection(PickledWithoutCaches):
     topology: Topology  # the mesh
     reference: Float  # (V, 3) its reference frame, in diagonals, which the weights are of
     joint_faces: Mask  # (F,) faces whose lengths and angles have targets
-    hold: float  # weight of posed vertices and frames against sides and hinges
+    position_weight: float  # weight of posed vertices and frames against sides and hinges
 
     def constants(self) -> tuple[object, ...]:
         """Implement `PickledWithoutCaches.constants`."""
@@ -352,11 +352,11 @@ class JointProjection(PickledWithoutCaches):
     def shell(self) -> Shell:
         """The mesh as a shell, for the weights of sides and hinges."""
         lengths = edge_lengths(self.reference, self.topology.edges)
-        held = np.full(self.topology.vertex_count, self.hold)
+        held = np.full(self.topology.vertex_count, self.position_weight)
         return Shell(self.topology, self.reference, lengths, held, BENDING_WEIGHT)
 
     @cached_property
-    def _moving_faces(self) -> Index:
+    def _moving_face_ids(self) -> Index:
         moving, faces = self.joint_faces, self.topology.faces
         for _ in range(MOVING_RINGS):
             near = np.zeros(self.topology.vertex_count, dtype=bool)
@@ -365,24 +365,26 @@ class JointProjection(PickledWithoutCaches):
         return np.flatnonzero(moving)
 
     @cached_property
-    def _hinges(self) -> Index:
+    def _moving_hinge_ids(self) -> Index:
         """Hinges of moving faces with area."""
         moving = np.zeros(len(self.topology.faces), dtype=bool)
-        moving[self._moving_faces] = True
-        return np.flatnonzero(moving[self.topology.hinge_faces].any(axis=1) & self.shell.sound)
+        moving[self._moving_face_ids] = True
+        return np.flatnonzero(moving[self.topology.hinge_faces].any(axis=1) & self.shell.sound_hinge_mask)
 
     @cached_property
     def _face_ids(self) -> Index:
         """Moving faces, then their fixed neighbours."""
-        both = np.unique(self.topology.hinge_faces[self._hinges])
-        return np.concatenate([self._moving_faces, np.setdiff1d(both, self._moving_faces)]).astype(np.int64)
+        both = np.unique(self.topology.hinge_faces[self._moving_hinge_ids])
+        return np.concatenate([self._moving_face_ids, np.setdiff1d(both, self._moving_face_ids)]).astype(
+            np.int64
+        )
 
     @cached_property
     def _faces(self) -> Index:
         return self.topology.faces[self._face_ids].astype(np.int64)
 
     @cached_property
-    def _edge_table(self) -> tuple[Index, Index, Index]:
+    def _edge_tables(self) -> tuple[Index, Index, Index]:
         """Edges of the faces ``(e,)``, sides ``(m, 3)`` of faces among these, and those with a target length."""
         sides = self.topology.face_edges[self._face_ids]
         edges, local = np.unique(sides, return_inverse=True)
@@ -391,117 +393,126 @@ class JointProjection(PickledWithoutCaches):
 
     @cached_property
     def _edges(self) -> Index:
-        return self.topology.edges[self._edge_table[0]].astype(np.int64)
+        return self.topology.edges[self._edge_tables[0]].astype(np.int64)
 
     @cached_property
     def _pairs(self) -> Index:
         """The two faces ``(h, 2)`` of every hinge, by their places among the faces."""
         place = np.empty(len(self.topology.faces), dtype=np.int64)
         place[self._face_ids] = np.arange(len(self._face_ids))
-        return place[self.topology.hinge_faces[self._hinges]]
+        return place[self.topology.hinge_faces[self._moving_hinge_ids]]
 
     @cached_property
     def _hinge_tables(self) -> tuple[Index, Index, Float, Index]:
         """Sides of hinges in their faces, and their target angles; see `target_turns`."""
-        seen = Hinges(self._faces, self.topology.hinges[self._hinges].astype(np.int64), self._pairs)
+        seen = HingeFrames(
+            self._faces, self.topology.hinges[self._moving_hinge_ids].astype(np.int64), self._pairs
+        )
         number = np.full(len(self.topology.hinge_faces), -1, dtype=np.int64)
         number[self.hinge_ids] = np.arange(len(self.hinge_ids))
-        return seen.sides, seen.backward.astype(np.int64), seen.reversed_normals, number[self._hinges]
+        return (
+            seen.side_ids,
+            seen.backward_mask.astype(np.int64),
+            seen.reversed_normals,
+            number[self._moving_hinge_ids],
+        )
 
     @cached_property
-    def _bend(self) -> Float:
-        return np.ascontiguousarray(self.shell.bend[self._hinges])
+    def _angle_weights(self) -> Float:
+        return np.ascontiguousarray(self.shell.relative_angle_weights[self._moving_hinge_ids])
 
     @cached_property
     def frame_factor(self) -> Factor | None:
         """Factor of the matrix of rotation averaging over the moving faces; None if nothing moves."""
-        count = len(self._moving_faces)
+        count = len(self._moving_face_ids)
         if not count:
             return None
         inside = self._pairs < count
-        both, held = inside.all(axis=1), np.full(count, self.hold)
+        both, held = inside.all(axis=1), np.full(count, self.position_weight)
         for first in (0, 1):
             border = inside[:, first] & ~inside[:, 1 - first]
-            np.add.at(held, self._pairs[border, first], self._bend[border])
-        return factored_laplacian(self._pairs[both], self._bend[both], held)
+            np.add.at(held, self._pairs[border, first], self._angle_weights[border])
+        return factorise_laplacian(self._pairs[both], self._angle_weights[both], held)
 
     @cached_property
-    def vertices(self) -> Index:
+    def moving_vertex_ids(self) -> Index:
         """Moving vertices ``(n,)``: those of moving faces only."""
         still = np.ones(len(self.topology.faces), dtype=bool)
-        still[self._moving_faces] = False
+        still[self._moving_face_ids] = False
         free = np.zeros(self.topology.vertex_count, dtype=bool)
-        free[self.topology.faces[self._moving_faces]] = True
+        free[self.topology.faces[self._moving_face_ids]] = True
         free[self.topology.faces[still]] = False
         return np.flatnonzero(free)
 
     @cached_property
-    def _numbers(self) -> Index:
+    def _moving_index(self) -> Index:
         numbers = np.full(self.topology.vertex_count, -1, dtype=np.int64)
-        numbers[self.vertices] = np.arange(len(self.vertices))
+        numbers[self.moving_vertex_ids] = np.arange(len(self.moving_vertex_ids))
         return numbers
 
     @cached_property
     def _side_weights(self) -> Float:
         """Weights ``(n, 3)`` of the sides of moving faces; zero for those without area."""
-        weights = self.shell.side_weights[self._moving_faces]
-        weights[np.isin(self._moving_faces, self.shell.thin)] = 0.0
+        weights = self.shell.side_weights[self._moving_face_ids]
+        weights[np.isin(self._moving_face_ids, self.shell.degenerate_face_ids)] = 0.0
         return weights
 
     @cached_property
     def vertex_factor(self) -> Factor | None:
         """Factor of the matrix of displacements; None if nothing moves."""
-        if not len(self.vertices):
+        if not len(self.moving_vertex_ids):
             return None
-        corners = self._faces[: len(self._moving_faces)]
-        ends = self._numbers[np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2)]
+        corners = self._faces[: len(self._moving_face_ids)]
+        ends = self._moving_index[np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2)]
         weights, inside = self._side_weights.reshape(-1), ends >= 0
         both = inside.all(axis=1)
-        held = np.full(len(self.vertices), self.hold * self.shell.tie_weight)
+        held = np.full(len(self.moving_vertex_ids), self.position_weight * self.shell.tie_weight)
         for first in (0, 1):
             border = inside[:, first] & ~inside[:, 1 - first]
             np.add.at(held, ends[border, first], weights[border])
-        return factored_laplacian(ends[both], weights[both], held)
+        return factorise_laplacian(ends[both], weights[both], held)
 
-    def targets(self, x: Float, lengths: Float, angles: Float) -> tuple[Float, Float]:
+    def mesh_targets(self, x: Float, lengths: Float, angles: Float) -> tuple[Float, Float]:
         """Return lengths ``(E,)`` and angles ``(H,)`` of the whole mesh: targets at joints, else of posed vertices."""
         topology = self.topology
         all_lengths, all_angles = lengths_and_angles(x, topology.edges, topology.hinges)
-        sound = soundness(flatten(all_lengths, topology.face_edges.astype(np.int64)))
+        sound = triangle_quality(flatten_triangles(all_lengths, topology.face_edges.astype(np.int64)))
         part = sound[topology.hinge_faces[self.hinge_ids]].prod(axis=1)
         all_angles[self.hinge_ids] += part * wrap(angles - all_angles[self.hinge_ids])
         all_lengths[self.edge_ids] = np.maximum(lengths, 0.0)
         return all_lengths, all_angles
 
-    def project(self, x: Numbers, lengths: Numbers, angles: Numbers, share: float) -> Numbers:
+    def project(
+        self, x: RealOrComplex, lengths: RealOrComplex, angles: RealOrComplex, share: float
+    ) -> RealOrComplex:
         """Move posed vertices ``(V, 3)`` of joints to lengths ``(E',)`` and angles ``(H',)``."""
         if not share or self.frame_factor is None or self.vertex_factor is None:
             return x
-        _, face_edges, known = self._edge_table
-        posed = lengths_of(x, self._edges)
+        _, face_edges, known = self._edge_tables
+        posed = analytic_edge_lengths(x, self._edges)
         wanted = posed.copy()
         wanted[known] += share * (np.where(lengths.real > 0.0, lengths, 0.0) - posed[known])
-        flat = flatten(posed, face_edges)
-        sound = soundness(flat)
-        target_flat = flat + sound[:, None] * (flatten(wanted, face_edges) - flat)
-        frames = frames_of(x, self._faces)
-        turns = target_turns(
+        flat = flatten_triangles(posed, face_edges)
+        sound = triangle_quality(flat)
+        target_flat = flat + sound[:, None] * (flatten_triangles(wanted, face_edges) - flat)
+        frames = analytic_frames(x, self._faces)
+        turns = target_rotations(
             frames, self._pairs, flat, target_flat, sound, *self._hinge_tables, angles, share
         )
-        target_frames, moving = frames, len(self._moving_faces)
+        target_frames, moving = frames, len(self._moving_face_ids)
         for _ in range(AVERAGING_ROUNDS):
-            right = misfits(target_frames, self._pairs, turns, self._bend, moving)
-            target_frames = turn_on(target_frames, solve(self.frame_factor, right))
-        right = side_changes(
+            right = averaging_right_side(target_frames, self._pairs, turns, self._angle_weights, moving)
+            target_frames = apply_small_rotations(target_frames, solve_columns(self.frame_factor, right))
+        right = displacement_right_side(
             frames,
             flat,
             target_frames,
             target_flat,
             self._faces[:moving],
             self._side_weights,
-            self._numbers,
-            len(self.vertices),
+            self._moving_index,
+            len(self.moving_vertex_ids),
         )
         moved = x.copy()
-        moved[self.vertices] += solve(self.vertex_factor, right)
+        moved[self.moving_vertex_ids] += solve_columns(self.vertex_factor, right)
         return moved
