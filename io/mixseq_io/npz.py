@@ -122,9 +122,7 @@ class Archive:
             return ArrayHeader(*npy.read_array_header_1_0(stream))
         if version == (2, 0):
             return ArrayHeader(*npy.read_array_header_2_0(stream))
-        raise FormatError(
-            f"{self._path}: {name} are stored in npy version {version}; 1.0 and 2.0 can be read"
-        )
+        raise FormatError(f"{self._path}: {name} have npy version {version}; 1.0 and 2.0 can be read")
 
 
 @contextmanager

@@ -170,9 +170,7 @@ def find_limb(model: Model, part: int) -> Limb:
     """Return the limb of a part; raise SettingsError for missing parts and roots."""
     space, count = as_mixed(model.space), len(model.decomposition.parts)
     if space.placement == "free":
-        raise SettingsError(
-            "the free placement ignores poses of parts; fit a model with placement='anchored'"
-        )
+        raise SettingsError("the free placement ignores poses of parts; fit with placement='anchored'")
     if not 0 <= part < count:
         raise SettingsError(f"there is no part {part}; the model has {count}, from 0 on")
     parents = space.articulation.parents
@@ -229,7 +227,7 @@ def exaggerate_part(model: Model, part: int, gain: float) -> Model:
     check_gain(gain)
     mean = limb.joint_pose(model, model.times).mean(axis=0)
     sites = model_sites(model, model.start, model.end)
-    correction = _edit_joint_pose(model, limb, sites, lambda _, joint_pose: mean + gain * (joint_pose - mean))
+    correction = _edit_joint(model, limb, sites, lambda _, joint_pose: mean + gain * (joint_pose - mean))
     return replace(model, correction=correction, shapes=_scale_joint_shapes(model, limb, gain))
 
 
@@ -275,10 +273,8 @@ def hold(
     first, last = max(start - fade, model.start), min(end + fade, model.end)
     knots = np.concatenate([np.linspace(start - fade, start, 4), np.linspace(end, end + fade, 4)])
     sites = model_sites(model, first, last, knots)
-    held_pose = limb.joint_pose(model, np.array([time]))
-    correction = _edit_joint_pose(
-        model, limb, sites, lambda times, pose: pose + weight(times) * (held_pose - pose)
-    )
+    held = limb.joint_pose(model, np.array([time]))
+    correction = _edit_joint(model, limb, sites, lambda times, pose: pose + weight(times) * (held - pose))
     extended, to_limb_modes = _add_limb_modes(model, limb)
     held_point = model.time([time])
 
@@ -294,7 +290,7 @@ def hold(
     )
 
 
-def _edit_joint_pose(model: Model, limb: Limb, sites: Float, edit: JointPoseEdit) -> Curve:
+def _edit_joint(model: Model, limb: Limb, sites: Float, edit: JointPoseEdit) -> Curve:
     """Return the correction of all parts with an edited joint pose of a limb, from the first to the last site."""
 
     def correction(times: Float) -> Float:
@@ -303,9 +299,8 @@ def _edit_joint_pose(model: Model, limb: Limb, sites: Float, edit: JointPoseEdit
     joint_pose = limb.joint_pose(model, sites)
     turn_steps = np.diff(edit(sites, joint_pose)[:, :3] - joint_pose[:, :3], axis=0)
     count = 1 + int(np.abs(turn_steps).max(initial=0.0) / MAX_TURN_STEP_RADIANS)
-    return interpolate_adaptively(
-        correction, subdivide(sites, count), SIGNAL_TOLERANCE, correction_norm(model)
-    )
+    sites = subdivide(sites, count)
+    return interpolate_adaptively(correction, sites, SIGNAL_TOLERANCE, correction_norm(model))
 
 
 def _splice(model: Model, curve: Curve, inside: Curve) -> Curve:

@@ -100,10 +100,8 @@ class Retiming:
             )
         if not (np.isfinite(x).all() and np.isfinite(y).all() and (np.diff(x) > 0).all()):
             raise SettingsError("the times of a retiming must be finite, and its output times increase")
-        if (
-            np.diff(x).min() < MIN_KNOT_SPACING
-            or max(np.abs(x).max(), np.abs(y).max()) > 1 / MIN_KNOT_SPACING
-        ):
+        largest = max(np.abs(x).max(), np.abs(y).max())
+        if np.diff(x).min() < MIN_KNOT_SPACING or largest > 1 / MIN_KNOT_SPACING:
             raise SettingsError(
                 f"the output times of a retiming must be {MIN_KNOT_SPACING:g} s apart or more, and no time beyond "
                 f"{1 / MIN_KNOT_SPACING:g} s"

@@ -264,11 +264,10 @@ def _similarity_weight(model: Model, time: float, radius: float) -> Curve:
         return Curve(sites, np.ones((len(sites), 1)))
 
     def weight(times: Float) -> Float:
-        return np.asarray(np.exp(-0.5 * np.square(norm(model.time(times) - edited_point) / scale))[:, None])
+        distances = norm(model.time(times) - edited_point)
+        return np.asarray(np.exp(-0.5 * np.square(distances / scale))[:, None])
 
-    return interpolate_adaptively(
-        weight, sites, WEIGHT_TOLERANCE, lambda deviations: np.abs(deviations[:, 0])
-    )
+    return interpolate_adaptively(weight, sites, WEIGHT_TOLERANCE, lambda errors: np.abs(errors[:, 0]))
 
 
 def _weight_sites(model: Model, knots: Float) -> Float:

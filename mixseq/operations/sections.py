@@ -46,9 +46,8 @@ def centre_columns(space: ShapeSpace) -> Index:
 
 def align_quaternion_signs(space: ShapeSpace, placement: Curve, time: float, reference: Float) -> Curve:
     """Flip quaternion signs of a placement so that it continues a reference ``(P,)`` at a time."""
-    after, before = (
-        space.unpack_placements(vectors).rotations[0] for vectors in (placement([time]), reference[None])
-    )
+    before = space.unpack_placements(reference[None]).rotations[0]
+    after = space.unpack_placements(placement([time])).rotations[0]
     signs = np.where(np.einsum("gi,gi->g", after, before) < 0, -1.0, 1.0)
     if (signs > 0).all():
         return placement
@@ -384,9 +383,8 @@ def snap_time(model: Model, time: float, name: str = "time") -> float:
             f"{name} is {time:g} s; the model is from {span_text(model.start, model.end, fps)}, give a time within"
             f"{seconds_meant(time, model.start, model.end, fps)}"
         )
-    targets = np.concatenate(
-        [[model.start, model.end], model.times, *(curve.times for curve in model.curves)]
-    )
+    knots = (curve.times for curve in model.curves)
+    targets = np.concatenate([[model.start, model.end], model.times, *knots])
     nearest = float(targets[np.abs(targets - time).argmin()])
     return nearest if abs(nearest - time) <= slack else float(time)
 

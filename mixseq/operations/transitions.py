@@ -194,9 +194,7 @@ def transition(a: Model, b: Model, at: Seconds, duration: Seconds, travel: bool 
     at = snap_time(a, at, "at")
     for name, remaining in (("first", a.end - at), ("second", b.end - b.start)):
         if duration > remaining + TIME_TOLERANCE_FRAMES / a.header.fps:
-            raise SettingsError(
-                f"duration is {duration:g} s; the {name} model has {remaining:g} s from there on"
-            )
+            raise SettingsError(f"duration is {duration:g} s; the {name} model has {remaining:g} s left")
     b = map_times(b, at - b.start)
     end = min(snap_time(b, at + duration), a.end, b.end)
     if not end - at > TIME_TOLERANCE_FRAMES / a.header.fps:

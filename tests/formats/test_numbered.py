@@ -111,7 +111,7 @@ def test_extensions_in_capitals(tmp_path: Path) -> None:
 
 def test_nothing_there(tmp_path: Path) -> None:
     for name in ("a_#.ply", "a_*.ply"):
-        with pytest.raises(FormatError, match="no files of this name"):
+        with pytest.raises(FormatError, match="no numbered files of this name"):
             read(tmp_path / name)
     with pytest.raises(FormatError, match="does not exist"):
         read(tmp_path / "a.ply")

@@ -34,18 +34,18 @@ from mixseq_io.reader import (
 )
 from mixseq_io.surfaces import lost_scale, lost_times, scale_text_colours, warn_of_losses
 
-_PLACEHOLDER = re.compile(r"#+|%0?(\d*)d")
-_LAST_NUMBER = re.compile(r"(\d+)(?=\D*$)")
+_FRAME_PATTERN = re.compile(r"#+|%0?(\d*)d")
+_LAST_NUMBER_PATTERN = re.compile(r"(\d+)(?=\D*$)")
 
 
 def is_pattern(path: Path) -> bool:
     """Whether a file name has a placeholder of the frame number: ``####`` or ``%04d``."""
-    return _PLACEHOLDER.search(path.name) is not None
+    return _FRAME_PATTERN.search(path.name) is not None
 
 
 def frame_file_name(pattern: Path, number: int) -> str:
     """Insert a frame number into a pattern's name; names without a placeholder are unchanged."""
-    return _PLACEHOLDER.sub(lambda match: str(number).zfill(_digit_count(match)), pattern.name, count=1)
+    return _FRAME_PATTERN.sub(lambda match: str(number).zfill(_digit_count(match)), pattern.name, count=1)
 
 
 def find_frame_files(path: Path, allow_gaps: bool, extension: str = ".obj") -> tuple[list[Path], list[int]]:
@@ -70,7 +70,7 @@ def find_frame_files(path: Path, allow_gaps: bool, extension: str = ".obj") -> t
 
 def find_numbered_files(path: Path) -> list[tuple[int, Path]]:
     """Find the numbers and files that match a pattern, unsorted."""
-    placeholder = _PLACEHOLDER.search(path.name)
+    placeholder = _FRAME_PATTERN.search(path.name)
     if placeholder is None or not path.parent.is_dir():
         return []
     before, after = path.name[: placeholder.start()], path.name[placeholder.end() :]
@@ -85,8 +85,8 @@ def _number_files(path: Path, files: Iterable[Path]) -> list[tuple[int, Path]]:
     for file in sorted(files):
         if file.name.startswith("."):
             continue
-        number = _LAST_NUMBER.search(file.stem)
-        pattern = _LAST_NUMBER.sub("*", file.stem) + file.suffix.lower()
+        number = _LAST_NUMBER_PATTERN.search(file.stem)
+        pattern = _LAST_NUMBER_PATTERN.sub("*", file.stem) + file.suffix.lower()
         series[pattern].append((int(number[1]) if number else 0, file))
     if len(series) > 1:
         names = ", ".join(sorted(series)[:10])
@@ -239,7 +239,7 @@ class _FilesReader(SequenceReader):
         if not (self._first.has_changing_colours or _same_colours(mesh.surface, self.header.surface)):
             self._first = replace(self._first, has_changing_colours=True)
             warn(
-                f"{self.path}: colours that change over time keep those of the first frame; {where} has others"
+                f"{self.path}: colours that change over time stay as they are in the first frame; {where} has others"
             )
         return mesh.points
 

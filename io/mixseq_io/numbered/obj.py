@@ -432,4 +432,4 @@ def _collapse_spaces(name: str) -> str:
     return " ".join(name.split())
 
 
-OBJ = FrameFormat("OBJ", parse_obj, obj_encoder, lost_in_obj, is_text=True)
+OBJ_FORMAT = FrameFormat("OBJ", parse_obj, obj_encoder, lost_in_obj, is_text=True)

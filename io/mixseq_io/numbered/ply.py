@@ -2,15 +2,14 @@
 
 The reader takes ``x``, ``y``, ``z`` of the vertices, the list ``vertex_indices`` (or ``vertex_index``) of the faces,
 texture coordinates (``s t`` or ``u v`` of vertices, or the list ``texcoord`` of the faces), and colours (``red``,
-``green``, ``blue`` and optionally ``alpha`` of vertices or faces, or the list ``color`` of the faces). Other
-properties, such as normals, are skipped. Points keep the precision ``float`` or ``double``; integers become float64.
+``green``, ``blue`` and optionally ``alpha`` of vertices or faces, or the list ``color`` of the faces). Points keep the
+precision ``float`` or ``double``; integers become float64.
 
 Files are written little-endian and binary, in the precision of the points: texture coordinates as ``s t`` if every
 vertex has a single one, else as ``texcoord``; colours likewise, as ``uchar`` if exact, else ``float``, and as ``color``
 where a vertex has several. Lists of corners are as in MeshLab. PLY has no place for the name, times, frame rate, units,
-the up axis, velocities, hard edges, face sets, objects and subdivision. The parser is mixseq's own since trimesh
-refuses binary files with triangles and quads, and triangulates polygons of text files. Counts are checked against the
-file's size first.
+the up axis, velocities, hard edges, face sets, objects and subdivision. trimesh is not used, as it refuses binary files
+with triangles and quads, and triangulates polygons of text files. Counts are checked against the file's size first.
 
 Specification: https://paulbourke.net/dataformats/ply/
 """
@@ -196,13 +195,9 @@ def _read_rows(data: bytes, start: int, element: Element) -> tuple[Columns, int]
 def _make_columns(
     element: Element, values: Mapping[str, NDArray[Any]], counts: Mapping[str, ArrayLike]
 ) -> Columns:
+    lists = {name: np.asarray(own, dtype=np.int64) for name, own in counts.items()}
     return {
-        prop.name: Column(
-            values[prop.name],
-            prop.type,
-            None if prop.count_type is None else np.asarray(counts[prop.name], dtype=np.int64),
-        )
-        for prop in element.properties
+        prop.name: Column(values[prop.name], prop.type, lists.get(prop.name)) for prop in element.properties
     }
 
 
@@ -238,13 +233,15 @@ def _read_uniform_rows(data: bytes, start: int, element: Element) -> tuple[Colum
 def _read_variable_rows(data: bytes, start: int, element: Element) -> tuple[Columns, int]:
     """Read rows one by one."""
     chunks: dict[str, list[bytes]] = {prop.name: [] for prop in element.properties}
-    counts: dict[str, list[int]] = {prop.name: [] for prop in element.properties}
+    counts: dict[str, list[int]] = {
+        prop.name: [] for prop in element.properties if prop.count_type is not None
+    }
     plan = [
         (
             prop.type.itemsize,
             None if prop.count_type is None else struct.Struct(_struct_code(prop.count_type)),
             chunks[prop.name],
-            counts[prop.name],
+            counts.get(prop.name, []),
         )
         for prop in element.properties
     ]
@@ -298,16 +295,9 @@ def parse_ply(file: Path, data: bytes, first: MeshFile | None) -> MeshFile:
     corners = faces.get("vertex_indices", faces.get("vertex_index"))
     if corners is None or corners.counts is None:
         raise FormatError(f"{file} cannot be read as a PLY file: it has no faces with vertex_indices")
-    indices = _to_indices(corners.values)
-    polygons = Polygons(corners.counts, indices)
-    return MeshFile(
-        points=points,
-        polygons=polygons,
-        stored_faces=stored_faces,
-        surface=Surface(
-            uvs=_uvs(file, elements, polygons), colours=_colours(file, elements, polygons, first)
-        ),
-    )
+    polygons = Polygons(corners.counts, _to_indices(corners.values))
+    surface = Surface(uvs=_uvs(file, elements, polygons), colours=_colours(file, elements, polygons, first))
+    return MeshFile(points=points, polygons=polygons, stored_faces=stored_faces, surface=surface)
 
 
 def _stack_columns(columns: Columns, *names: str) -> FloatArray | None:
@@ -323,9 +313,7 @@ def _to_indices(numbers: NDArray[np.generic]) -> IntArray:
     """Convert indices to integers; those of text files are float64."""
     limit = np.iinfo(np.int32).max
     values = numbers.astype(np.float64)
-    if not (
-        np.isfinite(values).all() and (np.abs(values) <= limit).all() and (values == np.rint(values)).all()
-    ):
+    if not ((np.abs(values) <= limit) & (values == np.rint(values))).all():
         raise ValueError("a face has a corner that is not a vertex number")
     return values.astype(np.int32)
 
@@ -417,7 +405,7 @@ def _corner_values(column: Column, polygons: Polygons, default: Sequence[float])
     return values
 
 
-def _make_encoder(path: Path, header: SequenceHeader) -> Encoder:
+def _ply_encoder(path: Path, header: SequenceHeader) -> Encoder:
     """Return the encoder of points ``(V, 3)`` into a PLY file; faces are encoded once."""
     polygons, surface = header.polygons, header.surface
     columns: list[tuple[str, NDArray[Any]]] = []  # names, and values of vertices
@@ -492,10 +480,10 @@ def _encode_faces(polygons: Polygons, lists: Sequence[NDArray[np.float32]]) -> b
     return words.tobytes()
 
 
-PLY = FrameFormat(
+PLY_FORMAT = FrameFormat(
     "PLY",
     parse_ply,
-    _make_encoder,
+    _ply_encoder,
     lambda header: lost_surface(header, held=("uvs", "colours")) + lost_colours(header),
     damage_errors=(ValueError, OverflowError),
 )

@@ -22,7 +22,6 @@ from io import StringIO
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mixseq.errors import FormatError, InvalidSequenceError
 from mixseq.mesh.measures import vector_areas
@@ -112,7 +111,7 @@ def _vertex_lines(file: Path, lines: list[bytes]) -> list[bytes]:
     return body[:vertices]
 
 
-def _make_off_encoder(path: Path, header: SequenceHeader) -> Encoder:
+def _off_encoder(path: Path, header: SequenceHeader) -> Encoder:
     counts = f"{header.vertex_count} {len(header.faces)} 0\n".encode()
     faces = "".join(f"3 {a} {b} {c}\n" for a, b, c in header.faces.tolist()).encode()
     colours = format_vertex_colours(header, 4)
@@ -126,10 +125,10 @@ def _make_off_encoder(path: Path, header: SequenceHeader) -> Encoder:
     return encode
 
 
-OFF = FrameFormat(
+OFF_FORMAT = FrameFormat(
     "OFF",
     parse_off,
-    _make_off_encoder,
+    _off_encoder,
     lambda header: [
         *lost_surface(header, held=("colours",)),
         *lost_colours(header, corners=False),
@@ -144,31 +143,30 @@ _TRIANGLE_DTYPE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("
 _PREAMBLE_BYTES = 80
 
 
-def parse_stl(file: Path, data: bytes, first_mesh: MeshFile | None) -> MeshFile:
-    """Parse an STL file, with the vertices of the first frame `first_mesh` for later frames."""
+def parse_stl(file: Path, data: bytes, first: MeshFile | None) -> MeshFile:
+    """Parse an STL file; later frames have the vertices of the first."""
     corners = _read_corners(file, data)
-    if first_mesh is None:
+    if first is None:
         indices, first_corners = _weld(corners)
         polygons = Polygons(np.full(len(corners) // 3, 3), indices)
         return MeshFile(points=corners[first_corners], polygons=polygons, stored_faces=first_corners)
-    indices = first_mesh.polygons.indices
+    indices = first.polygons.indices
     if len(corners) != indices.size:
         raise InvalidSequenceError(
             f"it has {len(corners) // 3} triangles, the first frame has {indices.size // 3}; every frame needs the "
             "same triangles in the same order"
         )
-    points = corners[first_mesh.stored_faces]
-    is_equal = (corners == points[indices]) | (
-        np.isnan(corners) & np.isnan(points[indices])
-    )  # nan is reported later
+    points = corners[first.stored_faces]
+    welded = points[indices]
+    is_equal = (corners == welded) | (np.isnan(corners) & np.isnan(welded))  # nan is reported later
     apart_mask = ~is_equal.all(axis=1)
     if apart_mask.any():
         corner = int(np.argmax(apart_mask))
         raise InvalidSequenceError(
-            f"vertex {indices[corner]}, one place in the first frame, is at {points[indices[corner]].tolist()} and at "
+            f"vertex {indices[corner]}, one place in the first frame, is at {welded[corner].tolist()} and at "
             f"{corners[corner].tolist()}; STL stores no shared vertices, export OBJ or PLY"
         )
-    return MeshFile(points=points, polygons=first_mesh.polygons, stored_faces=first_mesh.stored_faces)
+    return MeshFile(points=points, polygons=first.polygons, stored_faces=first.stored_faces)
 
 
 def _weld(corners: FloatArray) -> tuple[IntArray, IntArray]:
@@ -228,13 +226,15 @@ def _parse_vertex(file: Path, number: int, line: bytes, words: tuple[bytes, ...]
         ) from None
 
 
-def _make_stl_encoder(path: Path, header: SequenceHeader) -> Encoder:
+def _stl_encoder(path: Path, header: SequenceHeader) -> Encoder:
     polygons = Polygons.from_triangles(header.faces)
 
     def encode(points: FloatArray, frame: int) -> Iterable[bytes]:
         single = as_float32(points[None], frame, "STL", header=header)
         triangles = np.zeros(len(header.faces), dtype=_TRIANGLE_DTYPE)
-        triangles["normal"] = _normalise(vector_areas(single, polygons)[0])
+        areas = vector_areas(single, polygons)[0]
+        lengths = np.linalg.norm(areas, axis=1, keepdims=True)
+        triangles["normal"] = areas / np.where(lengths > 0, lengths, 1.0)
         triangles["corners"] = single[0][header.faces]
         if frame == 0:
             _warn_of_changed_vertices(path, header, triangles["corners"].reshape(-1, 3))
@@ -242,12 +242,6 @@ def _make_stl_encoder(path: Path, header: SequenceHeader) -> Encoder:
         yield triangles.tobytes()
 
     return encode
-
-
-def _normalise(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Normalise vectors ``(n, 3)``; zero vectors stay 0."""
-    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return vectors / np.where(lengths > 0, lengths, 1.0)
 
 
 def _warn_of_changed_vertices(path: Path, header: SequenceHeader, corners: FloatArray) -> None:
@@ -259,11 +253,9 @@ def _warn_of_changed_vertices(path: Path, header: SequenceHeader, corners: Float
             "OBJ and PLY keep them"
         )
     elif not np.array_equal(indices, header.faces.reshape(-1)):
-        warn(
-            f"{path}: STL stores no order of vertices; they will be read in another one; OBJ and PLY keep it"
-        )
+        warn(f"{path}: STL stores no vertex order; vertices will be read in another; OBJ and PLY keep it")
 
 
-STL = FrameFormat(
-    "STL", parse_stl, _make_stl_encoder, lambda header: lost_surface(header) + lost_polygons(header)
+STL_FORMAT = FrameFormat(
+    "STL", parse_stl, _stl_encoder, lambda header: lost_surface(header) + lost_polygons(header)
 )

@@ -85,18 +85,16 @@ def labels_from_skinning(
     skinning: Skinning, polygons: Polygons, min_ratio: float = MIN_JOINT_FACE_RATIO
 ) -> Labels:
     """Label polygons by the joint with the largest sum of weights."""
-    count = len(polygons.counts)
+    count, vertex_count = len(polygons.counts), skinning.weights.shape[0]
     rows = np.repeat(np.arange(count), polygons.counts)
-    corners = csr_array(
-        (np.ones(rows.size), (rows, polygons.indices)), shape=(count, skinning.weights.shape[0])
-    )
+    corners = csr_array((np.ones(rows.size), (rows, polygons.indices)), shape=(count, vertex_count))
     sums = (corners @ skinning.weights).tocoo()
     # Rounded, so that sums of the same weights in another order are equal.
     order = np.lexsort((sums.col, -np.round(sums.data, 6), sums.row))
     _, first = np.unique(sums.row[order], return_index=True)
     joints = np.asarray(sums.col[order][first], dtype=np.int64)
     joints = _merge_small_joints(skinning, joints, min_ratio * count)
-    joints = merge_small_regions(joints, polygons, skinning.weights.shape[0], min_ratio * count)
+    joints = merge_small_regions(joints, polygons, vertex_count, min_ratio * count)
     used, labels = np.unique(joints, return_inverse=True)
     names = shorten_paths(skinning.joints[joint] for joint in used)
     return Labels(triangle_labels(labels, polygons), tuple(names.values()))
@@ -139,23 +137,21 @@ def merge_small_regions(labels: Index, polygons: Polygons, vertex_count: int, mi
     regions = connected_components(graph, directed=False)[1]
     region_labels = labels[np.unique(regions, return_index=True)[1]]
     sizes = dict(enumerate(np.bincount(regions).tolist()))
-    edge_counts: dict[int, dict[int, int]] = {region: {} for region in sizes}  # shared with each neighbour
+    borders: dict[int, dict[int, int]] = {region: {} for region in sizes}  # shared with each neighbour
     for a, b in regions[pairs[~same_mask]].tolist():
-        edge_counts[a][b] = edge_counts[a].get(b, 0) + 1
-        edge_counts[b][a] = edge_counts[b].get(a, 0) + 1
+        borders[a][b] = borders[a].get(b, 0) + 1
+        borders[b][a] = borders[b].get(a, 0) + 1
     targets = np.arange(len(sizes))
-    while small := [
-        (size, region) for region, size in sizes.items() if size < min_count and edge_counts[region]
-    ]:
+    while small := [(size, region) for region, size in sizes.items() if size < min_count and borders[region]]:
         smallest = min(small)[1]
-        target = max(edge_counts[smallest], key=lambda region: (edge_counts[smallest][region], -region))
+        target = max(borders[smallest], key=lambda region: (borders[smallest][region], -region))
         targets[targets == smallest] = target
         sizes[target] += sizes.pop(smallest)
-        for region, edges in edge_counts.pop(smallest).items():
-            del edge_counts[region][smallest]
+        for region, edges in borders.pop(smallest).items():
+            del borders[region][smallest]
             if region != target:
-                edges += edge_counts[target].get(region, 0)
-                edge_counts[region][target] = edge_counts[target][region] = edges
+                edges += borders[target].get(region, 0)
+                borders[region][target] = borders[target][region] = edges
     return np.asarray(region_labels[targets[regions]], dtype=np.int64)
 
 

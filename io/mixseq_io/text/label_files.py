@@ -101,9 +101,7 @@ def extract_labels(
 def _choose_labels(file: Path, sources: Sources, source: str | None) -> Labels:
     available = f"it has {', '.join(sources)}"
     if not sources:
-        available = (
-            "it has no array of labels, sets of faces, materials, vertex colours or skin; give another file"
-        )
+        available = "it has no labels, face sets, materials, vertex colours or skin; give another file"
     if source == LABEL_SUBSET_FAMILY and source not in sources:
         source = LABELS_SOURCE  # the family that `mixseq segment` writes
     if source is not None:
@@ -254,10 +252,12 @@ def write_labels(
     """
     file, header = Path(path), sequence.header
     format_name = check_label_target(file)
-    if format_name == _ARRAY_FORMAT:
-        _write_arrays(file, header, labels)
-        return
     of_polygon = polygon_labels(labels.part_of_face, header.polygons)
+    if format_name == _ARRAY_FORMAT:
+        faces, names = labels.part_of_face, np.array(labels.names)
+        with atomic_file(file) as temporary:
+            np.savez(temporary, part_of_face=faces, part_of_polygon=of_polygon, names=names)
+        return
     _warn_of_cut_polygons(file, header, labels, of_polygon)
     if format_name == _SUBSET_FORMAT:
         _write_subsets(file, sequence, of_polygon, labels.names, flatten)
@@ -281,16 +281,6 @@ def check_label_target(path: PathLike) -> str:
         kind = extension or "a file without extension"
         raise OutputError(f"{path}: {kind} has no place for parts; write one of {', '.join(formats)}")
     return formats[extension]
-
-
-def _write_arrays(file: Path, header: SequenceHeader, labels: Labels) -> None:
-    with atomic_file(file) as temporary:
-        np.savez(
-            temporary,
-            part_of_face=labels.part_of_face,
-            part_of_polygon=polygon_labels(labels.part_of_face, header.polygons),
-            names=np.array(labels.names),
-        )
 
 
 def _write_subsets(

@@ -27,9 +27,8 @@ class Labels:
     names: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "part_of_face", frozen(np.ascontiguousarray(self.part_of_face, dtype=np.int64))
-        )
+        labels = np.ascontiguousarray(self.part_of_face, dtype=np.int64)
+        object.__setattr__(self, "part_of_face", frozen(labels))
 
 
 def triangle_labels(of_polygon: ArrayLike, polygons: Polygons) -> Index:

@@ -211,7 +211,7 @@ def _read_rows(file: Path, kind: Kind | None = None) -> tuple[Kind, Float]:
     for location, row in rows:
         if len(row) != width or width not in widths:
             raise FormatError(
-                f"{file}, {location} has {len(row)} numbers; rows of a map of {kind} have {widths[0]} or {widths[1]}"
+                f"{file}, {location} has {len(row)} numbers; rows of a {kind} map have {widths[0]} or {widths[1]}"
             )
     table = np.array([row for _, row in rows], np.float64)
     ids = table[:, : 1 + (width == widths[1])]
@@ -243,11 +243,9 @@ def _parse_text(file: Path, text: str) -> tuple[Kind | None, _Rows]:
                 "are expected, separated by a space, comma, colon, semicolon or '->'"
             ) from None
     if len(rows) > 1 and len(rows[0][1]) == 1 < len(rows[1][1]):
-        (announced,), rows = rows[0][1], rows[1:]
-        if announced != len(rows):
-            raise FormatError(
-                f"{file}: it announces {announced:g} rows, but {len(rows)} follow; is it truncated?"
-            )
+        (expected,), rows = rows[0][1], rows[1:]
+        if expected != len(rows):
+            raise FormatError(f"{file} announces {expected:g} rows, but {len(rows)} follow; is it truncated?")
     return stated, rows
 
 
@@ -261,9 +259,8 @@ def _parse_json(file: Path, text: str) -> tuple[Kind | None, _Rows]:
         raise FormatError(
             f"{file} has no map; a list is expected, by itself or as 'vertices', 'triangles' or 'barycentric'"
         )
-    return stated, [
-        (f"row {number}", _parse_json_row(file, number, item)) for number, item in enumerate(tree, start=1)
-    ]
+    rows = enumerate(tree, start=1)
+    return stated, [(f"row {number}", _parse_json_row(file, number, item)) for number, item in rows]
 
 
 def _parse_json_row(file: Path, number: int, item: Any) -> list[float]:

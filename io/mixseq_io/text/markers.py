@@ -69,14 +69,10 @@ def read_contacts(path: PathLike) -> dict[str, list[int]]:
         raise FormatError(f'{file} has no contacts; an object such as {{"left foot": [12, 13]}} is expected')
     for name, vertices in groups.items():
         if not isinstance(vertices, list) or not vertices:
-            raise FormatError(
-                f"{file}: contact '{name}' is not a list of vertices; give at least one number, from 0"
-            )
+            raise FormatError(f"{file}: contact '{name}' is not a list of vertices; give numbers from 0")
         wrong = [vertex for vertex in vertices if type(vertex) is not int or vertex < 0]
         if wrong:
-            raise FormatError(
-                f"{file}: contact '{name}' has {wrong[0]!r}, which is not a vertex; they are numbered from 0"
-            )
+            raise FormatError(f"{file}: contact '{name}' has {wrong[0]!r}; vertices are numbered from 0")
     return groups
 
 
@@ -85,9 +81,7 @@ YAML_EXTENSIONS = (".yml", ".yaml")
 _PAIR_PATTERN = re.compile(r"(\d+)\s*(?:->|[\s,:;])\s*(\d+)")
 _COUNT_PATTERN = re.compile(r"\d{1,18}")
 _HEADING_PATTERN = re.compile(r"source\s*(?:->|[\s,:;])\s*target", re.IGNORECASE)
-_EXPECTED_TEXT = (
-    "two numbers of vertices, from 0, are expected, separated by a space, comma, colon, semicolon or '->'"
-)
+_PAIR_TEXT = "two vertex numbers, from 0, are expected, separated by a space, comma, colon, semicolon or '->'"
 
 
 @dataclass(frozen=True)
@@ -136,7 +130,7 @@ def read_markers(path: PathLike, *, reverse: bool = False) -> Markers:
         raise FormatError(f"{file} is a map, not a list of markers; give it as the map (--map)")
     raw_markers = _parse_markers(file, read_text(file, "markers"))
     if not raw_markers:
-        raise FormatError(f"{file} has no markers; {_EXPECTED_TEXT}")
+        raise FormatError(f"{file} has no markers; {_PAIR_TEXT}")
     markers = [_parse_marker(f"{file}, {raw.location}", raw) for raw in raw_markers]
     pairs = [(target, source) if reverse else (source, target) for source, target, _ in markers]
     names = tuple(name for _, _, name in markers)
@@ -250,9 +244,8 @@ def _find_list(file: Path, tree: Any) -> list[Any]:
         lengths = [len(column) if isinstance(column, list) else -1 for column in columns]
         if len(set(lengths)) != 1:
             raise FormatError(f"{file}: its lists 'source', 'target' (and 'names') are not equally long")
-        tree = [
-            dict(zip(("source", "target", "name"), row, strict=True)) for row in zip(*columns, strict=True)
-        ]
+        keys = ("source", "target", "name")
+        tree = [dict(zip(keys, row, strict=True)) for row in zip(*columns, strict=True)]
     if not isinstance(tree, list):
         raise FormatError(
             f"{file} has no list of markers; a list of pairs is expected, by itself or as 'markers', or lists "
@@ -267,7 +260,7 @@ def _parse_marker(where: str, raw: _RawMarker) -> tuple[int, int, str]:
     if isinstance(value, str):
         match = _PAIR_PATTERN.fullmatch(value.strip())
         if match is None:
-            raise FormatError(f"{where}: {_quote(value)} is not a pair of vertices; {_EXPECTED_TEXT}")
+            raise FormatError(f"{where}: {_quote(value)} is not a pair of vertices; {_PAIR_TEXT}")
         value = match.groups()
     elif isinstance(value, dict):
         name = str(value.get("name") or name)

@@ -119,9 +119,8 @@ def encode_png(pixels: NDArray[Any]) -> bytes:
     filter_ids = magnitudes.argmin(axis=0)
     filters = np.array([_FILTER_NONE, _FILTER_SUB, _FILTER_UP], np.uint8)[filter_ids][:, None]
     filtered_rows = np.concatenate([filters, candidates[filter_ids, np.arange(height)]], axis=1)
-    header = struct.pack(
-        ">IIBBBBB", width, height, 8 * pixels.dtype.itemsize, _COLOUR_TYPES[channels], 0, 0, 0
-    )
+    bits = 8 * pixels.dtype.itemsize
+    header = struct.pack(">IIBBBBB", width, height, bits, _COLOUR_TYPES[channels], 0, 0, 0)
     chunks = (b"IHDR", header), (b"IDAT", zlib.compress(filtered_rows.tobytes(), 9)), (b"IEND", b"")
     return _PNG_SIGNATURE + b"".join(_chunk(*part) for part in chunks)
 
@@ -270,7 +269,7 @@ class Textures:
     decoded: VertexFrames  # points and normals as shaders decode them
 
 
-def make_plain_textures(frames: VertexFrames, texels: Texels, pixel_type: PixelType) -> Textures:
+def encode_plain(frames: VertexFrames, texels: Texels, pixel_type: PixelType) -> Textures:
     """Make textures with a texel per vertex and frame."""
     low, high = frames.points.min(axis=(0, 1)), frames.points.max(axis=(0, 1))
     normal_type = np.uint8 if pixel_type is np.uint16 else pixel_type
@@ -287,9 +286,7 @@ def _unstack_layers(image: EncodedImage, texels: Texels) -> NDArray[np.float64]:
     return layers[:, : texels.count]
 
 
-def make_low_rank_textures(
-    fitted: LowRank, frames: VertexFrames, texels: Texels, pixel_type: PixelType
-) -> Textures:
+def encode_low_rank(fitted: LowRank, frames: VertexFrames, texels: Texels, pixel_type: PixelType) -> Textures:
     """Make textures of basis vectors and of coefficients."""
     basis = pack_basis_vectors(fitted.basis[texels.vertices])
     layers, columns = len(basis), 4 * len(basis)

@@ -28,10 +28,10 @@ from mixseq_io.vat.textures import (
     Texels,
     Textures,
     VertexFrames,
+    encode_low_rank,
+    encode_plain,
     encode_png,
     import_openexr,
-    make_low_rank_textures,
-    make_plain_textures,
     write_exr,
 )
 
@@ -137,14 +137,12 @@ def write_vat(
     pixel_type: PixelType = np.uint16 if texture == "png16" else np.float32
     steps = np.diff(sequence.times)
     if steps.size and np.ptp(steps) > _MAX_STEP_VARIATION * steps.mean():
-        warn(
-            f"{folder}: frames of textures are evenly spaced, those of the sequence are not; resample it (--fps)"
-        )
+        warn(f"{folder}: textures need evenly spaced frames; resample the sequence (--fps)")
     texels = Texels.from_header(sequence.header)
     frames = VertexFrames.from_points(sequence.points, texels)
     if max_error is None:
-        textures = make_plain_textures(frames, texels, pixel_type)
-        report = _measure_errors(frames, _diagonal(sequence), textures)
+        textures = encode_plain(frames, texels, pixel_type)
+        report = _measure_errors(sequence, frames, textures)
     else:
         textures, report = _fit_within_bound(sequence, frames, texels, pixel_type, max_error, progress)
     texels.add_vertices(np.asarray(sequence.points[0]), len(textures.images["points"].pixels) // texels.rows)
@@ -179,12 +177,11 @@ def _fit_within_bound(
     """Fit low-rank textures within an error in diagonals, including rounding."""
     if not max_error > 0:
         raise SettingsError(f"max_error is {max_error:g}; a positive number of diagonals is expected")
-    bound, diagonal = _INITIAL_BOUND_RATIO * max_error, _diagonal(sequence)
+    bound = _INITIAL_BOUND_RATIO * max_error
     for _ in range(_MAX_ATTEMPTS):
-        textures = make_low_rank_textures(
-            fit_low_rank(sequence, bound, progress=progress), frames, texels, pixel_type
-        )
-        report = _measure_errors(frames, diagonal, textures)
+        fitted = fit_low_rank(sequence, bound, progress=progress)
+        textures = encode_low_rank(fitted, frames, texels, pixel_type)
+        report = _measure_errors(sequence, frames, textures)
         excess = report.max_error - max_error
         if excess <= 0:
             return textures, report
@@ -197,12 +194,9 @@ def _fit_within_bound(
     )
 
 
-def _diagonal(sequence: MeshSequence) -> float:
-    return bounding_diagonal(np.asarray(sequence.points[0], dtype=np.float64)) or 1.0
-
-
-def _measure_errors(frames: VertexFrames, diagonal: float, textures: Textures) -> VatReport:
+def _measure_errors(sequence: MeshSequence, frames: VertexFrames, textures: Textures) -> VatReport:
     decoded = textures.decoded
+    diagonal = bounding_diagonal(np.asarray(sequence.points[0], dtype=np.float64)) or 1.0
     squares = np.square(decoded.points - frames.points).sum(axis=2)
     lengths = np.linalg.norm(decoded.normals, axis=2)
     cosines = np.sum(decoded.normals * frames.normals, axis=2) / np.where(lengths > 0, lengths, 1)
@@ -271,9 +265,5 @@ def _make_metadata(
         "bounds": {"min": points.min(axis=(0, 1)).tolist(), "max": points.max(axis=(0, 1)).tolist()},
         "up_axis": header.up_axis,
         "metres_per_unit": header.metres_per_unit,
-        "error": {
-            "max": report.max_error,
-            "rms": report.rms_error,
-            "normal_degrees": report.normal_degrees,
-        },
+        "error": {"max": report.max_error, "rms": report.rms_error, "normal_degrees": report.normal_degrees},
     }

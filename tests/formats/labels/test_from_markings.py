@@ -59,7 +59,7 @@ def test_more_than_256_colours_are_no_segmentation() -> None:
     colours[:256, 0] = np.arange(256) / 255
     assert len(labels_from_colours(colours, triangles).names) > 1
     colours[256:, 1] = 1
-    with pytest.raises(FormatError, match="257 vertex colours, which is no segmentation"):
+    with pytest.raises(FormatError, match="257 vertex colours, too many for a segmentation"):
         labels_from_colours(colours, triangles)
 
 
