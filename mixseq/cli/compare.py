@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.files import check_options, chosen_blocks, counted, options_of
+from mixseq.cli.files import check_options, counted, options_of, select_frames
 from mixseq.cli.group import print_json, print_table, progress_bar, say
 from mixseq.cli.lengths import length_text
 from mixseq.errors import MixseqWarning
-from mixseq.sequence.frame_rates import frame_text, number_at
+from mixseq.sequence.frame_rates import format_frame, time_to_number
 
 if TYPE_CHECKING:
     from mixseq.metrics import Comparison
@@ -38,12 +38,12 @@ def command(reference: Path, other: Path, as_json: bool, reading: dict[str, Any]
     """
     from mixseq.sequence.sequence import LazyFrames
 
-    ours, theirs = options_of(reference, reading), options_of(other, reading)
+    reference_options, other_options = options_of(reference, reading), options_of(other, reading)
     check_options((reference, other), reading, f"neither {reference} nor {other} is")
     with (
         progress_bar(quiet) as progress,
-        mixseq.open_sequence(reference, **ours) as a,
-        mixseq.open_sequence(other, **theirs) as b,
+        mixseq.open_sequence(reference, **reference_options) as a,
+        mixseq.open_sequence(other, **other_options) as b,
     ):
         _warn_of_axes(reference, a.header, other, b.header)
         shared = at_times_of(a, b)
@@ -53,7 +53,7 @@ def command(reference: Path, other: Path, as_json: bool, reading: dict[str, Any]
         )
         result = mixseq.compare(frames, shared)
     if as_json:
-        number = number_at(result.worst_time, a.header.fps)
+        number = time_to_number(result.worst_time, a.header.fps)
         left_out = b.header.frame_count - result.frames
         print_json(
             {"reference": str(reference), "other": str(other), "left_out": left_out}
@@ -68,16 +68,16 @@ def command(reference: Path, other: Path, as_json: bool, reading: dict[str, Any]
 
 def at_times_of(a: Frames, b: Frames) -> Frames:
     """Return b at the times of a, if b has more frames and those among them; else b itself."""
-    from mixseq.metrics import shared_frames
+    from mixseq.metrics import match_frames
     from mixseq.sequence.sequence import LazyFrames
 
     more = b.header.frame_count > a.header.frame_count
-    frames = shared_frames(a.header, b.header) if more else None
+    frames = match_frames(a.header, b.header) if more else None
     if frames is None:
         return b
     indices = sorted(set(frames.tolist()))
     header = b.header.with_times(b.header.times[indices])
-    return LazyFrames(header, lambda size: chosen_blocks(b.blocks(size), indices))
+    return LazyFrames(header, lambda size: select_frames(b.blocks(size), indices))
 
 
 def _warn_of_axes(reference: Path, a: SequenceHeader, other: Path, b: SequenceHeader) -> None:
@@ -98,7 +98,7 @@ def _rows(result: Comparison, header: SequenceHeader) -> list[tuple[str, str]]:
         ("KG error", f"{result.kg_percent:.4g} %"),
         ("rms error", length_text(result.rms_error, diagonal)),
         ("max error", length_text(result.max_error, diagonal)),
-        ("worst frame", f"{frame_text(result.worst_time, header.fps)} at {result.worst_time:g} s"),
+        ("worst frame", f"{format_frame(result.worst_time, header.fps)} at {result.worst_time:g} s"),
         ("edge strain", _statistics(result.edge_strain, " %", 100)),
         ("dihedral error", _statistics(result.dihedral_degrees, " degrees")),
         ("volume error", f"{volume.mean:.4g} mean, {volume.max:.4g} max" if volume else "no volume"),

@@ -34,14 +34,14 @@ from scipy.sparse import csgraph
 
 from mixseq.errors import SettingsError
 from mixseq.mesh.rotations import (
-    continuous_vectors,
-    exponentials,
-    inverse,
-    normalised,
-    product,
-    rotations_of,
-    turned,
-    unwrap,
+    continuous_rotvec,
+    normalise_quat,
+    quat_conjugate,
+    quat_multiply,
+    quat_to_matrix,
+    rotate_vectors,
+    rotvec_to_quat,
+    unwrap_rotvec,
 )
 from mixseq.operations.filters import check_gain
 from mixseq.operations.sections import (
@@ -95,11 +95,11 @@ class Limb:
         all_times, ids = np.unique(np.concatenate([knots, times]), return_inverse=True)
         poses = part_poses(model, all_times)
         from_parent, from_part = self._pivots
-        rotations = rotations_of(poses.rotations)
+        rotations = quat_to_matrix(poses.rotations)
         to_parent = np.swapaxes(rotations[:, self.parent], -1, -2)
-        turns = continuous_vectors(to_parent @ rotations[:, self.part])
+        turns = continuous_rotvec(to_parent @ rotations[:, self.part])
         pivots = rotations[:, self.part] @ from_part + poses.centres[:, self.part]
-        gaps = turned(to_parent, pivots - poses.centres[:, self.parent]) - from_parent
+        gaps = rotate_vectors(to_parent, pivots - poses.centres[:, self.parent]) - from_parent
         return np.concatenate([turns, gaps], axis=1)[ids[len(knots) :]]
 
     def corrections(self, model: Model, times: Float, joint_pose: Float) -> Float:
@@ -109,21 +109,27 @@ class Limb:
         """
         old_joint_pose, poses = self.joint_pose(model, times), part_poses(model, times)
         from_parent, from_part = self._pivots
-        base = normalised(poses.rotations[:, self.parent])
-        change = product(exponentials(joint_pose[:, :3]), inverse(exponentials(old_joint_pose[:, :3])))
-        turn = product(product(base, change), inverse(base))
+        base = normalise_quat(poses.rotations[:, self.parent])
+        change = quat_multiply(
+            rotvec_to_quat(joint_pose[:, :3]), quat_conjugate(rotvec_to_quat(old_joint_pose[:, :3]))
+        )
+        turn = quat_multiply(quat_multiply(base, change), quat_conjugate(base))
         rotations, centres = poses.rotations.copy(), poses.centres.copy()
-        rotations[:, self.part_mask] = product(turn[:, None], rotations[:, self.part_mask])
-        parent, part = (rotations_of(rotations[:, number]) for number in (self.parent, self.part))
-        centre = turned(parent, from_parent + joint_pose[:, 3:]) + centres[:, self.parent] - part @ from_part
+        rotations[:, self.part_mask] = quat_multiply(turn[:, None], rotations[:, self.part_mask])
+        parent, part = (quat_to_matrix(rotations[:, number]) for number in (self.parent, self.part))
+        centre = (
+            rotate_vectors(parent, from_parent + joint_pose[:, 3:])
+            + centres[:, self.parent]
+            - part @ from_part
+        )
         relative = centres[:, self.part_mask] - centres[:, [self.part]]
-        centres[:, self.part_mask] = turned(rotations_of(turn)[:, None], relative) + centre[:, None]
+        centres[:, self.part_mask] = rotate_vectors(quat_to_matrix(turn)[:, None], relative) + centre[:, None]
         targets = np.concatenate([array.reshape(len(times), -1) for array in (rotations, centres)], axis=1)
         corrections = self.space.pose_corrections(blend_key_poses(model, times), targets)
         turns, reference = (
             array.reshape(len(array), 2, -1, 3)[:, 0] for array in (corrections, model.correction(times[:1]))
         )
-        turns[:] = unwrap(turns, reference[0])
+        turns[:] = unwrap_rotvec(turns, reference[0])
         return corrections
 
     def joint_weights(self) -> Float:

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import InvalidSequenceError, MixseqWarning, SettingsError
-from mixseq.mesh.polygons import Polygons, difference
+from mixseq.mesh.polygons import Polygons, describe_difference
 from mixseq.operations.sections import (
     breakpoints,
     fade_window,
@@ -107,7 +107,9 @@ def check_edited_points(points: ArrayLike | MeshSequence, header: SequenceHeader
         if points.vertex_count == header.vertex_count:
             edges, expected = _edges(points.polygons), _edges(header.polygons)
             if not (edges <= expected or expected <= edges):  # either mesh may be triangulated
-                details = difference(points.polygons, header.polygons, ("the edited mesh", "the model"))
+                details = describe_difference(
+                    points.polygons, header.polygons, ("the edited mesh", "the model")
+                )
                 raise InvalidSequenceError(
                     f"the edited mesh has other edges than the model, {details}; export it again with the vertex "
                     "order kept"

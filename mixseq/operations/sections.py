@@ -28,8 +28,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import SettingsError
-from mixseq.mesh.rotations import continuous_vectors, exponentials, inverse, normalised, product, rotations_of
-from mixseq.sequence.frame_rates import seconds_meant, span_text
+from mixseq.mesh.rotations import (
+    continuous_rotvec,
+    normalise_quat,
+    quat_conjugate,
+    quat_multiply,
+    quat_to_matrix,
+    rotvec_to_quat,
+)
+from mixseq.sequence.frame_rates import format_span, hint_frame_number
 from mixseq.signals.curve import Curve
 from mixseq.signals.detail import DeviationNorm, max_norm
 from mixseq.signals.model import Model
@@ -64,11 +71,11 @@ def blend_placements(space: ShapeSpace, a: Float, b: Float, weight: Float) -> Fl
     """Blend placements ``(N, P)`` with the weight ``(N, 1)`` of b."""
     first, second = space.unpack_placements(a), space.unpack_placements(b)
     norm_a, norm_b = (np.linalg.norm(poses.rotations, axis=2, keepdims=True) for poses in (first, second))
-    rotation_a, rotation_b = (normalised(poses.rotations) for poses in (first, second))
+    rotation_a, rotation_b = (normalise_quat(poses.rotations) for poses in (first, second))
     weight = weight[:, :, None]
     # the shortest turn at the first time, continued from there
-    turns = continuous_vectors(rotations_of(product(inverse(rotation_a), rotation_b)))
-    rotations = product(rotation_a, exponentials(weight * turns)) * lerp(norm_a, norm_b, weight)
+    turns = continuous_rotvec(quat_to_matrix(quat_multiply(quat_conjugate(rotation_a), rotation_b)))
+    rotations = quat_multiply(rotation_a, rotvec_to_quat(weight * turns)) * lerp(norm_a, norm_b, weight)
     return space.pack_placements(Poses(rotations, lerp(first.centres, second.centres, weight)))
 
 
@@ -380,8 +387,8 @@ def snap_time(model: Model, time: float, name: str = "time") -> float:
     if not model.start - slack <= time <= model.end + slack:
         fps = model.header.fps
         raise SettingsError(
-            f"{name} is {time:g} s; the model is from {span_text(model.start, model.end, fps)}, give a time within"
-            f"{seconds_meant(time, model.start, model.end, fps)}"
+            f"{name} is {time:g} s; the model is from {format_span(model.start, model.end, fps)}, give a time within"
+            f"{hint_frame_number(time, model.start, model.end, fps)}"
         )
     knots = (curve.times for curve in model.curves)
     targets = np.concatenate([[model.start, model.end], model.times, *knots])

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mixseq.runtime.lazy import forwarded
+from mixseq.runtime.lazy import lazy_getattr
 
 if TYPE_CHECKING:
     from mixseq.pictures.charts import (
@@ -88,7 +88,7 @@ _NAMES = {
     "sheets": "contact_sheet draw_segmentation",
 }
 
-__getattr__ = forwarded(
+__getattr__ = lazy_getattr(
     __name__,
     {name: f"mixseq.pictures.{module}" for module, names in _NAMES.items() for name in names.split()},
 )

@@ -143,11 +143,11 @@ def _opposite_area_share(
     registered: FloatArray, source_faces: IntArray, target_points: FloatArray, target_faces: IntArray
 ) -> float:
     """Return the share of a target's area with normals opposite to those of the closest source triangles."""
-    from mixseq.mesh.nearest import Nearest
+    from mixseq.mesh.nearest import ClosestPointQuery
 
     fitted = TriangleMesh(np.asarray(registered, np.float64), Topology(source_faces, len(registered)))
     target = TriangleMesh(np.asarray(target_points, np.float64), Topology(target_faces, len(target_points)))
-    closest = Nearest.of(fitted.points, fitted.faces).query(target.centroids)
+    closest = ClosestPointQuery.from_mesh(fitted.points, fitted.faces).query(target.centroids)
     is_opposite = np.einsum("fi,fi->f", fitted.face_normals[closest.faces], target.face_normals) < 0
     return float(target.face_areas[is_opposite].sum() / max(target.face_areas.sum(), np.finfo(float).tiny))
 

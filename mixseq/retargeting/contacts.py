@@ -42,15 +42,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import MixseqWarning, SettingsError
-from mixseq.mesh.rotations import turned
+from mixseq.mesh.rotations import rotate_vectors
 from mixseq.retargeting.limbs import ArticulatedBody, Contact, leg_ratio, solve_limbs
 from mixseq.retargeting.mixed_transfer import MixedTransfer
 from mixseq.retargeting.parts import PartPoses, assign_vertices_to_parts
 from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.parallel import Executor
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import blocks_of
+from mixseq.sequence.sequence import iterate_blocks
 from mixseq.types import Float, FloatArray, Index, Mask
 
 FAST_SPEED_PERCENTILE = 95.0
@@ -382,7 +382,7 @@ def plant_contacts(
     header: SequenceHeader,
     contacts: Mapping[str, ArrayLike],
     workers: Executor,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> PlantedTransfer:
     """Find poses in which contacts ``(k,)`` are fixed while those of the source, with frames ``(T, V, 3)``, rest."""
     gradients = method.gradients
@@ -402,7 +402,7 @@ def plant_contacts(
     vertex_ids = np.concatenate(list(vertices.values()))
     shared = method, vertex_ids, part_of_vertex[vertex_ids]
     rotations, centres, paths, local_points, done_count = [], [], [], [], 0
-    for poses, block_path, block_local_points in workers(_measure_contacts, shared, blocks_of(points)):
+    for poses, block_path, block_local_points in workers(_measure_contacts, shared, iterate_blocks(points)):
         rotations.append(poses.rotations)
         centres.append(poses.centres)
         paths.append(block_path)
@@ -440,7 +440,7 @@ def _measure_contacts(
         poses.append(method.transfer_poses(points, deformed_poses))
         # In rest space, since a paw may bend although it is one part with its leg.
         inverse_rotations = np.swapaxes(deformed_poses.rotations[parts], 1, 2)
-        arms = turned(inverse_rotations, deformed[vertices] - deformed_poses.centres[parts])
+        arms = rotate_vectors(inverse_rotations, deformed[vertices] - deformed_poses.centres[parts])
         local_points.append(arms + method.rest_shapes.centres[parts])
     source_path = np.stack(
         [method.gradients.correspondence.interpolate(points)[vertices] for points in block]

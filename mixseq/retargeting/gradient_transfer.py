@@ -23,7 +23,7 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from mixseq.mesh.nearest import Attachments, attach
+from mixseq.mesh.nearest import Attachments, attach_pieces
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
@@ -48,12 +48,12 @@ class GradientTransfer(PickledWithoutCaches):
     @cached_property
     def attachments(self) -> Attachments:
         """Attachments of the target's pieces to each other."""
-        return attach(self.target.pieces.vertices, self.target.reference, self.correspondence.leaders)
+        return attach_pieces(self.target.pieces.vertices, self.target.reference, self.correspondence.leaders)
 
     @cached_property
     def _holder_means(self) -> sparse.csr_array:
         """Matrix ``(n, F)`` of means over the source triangles around the vertices that pieces are attached to."""
-        return self.averaging_matrix(self.attachments.other)
+        return self.averaging_matrix(self.attachments.holder_vertices)
 
     @cached_property
     def _follower_means(self) -> tuple[Index, sparse.csr_array]:
@@ -116,15 +116,15 @@ class GradientTransfer(PickledWithoutCaches):
             rest[root_vertices].mean(axis=0) + linear_map @ displacement - piece_vertices[root].mean(axis=0)
         )
 
-        own_rows = pieces.find_rows(attachments.pieces, attachments.own)
-        holder_rows = pieces.find_rows(attachments.holders, attachments.other)
+        own_rows = pieces.find_rows(attachments.pieces, attachments.vertices)
+        holder_rows = pieces.find_rows(attachments.holders, attachments.holder_vertices)
         gaps = correspondence.interpolate(np.stack([self.source.reference, points / self.source.scale]))
-        gaps = gaps[:, attachments.own] - gaps[:, attachments.other]
-        gaps[:, ~correspondence.matched[attachments.own]] = 0.0
+        gaps = gaps[:, attachments.vertices] - gaps[:, attachments.holder_vertices]
+        gaps[:, ~correspondence.matched[attachments.vertices]] = 0.0
         for attachment, piece in enumerate(attachments.pieces):
             rotation = holder_rotations[attachment]
             gap_change = linear_map @ (gaps[1, attachment] - rotation @ gaps[0, attachment])
-            rest_arm = rest[attachments.own[attachment]] - rest[attachments.other[attachment]]
+            rest_arm = rest[attachments.vertices[attachment]] - rest[attachments.holder_vertices[attachment]]
             arm = self.alignment.rotate_matrices(rotation) @ rest_arm
             goal = placed[holder_rows[attachment]] + arm + gap_change
             placed[pieces.row_slices[piece]] += goal - placed[own_rows[attachment]]

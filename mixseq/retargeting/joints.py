@@ -30,9 +30,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from scipy import sparse
 
-from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
 from mixseq.mesh.rigid import kabsch, nearest_rotations
-from mixseq.mesh.rotations import turned
+from mixseq.mesh.rotations import rotate_vectors
 from mixseq.mesh.topology import Topology
 from mixseq.retargeting.gradient_transfer import GradientTransfer, average_matrices, normalise_rows
 from mixseq.segmentation.joints import Decomposition, Joint
@@ -204,7 +204,7 @@ class JointSolver:
         slices = zip(joints.edge_slices, joints.hinge_slices, joints.vertex_slices, strict=True)
         systems = zip(joints.joints, joints.patches, slices, self._skins, strict=True)
         for joint, patch, (edges, hinges, free), skin in systems:
-            guess = skin.deform(relative_rotations, relative_translations) + turned(
+            guess = skin.deform(relative_rotations, relative_translations) + rotate_vectors(
                 frame.rotations[skin.main_part], frame.offsets[free]
             )
             rebuilt, report = rebuild_patch(
@@ -232,13 +232,13 @@ class JointSolver:
             differences = points[self.joints.vertices[vertex_slice]] - skin.deform(
                 relative_rotations, relative_translations
             )
-            offsets[vertex_slice] = turned(np.swapaxes(rotations[skin.main_part], 1, 2), differences)
+            offsets[vertex_slice] = rotate_vectors(np.swapaxes(rotations[skin.main_part], 1, 2), differences)
         return offsets
 
     def _pose_parts(self, frame: JointFrame) -> Float:
         """Return the vertices ``(V, 3)`` of the posed parts: means of shared vertices, zero without a part."""
         part, vertex, copy_counts = self._part_rows
-        positions = turned(frame.rotations[part], frame.part_vertices) + frame.translations[part]
+        positions = rotate_vectors(frame.rotations[part], frame.part_vertices) + frame.translations[part]
         sums = [np.bincount(vertex, column, minlength=len(copy_counts)) for column in positions.T]
         return np.stack(sums, axis=1) / copy_counts[:, None]
 
@@ -246,7 +246,7 @@ class JointSolver:
         """Return the motions ``x -> R x + t`` of the parts from the reference frame."""
         reference_rotations, reference_centres = self._reference_poses
         relative_rotations = rotations @ np.swapaxes(reference_rotations, 1, 2)
-        return relative_rotations, translations - turned(relative_rotations, reference_centres)
+        return relative_rotations, translations - rotate_vectors(relative_rotations, reference_centres)
 
 
 class JointMetrics(Protocol):
@@ -287,7 +287,9 @@ class EdgewiseMetrics:
         lengths, angles, target_lengths, target_angles = self._rest
         current_lengths = edge_lengths(points, self._edges)
         ratios = np.divide(current_lengths, lengths, out=np.ones_like(current_lengths), where=lengths > 0)
-        return target_lengths * ratios, target_angles + wrap(dihedral_angles(points, self._hinges) - angles)
+        return target_lengths * ratios, target_angles + wrap_angles(
+            dihedral_angles(points, self._hinges) - angles
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -347,7 +349,7 @@ class GradientMetrics:
         rest, edges = self.gradients.target.reference, self._topology.edges[self.joints.edge_ids]
         face_rows, edge_rows = self._edge_faces
         edge_vectors = rest[edges[:, 1]] - rest[edges[:, 0]]
-        face_lengths = np.linalg.norm(turned(gradients[face_rows], edge_vectors[edge_rows]), axis=1)
+        face_lengths = np.linalg.norm(rotate_vectors(gradients[face_rows], edge_vectors[edge_rows]), axis=1)
         face_counts = np.bincount(edge_rows, minlength=len(edges))
         lengths = np.bincount(edge_rows, face_lengths, minlength=len(edges)) / np.maximum(face_counts, 1)
         return lengths, self._bend_angles(gradients)
@@ -366,9 +368,12 @@ class GradientMetrics:
         rest = self.gradients.target.reference
         a, b, c, d = (rest[corner] for corner in self._topology.hinges[self.joints.hinge_ids].T)
         first, second = (gradients[side] for side in self._hinge_faces.T)
-        first_edge, second_edge = turned(first, b - a), turned(second, b - a)
-        n1, n2 = np.cross(first_edge, turned(first, c - a)), np.cross(turned(second, d - a), second_edge)
+        first_edge, second_edge = rotate_vectors(first, b - a), rotate_vectors(second, b - a)
+        n1, n2 = (
+            np.cross(first_edge, rotate_vectors(first, c - a)),
+            np.cross(rotate_vectors(second, d - a), second_edge),
+        )
         axis = first_edge + second_edge
         sine = np.einsum("hi,hi->h", np.cross(n1, n2), axis)
         cosine = np.einsum("hi,hi->h", n1, n2) * np.linalg.norm(axis, axis=1)
-        return np.asarray(self._rest_angles + wrap(np.arctan2(sine, cosine) - self._rest_angles))
+        return np.asarray(self._rest_angles + wrap_angles(np.arctan2(sine, cosine) - self._rest_angles))

@@ -49,7 +49,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
-from mixseq.mesh.rotations import matrices, turned
+from mixseq.mesh.rotations import rotate_vectors, rotvec_to_matrix
 from mixseq.types import Float, FloatArray, Index
 
 
@@ -115,7 +115,8 @@ class ArticulatedBody:
     def gaps(self, rotations: Float, centres: Float) -> Float:
         """Return the gaps ``(n, 3)`` of pairs at their pivots: rotations, centres ``(p, 3, 3), (p, 3)``."""
         first, second = (
-            turned(rotations[part], self.pivots - self.centres[part]) + centres[part] for part in self.pairs.T
+            rotate_vectors(rotations[part], self.pivots - self.centres[part]) + centres[part]
+            for part in self.pairs.T
         )
         return np.asarray(first - second)
 
@@ -129,7 +130,7 @@ class ArticulatedBody:
         """Return the positions ``(T, k, 3)`` of rest points ``(k, 3)`` that follow parts ``(k,)``."""
         part_ids = np.asarray(parts, dtype=np.int64)
         arms = np.asarray(points, dtype=np.float64).reshape(-1, 3) - self.centres[part_ids]
-        return turned(rotations[:, part_ids], arms) + centres[:, part_ids]
+        return rotate_vectors(rotations[:, part_ids], arms) + centres[:, part_ids]
 
     def contact_path(
         self, contact: Contact, rotations: Float, centres: Float, frames: Index | slice = slice(None)
@@ -138,7 +139,7 @@ class ArticulatedBody:
         if contact.local_points is None:
             return self.pose_points(contact.points, contact.parts, rotations, centres)
         arms = contact.local_points[frames] - self.centres[contact.parts]
-        return turned(rotations[:, contact.parts], arms) + centres[:, contact.parts]
+        return rotate_vectors(rotations[:, contact.parts], arms) + centres[:, contact.parts]
 
     def _chain(self, part: int) -> tuple[int, ...]:
         chain: list[int] = []
@@ -260,8 +261,8 @@ def _forward_kinematics(
         pivot = body.pose_points(body.pivot(part), [part], rotations, centres)[:, 0]
         # Adding differences keeps frames without rotations exactly.
         change = result_centres[:, parent] - centres[:, parent] + stretch
-        change += turned(parent_rotation - identity, pivot - centres[:, parent])
-        change += turned(rotation - identity, centres[:, part] - pivot)
+        change += rotate_vectors(parent_rotation - identity, pivot - centres[:, parent])
+        change += rotate_vectors(rotation - identity, centres[:, part] - pivot)
         result_centres[:, part] += change
         result_rotations[:, part] = rotation @ rotations[:, part]
     return result_rotations, result_centres
@@ -287,7 +288,8 @@ def rotate_limbs(levers: Float, moves: Float, compliance: Float) -> tuple[Float,
             count, limb_count, 1, 3
         )
         rotations = (
-            matrices(compliance[:, None] * np.cross(rotated_levers, multipliers).sum(axis=1)) @ rotations
+            rotvec_to_matrix(compliance[:, None] * np.cross(rotated_levers, multipliers).sum(axis=1))
+            @ rotations
         )
         rotated_levers = np.einsum("nkij,ngkj->ngki", rotations, levers)
         achieved = (rotated_levers - levers).sum(axis=2)

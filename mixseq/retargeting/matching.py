@@ -24,8 +24,9 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from mixseq.errors import SettingsError
+from mixseq.mesh.nearest import ClosestPointQuery
 from mixseq.mesh.topology import Topology
-from mixseq.mesh.triangle_mesh import ClosestPoints, TriangleMesh
+from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.markers import Correspondence, Markers, Pairing
 from mixseq.types import Float, FloatArray, Index, IntArray, Mask
 
@@ -92,7 +93,7 @@ def match(
     distances = np.full(len(queries), np.inf)
     searches = [
         (
-            ClosestPoints(registered, pairing.source_faces),
+            ClosestPointQuery.from_mesh(registered.points, registered.faces, pairing.source_faces),
             np.concatenate([pairing.target_vertices, vertex_count + pairing.target_faces]),
         )
         for pairing in pairings
@@ -141,7 +142,10 @@ def assess(
     covered_area = 0.0
     for pairing in pairings:
         face_ids = pairing.source_faces
-        search, normals = ClosestPoints(target, pairing.target_faces), registered.face_normals[face_ids]
+        search, normals = (
+            ClosestPointQuery.from_mesh(target.points, target.faces, pairing.target_faces),
+            registered.face_normals[face_ids],
+        )
         closest = search.query(registered.centroids[face_ids], normals, settings.largest_angle)
         is_near = closest.distances <= settings.largest_distance * diagonal
         covered_area += float(registered.face_areas[face_ids[is_near]].sum())
@@ -372,9 +376,7 @@ def _find_equal_triangles(source: Index, queries: Index) -> Index:
 
 def _closest_facing(source: TriangleMesh, points: Float, normals: Float) -> tuple[Index, Float]:
     """Return the closest triangles, and weights in them, that face the same way, or any if there are none."""
-    from mixseq.mesh.nearest import Nearest
-
-    nearest = Nearest.of(source.points, source.faces)
+    nearest = ClosestPointQuery.from_mesh(source.points, source.faces)
     closest = nearest.query(points, normals)
     faces, weights = closest.faces.copy(), closest.weights.copy()
     unmatched = np.flatnonzero(faces < 0)

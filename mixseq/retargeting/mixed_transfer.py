@@ -41,7 +41,13 @@ from mixseq.retargeting.parts import (
 from mixseq.retargeting.sources import Alignment
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.low_memory import LargeArray
-from mixseq.segmentation.joints import Decomposition, Watched, decompose, frames_to_look_at, observe
+from mixseq.segmentation.joints import (
+    Decomposition,
+    PartShapes,
+    decompose,
+    measure_part_motion,
+    sample_frame_ids,
+)
 from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.types import Float, FloatArray, Index
@@ -184,9 +190,9 @@ def mixed_transfer(
 ) -> MixedTransfer:
     """Prepare a transfer by parts ``(F,)`` and joints of the source, from all of its frames ``(T, V, 3)``."""
     source, target = gradients.source, gradients.target
-    samples = points[frames_to_look_at(len(points))]
-    watched = Watched.of(source.topology, part_of_face, source.reference[None])
-    observed = observe(watched, np.concatenate([source.reference[None] * source.scale, samples]))
+    samples = points[sample_frame_ids(len(points))]
+    watched = PartShapes.from_labels(source.topology, part_of_face, source.reference[None])
+    observed = measure_part_motion(watched, np.concatenate([source.reference[None] * source.scale, samples]))
     decomposition = decompose(source.topology, part_of_face, joint_width, observed)
     if _is_same_mesh(gradients):
         parts = PartCorrespondence(decomposition, decomposition, np.arange(len(decomposition.parts)))

@@ -39,11 +39,12 @@ import numpy as np
 from scipy import sparse
 
 from mixseq.errors import SettingsError
+from mixseq.mesh.nearest import ClosestPointQuery
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.topology import Topology
-from mixseq.mesh.triangle_mesh import ClosestPoints, TriangleMesh
+from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.markers import Markers, Pairing, Similarity, fit_similarity
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.shells.solvers import Analysis, analyse
 from mixseq.types import Float, Index
 
@@ -205,7 +206,7 @@ def register(
     pairings: tuple[Pairing, ...],
     markers: Markers,
     settings: RegistrationSettings | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> Registration:
     """Deform a source onto a target in a similar pose, with closest points between paired components."""
     settings = RegistrationSettings() if settings is None else settings
@@ -293,9 +294,10 @@ class DataTerm:
         return cls(vertices, mesh, target, local_pairings, marker_constraints)
 
     @cached_property
-    def _target_searches(self) -> list[ClosestPoints]:
+    def _target_searches(self) -> list[ClosestPointQuery]:
         """Closest-point queries on the target for every pairing."""
-        return [ClosestPoints(self.target, pairing.target_faces) for pairing in self.pairings]
+        points, faces, query = self.target.points, self.target.faces, ClosestPointQuery.from_mesh
+        return [query(points, faces, pairing.target_faces) for pairing in self.pairings]
 
     @cached_property
     def _areas(self) -> tuple[Float, Float]:
@@ -320,7 +322,8 @@ class DataTerm:
             squares += float(np.sum(weights * closest.distances[near] ** 2))
             total += float(np.sum(weights))
 
-            vertices, source_search = pairing.target_vertices, ClosestPoints(deformed, pairing.source_faces)
+            vertices = pairing.target_vertices
+            source_search = ClosestPointQuery.from_mesh(deformed.points, deformed.faces, pairing.source_faces)
             closest = source_search.query(
                 target.points[vertices], target.vertex_normals[vertices], largest_angle
             )

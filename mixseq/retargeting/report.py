@@ -27,17 +27,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import InvalidSequenceError
-from mixseq.mesh.measures import edge_lengths, flat_faces
+from mixseq.mesh.measures import degenerate_faces, edge_lengths
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.gradient_transfer import GradientTransfer, gradient_transfer
 from mixseq.retargeting.transfer import Transfer
 from mixseq.runtime.low_memory import RunningStatistics, Statistics
 from mixseq.runtime.parallel import Executor
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import bounding_diagonal, check_block
-from mixseq.types import Float, FloatArray, Index, Mask, evenly
+from mixseq.types import Float, FloatArray, Index, Mask, evenly_spaced
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ class ExpectedTriangles:
     @cached_property
     def flat(self) -> Mask:
         """Target triangles ``(F',)`` that are flat at rest."""
-        return flat_faces(self.rest, self.topology.faces, FLAT_TRIANGLE_RATIO)
+        return degenerate_faces(self.rest, self.topology.faces, FLAT_TRIANGLE_RATIO)
 
     @cached_property
     def _rest_sides(self) -> Float:
@@ -185,7 +185,7 @@ class ExpectedTriangles:
 
     def newly_flat(self, y: Float) -> Mask:
         """Mark triangles ``(F',)`` that are flat in a frame ``(V', 3)``, but not at rest."""
-        return np.asarray(flat_faces(y, self.topology.faces, FLAT_TRIANGLE_RATIO) & ~self.flat)
+        return np.asarray(degenerate_faces(y, self.topology.faces, FLAT_TRIANGLE_RATIO) & ~self.flat)
 
 
 def _edge_vectors(points: Float, faces: NDArray[Any]) -> Float:
@@ -313,7 +313,7 @@ class TransferReport:
 def measure_transfer(
     transfer: Transfer,
     blocks: Iterable[FloatArray] | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     workers: Executor | None = None,
 ) -> TransferReport:
     """Measure a transfer, in blocks ``(B, V', 3)`` of its frames."""
@@ -334,7 +334,7 @@ class TransferMeter:
         self._strain, self._excess = (RunningStatistics(self._frame_count * edges) for _ in range(2))
         self._source_strain = RunningStatistics(self._frame_count * source_edges)
         self._accelerations = Acceleration(), Acceleration()
-        self._intersection_frames = tuple(evenly(self._frame_count, MAX_INTERSECTION_FRAMES).tolist())
+        self._intersection_frames = tuple(evenly_spaced(self._frame_count, MAX_INTERSECTION_FRAMES).tolist())
         self._intersections: list[tuple[int, int]] = []
         self._turned_over: list[int] = []
         self._flat: list[int] = []

@@ -54,10 +54,10 @@ import numpy as np
 from scipy import sparse
 
 from mixseq.errors import SettingsError
-from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
 from mixseq.mesh.topology import Topology
-from mixseq.segmentation.elements import check_parts, face_areas, flood
-from mixseq.segmentation.joints import frames_to_look_at
+from mixseq.segmentation.elements import check_part_count, face_areas, flood
+from mixseq.segmentation.joints import sample_frame_ids
 from mixseq.types import Float, FloatArray, Index, Mask
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ _TINY = np.finfo(np.float64).tiny
 
 def some_frames(points: FloatArray, frames: int) -> Float:
     """Return at most `frames` evenly spread frames ``(T, V, 3)``, in diagonals of the first, or else of the largest."""
-    x = points[frames_to_look_at(len(points), frames)].astype(np.float64)
+    x = points[sample_frame_ids(len(points), frames)].astype(np.float64)
     x -= x[0].mean(axis=0)
     diagonals = np.linalg.norm(np.ptp(x, axis=1), axis=1)
     return np.asarray(x / (diagonals[0] or diagonals.max() or 1.0))
@@ -80,7 +80,7 @@ def angle_variation(points: FloatArray, topology: Topology) -> Float:
     angles = np.stack([dihedral_angles(frame, topology.hinges) for frame in points])
     largest = np.zeros(angles.shape[1])
     for frame in range(1, len(angles)):
-        largest = np.maximum(largest, np.abs(wrap(angles[frame] - angles[:frame])).max(axis=0))
+        largest = np.maximum(largest, np.abs(wrap_angles(angles[frame] - angles[:frame])).max(axis=0))
     return largest
 
 
@@ -275,7 +275,7 @@ def segment_by_silhouettes(
 ) -> Index:
     """Find the part ``(F,)`` of every face between deforming silhouettes of points ``(T, V, 3)``."""
     settings = settings or SilhouetteSettings()
-    check_parts(parts, topology)
+    check_part_count(parts, topology)
     x = some_frames(points, settings.frames)
     surface = Diffusion(x[0], topology)
     deformation = surface.smoothed(vertex_bending(x, topology) + vertex_strain(x, topology), settings.radius)
@@ -393,7 +393,7 @@ def segment_by_spanning_tree(
 ) -> Index:
     """Cut a moving mesh ``(T, V, 3)`` where its dihedral angles vary most; returns parts ``(F,)``."""
     settings = settings or SpanningTreeSettings()
-    check_parts(parts, topology)
+    check_part_count(parts, topology)
     x = some_frames(points, settings.frames)
     surface = Diffusion(x[0], topology)
     bending = surface.smoothed(vertex_bending(x, topology), settings.radius)

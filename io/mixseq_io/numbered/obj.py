@@ -37,9 +37,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import FormatError
-from mixseq.mesh.measures import hard_edges_of_normals, shared_normals
+from mixseq.mesh.measures import corner_normals, hard_edges_from_normals
 from mixseq.mesh.polygons import Polygons
-from mixseq.mesh.surface import WHITE, CornerValues, FaceSet, MeshObject, Surface
+from mixseq.mesh.surface import DEFAULT_COLOUR, CornerValues, FaceSet, MeshObject, Surface
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, IntArray
 from mixseq_io.numbered.files import (
@@ -296,7 +296,7 @@ def _uvs(
     rows = np.array([*values, (0.0, 0.0)] if missing_mask.any() else values)
     with np.errstate(over="ignore"):
         uvs = CornerValues(rows.astype(np.float32), np.where(missing_mask, len(values), indices))
-    return uvs.welded(polygons.indices)
+    return uvs.weld(polygons.indices)
 
 
 def _colours(file: Path, polygons: Polygons, lines: _Lines, first: MeshFile | None) -> CornerValues | None:
@@ -307,7 +307,7 @@ def _colours(file: Path, polygons: Polygons, lines: _Lines, first: MeshFile | No
     rows = {vertex: words for vertex, words in rows.items() if len(words) == _COLOUR_CHANNELS}
     if not rows:
         return None
-    values = np.tile(WHITE, (len(lines.points), 1))
+    values = np.tile(DEFAULT_COLOUR, (len(lines.points), 1))
     values[list(rows), :_COLOUR_CHANNELS] = parse_colours(file, list(rows), list(rows.values()), first)
     return CornerValues(values, polygons.indices)
 
@@ -322,7 +322,7 @@ def _hard_edges(
     normals = np.array(values)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return hard_edges_of_normals(polygons, np.nan_to_num(normals)[indices])
+    return hard_edges_from_normals(polygons, np.nan_to_num(normals)[indices])
 
 
 def _check_indices(file: Path, polygons: Polygons, indices: IntArray, count: int, what: str) -> None:
@@ -351,7 +351,7 @@ def obj_encoder(path: Path, header: SequenceHeader) -> Encoder:
         yield PRECISION_COMMENT + str(points.dtype).encode() + b"\n"
         yield uvs
         if hard_edges is not None:
-            yield format_number_lines("vn ", shared_normals(points[None], header.polygons, hard_edges)[0])
+            yield format_number_lines("vn ", corner_normals(points[None], header.polygons, hard_edges)[0])
         for name, (a, b), own in zip(names, pairwise(vertices), faces, strict=True):
             yield name
             yield format_number_lines("v ", points[a:b], colours[a:b])

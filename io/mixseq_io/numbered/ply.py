@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mixseq.errors import FormatError
 from mixseq.mesh.polygons import Polygons
-from mixseq.mesh.surface import NO_UV, WHITE, CornerValues, Surface
+from mixseq.mesh.surface import DEFAULT_COLOUR, DEFAULT_UV, CornerValues, Surface
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, IntArray
 from mixseq_io.numbered.files import Encoder, FrameFormat, MeshFile
@@ -330,7 +330,7 @@ def _uvs(file: Path, elements: dict[str, Columns], polygons: Polygons) -> Corner
                     f"{file}, face {face} has {lists.counts[face]} numbers of texture coordinates for "
                     f"{polygons.counts[face]} corners; it is damaged"
                 )
-            return CornerValues.of_corners(_corner_values(lists, polygons, NO_UV))
+            return CornerValues.from_corners(_corner_values(lists, polygons, DEFAULT_UV))
         for names in _UV_NAMES:
             values = _stack_columns(elements["vertex"], *names)
             if values is not None:
@@ -350,7 +350,9 @@ def _colours(
         wrong_mask = (lists.counts != 0) & (lists.counts != width * polygons.counts)
         if not wrong_mask.any():
             scaled = replace(lists, values=_scale_to_unit([lists])[0])
-            return CornerValues.of_corners(ensure_alpha(_corner_values(scaled, polygons, WHITE[:width])))
+            return CornerValues.from_corners(
+                ensure_alpha(_corner_values(scaled, polygons, DEFAULT_COLOUR[:width]))
+            )
         face = int(np.argmax(wrong_mask))
         if first is None:
             warn(
@@ -362,7 +364,7 @@ def _colours(
         return of_vertices
     values = _stack_colours(faces)
     face_ids = np.repeat(np.arange(len(polygons.counts)), polygons.counts)
-    return None if values is None else CornerValues(values, face_ids).welded(polygons.indices)
+    return None if values is None else CornerValues(values, face_ids).weld(polygons.indices)
 
 
 def _vertex_colours(vertices: Columns, polygons: Polygons) -> CornerValues | None:
@@ -412,14 +414,16 @@ def _ply_encoder(path: Path, header: SequenceHeader) -> Encoder:
     lists: list[tuple[str, NDArray[np.float32]]] = []  # name, and values of corners
     if surface.uvs is not None:
         if surface.uvs.one_per_vertex(polygons.indices):
-            columns.append(("s t", surface.uvs.at_vertices(polygons.indices, header.vertex_count, NO_UV)))
+            columns.append(
+                ("s t", surface.uvs.at_vertices(polygons.indices, header.vertex_count, DEFAULT_UV))
+            )
         else:
             lists.append(("texcoord", surface.uvs.at_corners))
     if surface.colours is not None:
         channels = 3 if (surface.colours.values[:, 3] == 1).all() else 4
         colours = replace(surface.colours, values=clip_to_unit(surface.colours.values))
         if colours.one_per_vertex(polygons.indices):
-            values = colours.at_vertices(polygons.indices, header.vertex_count, WHITE)[:, :channels]
+            values = colours.at_vertices(polygons.indices, header.vertex_count, DEFAULT_COLOUR)[:, :channels]
             exact = colours_to_exact_bytes(values)
             columns.append((" ".join(_COLOUR_NAMES[:channels]), values if exact is None else exact))
         else:

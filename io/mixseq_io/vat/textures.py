@@ -173,9 +173,9 @@ class Texels:
         for mesh in meshes:
             scene_mesh = mesh.scene_mesh
             for primitive in mesh.primitives:
-                assert primitive.normals is not None  # new documents have some
-                vertices = np.arange(header.vertex_count)[scene_mesh.vertices][primitive.vertices]
-                pairs.append(np.column_stack([vertices, primitive.normals + first]))
+                assert primitive.normal_ids is not None  # new documents have some
+                vertices = np.arange(header.vertex_count)[scene_mesh.vertices][primitive.vertex_ids]
+                pairs.append(np.column_stack([vertices, primitive.normal_ids + first]))
             hard_edges = scene_mesh.hard_edges
             first += scene_mesh.vertex_count if hard_edges is None else int(hard_edges.max(initial=-1)) + 1
         distinct, ids = np.unique(np.concatenate(pairs), axis=0, return_inverse=True)
@@ -189,7 +189,7 @@ class Texels:
 
     def normals_of(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return the normals ``(n, N, 3)`` of texels for points ``(n, V, 3)``."""
-        normals = [mesh.normals_of(points.astype(np.float32)) for mesh in self.meshes]
+        normals = [mesh.compute_normals(points.astype(np.float32)) for mesh in self.meshes]
         return np.asarray(np.concatenate(normals, axis=1)[:, self.normals])
 
     @cached_property
