@@ -110,18 +110,14 @@ class Limb:
         old_joint_pose, poses = self.joint_pose(model, times), part_poses(model, times)
         from_parent, from_part = self._pivots
         base = normalise_quat(poses.rotations[:, self.parent])
-        change = quat_multiply(
-            rotvec_to_quat(joint_pose[:, :3]), quat_conjugate(rotvec_to_quat(old_joint_pose[:, :3]))
-        )
+        old, new = (rotvec_to_quat(pose[:, :3]) for pose in (old_joint_pose, joint_pose))
+        change = quat_multiply(new, quat_conjugate(old))
         turn = quat_multiply(quat_multiply(base, change), quat_conjugate(base))
         rotations, centres = poses.rotations.copy(), poses.centres.copy()
         rotations[:, self.part_mask] = quat_multiply(turn[:, None], rotations[:, self.part_mask])
         parent, part = (quat_to_matrix(rotations[:, number]) for number in (self.parent, self.part))
-        centre = (
-            rotate_vectors(parent, from_parent + joint_pose[:, 3:])
-            + centres[:, self.parent]
-            - part @ from_part
-        )
+        pivot = rotate_vectors(parent, from_parent + joint_pose[:, 3:]) + centres[:, self.parent]
+        centre = pivot - part @ from_part
         relative = centres[:, self.part_mask] - centres[:, [self.part]]
         centres[:, self.part_mask] = rotate_vectors(quat_to_matrix(turn)[:, None], relative) + centre[:, None]
         targets = np.concatenate([array.reshape(len(times), -1) for array in (rotations, centres)], axis=1)
@@ -325,9 +321,6 @@ def _splice(model: Model, curve: Curve, inside: Curve) -> Curve:
         sections.append(CurveSection(curve, last, model.end))
         seams.append(Seam(last - inside.times[-3], fraction_before=1.0))
     return join_curves(sections, seams)
-
-
-# Joints ---------------------------------------------------------------------------------------------------
 
 
 def _scale_joint_shapes(model: Model, limb: Limb, gain: float) -> Float:

@@ -347,9 +347,8 @@ def read_retiming_keys(path: str | os.PathLike[str]) -> RetimingKeys:
         points = list(_csv_points(file, lines))
     for before, point in zip([None, *points], points, strict=False):
         if not (np.isfinite(point.output) and np.isfinite(point.source)):
-            raise FormatError(
-                f"{file}, {point.location}: the times {point.output:g}, {point.source:g} are not finite"
-            )
+            times = f"{point.output:g}, {point.source:g}"
+            raise FormatError(f"{file}, {point.location}: the times {times} are not finite")
         if before is not None and point.output <= before.output:
             raise FormatError(
                 f"{file}, {point.location}: the output time {point.output:g} is not after {before.output:g} of "

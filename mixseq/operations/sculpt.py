@@ -107,9 +107,8 @@ def check_edited_points(points: ArrayLike | MeshSequence, header: SequenceHeader
         if points.vertex_count == header.vertex_count:
             edges, expected = _edges(points.polygons), _edges(header.polygons)
             if not (edges <= expected or expected <= edges):  # either mesh may be triangulated
-                details = describe_difference(
-                    points.polygons, header.polygons, ("the edited mesh", "the model")
-                )
+                names = ("the edited mesh", "the model")
+                details = describe_difference(points.polygons, header.polygons, names)
                 raise InvalidSequenceError(
                     f"the edited mesh has other edges than the model, {details}; export it again with the vertex "
                     "order kept"
@@ -234,9 +233,6 @@ def _add_key_shape(model: Model, difference: Float, weight: Curve) -> Model:
         ),
         shapes=np.concatenate([model.shapes, model.shapes[:1] + difference]),
     )
-
-
-# Weights --------------------------------------------------------------------------------------------------
 
 
 def _window_weight(model: Model, time: float, start: float | None, end: float | None) -> Curve:

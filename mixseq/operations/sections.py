@@ -165,9 +165,8 @@ def fade_window(times: Float, rise: tuple[float, float] | None, fall: tuple[floa
 def smoothstep(times: Float, start: float, end: float) -> Float:
     """Return the C2 step ``(N,)`` from 0 at `start` to 1 at `end`, of three cubics of equal length."""
     x = np.clip((times - start) / (end - start), 0.0, 1.0) * 3.0
-    return np.asarray(
-        (x**3 - 3.0 * np.maximum(x - 1.0, 0.0) ** 3 + 3.0 * np.maximum(x - 2.0, 0.0) ** 3) / 6.0
-    )
+    cubics = x**3 - 3.0 * np.maximum(x - 1.0, 0.0) ** 3 + 3.0 * np.maximum(x - 2.0, 0.0) ** 3
+    return np.asarray(cubics / 6.0)
 
 
 def shape_norm(model: Model, metric: Float | None = None) -> DeviationNorm:

@@ -103,12 +103,8 @@ def _key_weight_signal(model: Model, start: int, count: int) -> Curve:
 
 
 def _same_shapes(first: Model, second: Model) -> bool:
-    pairs = (
-        (first.shapes, second.shapes),
-        (first.pose.offset, second.pose.offset),
-        (first.pose.matrix, second.pose.matrix),
-    )
-    return all(a is b or np.array_equal(a, b) for a, b in pairs)
+    arrays = ((model.shapes, model.pose.offset, model.pose.matrix) for model in (first, second))
+    return all(a is b or np.array_equal(a, b) for a, b in zip(*arrays, strict=True))
 
 
 def _check_meshes(first: Model, second: Model) -> None:
@@ -117,7 +113,7 @@ def _check_meshes(first: Model, second: Model) -> None:
         raise InvalidSequenceError(
             f"{a.name!r} has {a.vertex_count} vertices, {b.name!r} {b.vertex_count}; two models of one mesh are needed"
         )
-    if a.faces.shape != b.faces.shape or not np.array_equal(a.faces, b.faces):
+    if not np.array_equal(a.faces, b.faces):
         raise InvalidSequenceError(
             f"the faces of {a.name!r} and {b.name!r} differ; two models of one mesh, with the same order of vertices "
             "and faces, are needed"

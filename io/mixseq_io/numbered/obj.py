@@ -112,8 +112,11 @@ def _split_objects(
             start <= end and (not indices.size or (indices.min() >= start and indices.max() < end))
             for indices, (start, end) in zip(used, pairwise(bounds), strict=True)
         ):
-            sizes = zip(statements, np.diff(bounds).tolist(), np.diff(faces).tolist(), strict=True)
-            return tuple(MeshObject(each.text, "", own, count) for each, own, count in sizes if own or count)
+            names = (statement.text for statement in statements)
+            sizes = zip(names, np.diff(bounds).tolist(), np.diff(faces).tolist(), strict=True)
+            return tuple(
+                MeshObject(name, "", points, count) for name, points, count in sizes if points or count
+            )
     return ()
 
 
@@ -338,9 +341,9 @@ def _check_indices(file: Path, polygons: Polygons, indices: IntArray, count: int
 def obj_encoder(path: Path, header: SequenceHeader) -> Encoder:
     """Return the encoder of points ``(V, 3)`` into an OBJ file; all but points and normals is encoded once."""
     objects = header.objects
-    vertices = np.cumsum([0, *(each.vertex_count for each in objects)])
-    polygons = np.cumsum([0, *(each.polygon_count for each in objects)])
-    names = [f"o {_collapse_spaces(each.name)}\n".encode(errors="replace") for each in objects]
+    vertices = np.cumsum([0, *(part.vertex_count for part in objects)])
+    polygons = np.cumsum([0, *(part.polygon_count for part in objects)])
+    names = [f"o {_collapse_spaces(part.name)}\n".encode(errors="replace") for part in objects]
     lines = _face_lines(header)
     faces = ["".join(lines[a:b]).encode(errors="replace") for a, b in pairwise(polygons)]
     uvs = b"" if header.surface.uvs is None else format_number_lines("vt ", header.surface.uvs.values)

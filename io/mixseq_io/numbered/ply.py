@@ -350,9 +350,8 @@ def _colours(
         wrong_mask = (lists.counts != 0) & (lists.counts != width * polygons.counts)
         if not wrong_mask.any():
             scaled = replace(lists, values=_scale_to_unit([lists])[0])
-            return CornerValues.from_corners(
-                ensure_alpha(_corner_values(scaled, polygons, DEFAULT_COLOUR[:width]))
-            )
+            colours = _corner_values(scaled, polygons, DEFAULT_COLOUR[:width])
+            return CornerValues.from_corners(ensure_alpha(colours))
         face = int(np.argmax(wrong_mask))
         if first is None:
             warn(
@@ -414,9 +413,8 @@ def _ply_encoder(path: Path, header: SequenceHeader) -> Encoder:
     lists: list[tuple[str, NDArray[np.float32]]] = []  # name, and values of corners
     if surface.uvs is not None:
         if surface.uvs.one_per_vertex(polygons.indices):
-            columns.append(
-                ("s t", surface.uvs.at_vertices(polygons.indices, header.vertex_count, DEFAULT_UV))
-            )
+            uvs = surface.uvs.at_vertices(polygons.indices, header.vertex_count, DEFAULT_UV)
+            columns.append(("s t", uvs))
         else:
             lists.append(("texcoord", surface.uvs.at_corners))
     if surface.colours is not None:
