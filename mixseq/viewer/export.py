@@ -145,9 +145,7 @@ class ExportSettings:
 
     fps: float | None = None  # poses per second, by default those of the meshes
     every: int = 1  # step between stored poses; the page interpolates linearly
-    max_error: float = (
-        1e-3  # bound of vertex errors, in diagonals of the first pose, unless already compressed
-    )
+    max_error: float = 1e-3  # bound of vertex errors, in diagonals; compressed meshes keep their own
     overlaid: bool = False  # whether meshes are initially overlaid, instead of side by side
     title: str | None = None  # title of the page, by default the names of the meshes
     camera: tuple[float, float] | None = None  # initial view, see `mixseq.pictures.scene.resolve_view`

@@ -379,7 +379,7 @@ def test_what_cannot_be_shown(gem: MeshSequence, tmp_path: Path) -> None:
     for shown, colour, against, message in (
         ([], "clay", None, "no mesh to show"),
         ([SceneItem("", gem)], "error", None, "needs the original"),
-        ([SceneItem("", gem)], "clay", gem, "is for the colour error"),
+        ([SceneItem("", gem)], "clay", gem, "only the colour error needs the original"),
         ([SceneItem("", gem)], "parts", None, "gem has no parts"),
         ([SceneItem("", fit(gem, space="vertex"))], "parts", None, "gem has no parts"),
     ):
