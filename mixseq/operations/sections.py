@@ -291,9 +291,6 @@ class _SeamOffset(NamedTuple):
         return np.asarray(ramps**3 @ self.coefficients)
 
 
-# Models ---------------------------------------------------------------------------------------------------
-
-
 def map_times(model: Model, offset: float, scale: float = 1.0) -> Model:
     """Map times t of a model to ``scale * t + offset``; a negative scale reverses it."""
     times = scale * model.times + offset
@@ -375,9 +372,6 @@ def merge_frame_times(sections: Sequence[ModelSection]) -> Float:
     times.append(strictly_between(sections[-1].model.times, end - slack, end + slack))
     frames = np.clip(np.concatenate(times), start, end)
     return frames if len(frames) else np.array([start, end])
-
-
-# Times ----------------------------------------------------------------------------------------------------
 
 
 def snap_time(model: Model, time: float, name: str = "time") -> float:

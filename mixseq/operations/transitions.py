@@ -245,7 +245,13 @@ def blend(a: Model, b: Model, weight: float | Curve) -> Model:
     sections = align_part_quaternions([ModelSection(a, a.start, start), ModelSection(b, start, b.end)])
     a, b = (section.model for section in sections)
     if isinstance(weight, Curve):
-        _check_weight(weight, start, end, TIME_TOLERANCE_FRAMES / a.header.fps)
+        if weight.dim != 1:
+            raise SettingsError(f"weight is a curve of {weight.dim} coordinates; one is expected")
+        slack = TIME_TOLERANCE_FRAMES / a.header.fps
+        if weight.start > start + slack or weight.end < end - slack:
+            raise SettingsError(
+                f"weight is a curve from {weight.start:g} to {weight.end:g} s; {start:g} to {end:g} s are expected"
+            )
         limits = np.clip([start, end], weight.start, weight.end)
         count = 1 if np.ptp(weight.values) == 0 else SITES_PER_BLENDED_KNOT
         knots = breakpoints(weight)
@@ -253,15 +259,6 @@ def blend(a: Model, b: Model, weight: float | Curve) -> Model:
     if not np.isfinite(weight):
         raise SettingsError(f"weight is {weight}; a number is expected")
     return _blend_interval(a, b, start, end, lambda times: np.full((len(times), 1), float(weight)))
-
-
-def _check_weight(weight: Curve, start: float, end: float, slack: float) -> None:
-    if weight.dim != 1:
-        raise SettingsError(f"weight is a curve of {weight.dim} coordinates; one is expected")
-    if weight.start > start + slack or weight.end < end - slack:
-        raise SettingsError(
-            f"weight is a curve from {weight.start:g} to {weight.end:g} s; {start:g} to {end:g} s are expected"
-        )
 
 
 def _smooth_step(times: Float, start: float, end: float) -> Float:

@@ -128,7 +128,14 @@ def read_markers(path: PathLike, *, reverse: bool = False) -> Markers:
     file = Path(path)
     if file.suffix.lower() == ".npz" and file.exists():
         raise FormatError(f"{file} is a map, not a list of markers; give it as the map (--map)")
-    raw_markers = _parse_markers(file, read_text(file, "markers"))
+    text, extension = read_text(file, "markers"), file.suffix.lower()
+    if extension in YAML_EXTENSIONS:
+        raw_markers = _parse_yaml(file, text)
+    elif extension == ".json":
+        values = enumerate(_find_list(file, parse_json(file, text)), start=1)
+        raw_markers = [_RawMarker(f"marker {number}", value) for number, value in values]
+    else:
+        raw_markers = _parse_lines(file, text)
     if not raw_markers:
         raise FormatError(f"{file} has no markers; {_PAIR_TEXT}")
     markers = [_parse_marker(f"{file}, {raw.location}", raw) for raw in raw_markers]
@@ -155,15 +162,6 @@ def write_markers(path: PathLike, markers: Markers) -> None:
         text = "# source target\n" + "".join(lines)
     with atomic_file(file) as temporary:
         temporary.write_text(text, encoding="utf-8")
-
-
-def _parse_markers(file: Path, text: str) -> list[_RawMarker]:
-    if file.suffix.lower() in YAML_EXTENSIONS:
-        return _parse_yaml(file, text)
-    if file.suffix.lower() == ".json":
-        values = _find_list(file, parse_json(file, text))
-        return [_RawMarker(f"marker {number}", value) for number, value in enumerate(values, start=1)]
-    return _parse_lines(file, text)
 
 
 def _parse_lines(file: Path, text: str) -> list[_RawMarker]:
