@@ -94,6 +94,9 @@ def read_mixed_space(file: Contents, header: SequenceHeader) -> MixedSpace:
     face_count = len(topology.faces)
     decomposition = _read_segmentation(file, topology)
     shape_rows = sum(map(len, decomposition.parts))
+    projection = read_settings(file, "projection", Projection.__dataclass_fields__)
+    if projection["placement"] not in PLACEMENTS:
+        raise FormatError(f"{file.path}: the placement {projection['placement']!r} is not known")
     steadiness = Steadiness(*(_read_steadiness(file, name) for name in Steadiness._fields))
     space = MixedSpace(
         topology=topology,
@@ -104,7 +107,7 @@ def read_mixed_space(file: Contents, header: SequenceHeader) -> MixedSpace:
         skinning_weights=_read_skinning(file, header.vertex_count, len(decomposition.parts)),
         steadiness=steadiness,
         joint_faces=_mask_of(read_integers(file, "space/joint_faces", (None,), 0, face_count), face_count),
-        projection=_read_projection(file),
+        projection=Projection(**projection),
     )
     counts = len(decomposition.parts), len(space.articulation.pairs)
     for name, values in steadiness._asdict().items():
@@ -121,13 +124,6 @@ def _read_steadiness(file: Contents, name: str) -> Float:
             f"{file.path}: space/steadiness/{name} has numbers outside {low:g} to {high:g}; it is damaged"
         )
     return values
-
-
-def _read_projection(file: Contents) -> Projection:
-    settings = read_settings(file, "projection", Projection.__dataclass_fields__)
-    if settings["placement"] not in PLACEMENTS:
-        raise FormatError(f"{file.path}: the placement {settings['placement']!r} is not known")
-    return Projection(**settings)
 
 
 def _mask_of(indices: Index, count: int) -> NDArray[np.bool_]:

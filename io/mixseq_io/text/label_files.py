@@ -314,12 +314,11 @@ def _write_subsets(
     names: Sequence[str],
     flatten: bool,
 ) -> None:
-    from mixseq_io.usd.surface import Parts
-    from mixseq_io.usd.writer import write_usd, write_usd_parts
+    from mixseq_io.usd.writer import FaceParts, write_usd, write_usd_parts
 
     header = sequence.header
     ends = np.cumsum([each.polygon_count for each in header.objects])[:-1]
-    parts = Parts(tuple(np.split(of_polygon, ends)), names)
+    parts = FaceParts(tuple(np.split(of_polygon, ends)), names)
     origin = header.surface.origin
     untouched = (
         isinstance(sequence, SequenceReader)
