@@ -51,11 +51,8 @@ from mixseq.retargeting.markers import Markers
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float, FloatArray, Index, IntArray
 
-MIN_VOLUME_RATIO = 1e-9
-"""Smallest volume of a component relative to its cubed diagonal; smaller volumes are rounding."""
-
-MAX_NAMED_COMPONENTS = 4
-"""Largest number of components named in a message."""
+MIN_VOLUME_RATIO = 1e-9  # of a component, to its cubed diagonal; smaller volumes are rounding
+MAX_NAMED_COMPONENTS = 4  # largest number of components named in a message
 
 _FLIP_ADVICE = "turn its triangles over (faces[:, ::-1]; in a modelling program: flip the normals)"
 
@@ -86,7 +83,7 @@ def find_orientation(points: FloatArray, faces: IntArray) -> Orientation:
     # Volumes are taken about the centres of the bounding boxes, against rounding.
     a, b, c = np.moveaxis(corners - ((lower_bounds + upper_bounds) / 2)[component_of_face, None], 1, 0)
     volumes = np.bincount(component_of_face, np.einsum("fi,fi->f", a, np.cross(b, c)) / 6, count)
-    vector_areas = [np.bincount(component_of_face, mesh.vectors[:, axis], count) for axis in range(3)]
+    vector_areas = [np.bincount(component_of_face, mesh.vector_areas[:, axis], count) for axis in range(3)]
     diagonals = np.linalg.norm(upper_bounds - lower_bounds, axis=1)
     uncertainty = np.linalg.norm(vector_areas, axis=0) * diagonals / 6 + MIN_VOLUME_RATIO * diagonals**3
     signs = np.where(np.abs(volumes) > uncertainty, np.sign(volumes), 0).astype(np.int64)
@@ -152,35 +149,17 @@ def _opposite_area_share(
     return float(target.face_areas[is_opposite].sum() / max(target.face_areas.sum(), np.finfo(float).tiny))
 
 
-SPLINE_SLACK = 0.05
-"""Slack of the splines, in root mean square distances from the centre; results hardly depend on it from 0 to 0.2."""
-
-_MIN_SUPPORT_RATIO = 1e-9
-"""Smallest diagonal entry of B, relative to their mean, for a prediction by the other markers."""
-
-MIN_COMPARED_MARKERS = 8
-"""Smallest number of markers that are compared with each other."""
-
-MAX_EXCHANGED_DISTANCE_RATIO = 0.5
-"""Largest distance of exchanged markers from their predictions, relative to that before the exchange."""
-
-MIN_EXCHANGED_DISTANCE_MEDIANS = 2.5
-"""Smallest distance of markers before an exchange, in medians of all markers."""
-
-MIN_WRONG_MARKER_DISTANCE, MIN_WRONG_MARKER_SURPRISE = 0.5, 5.0
-"""Smallest distance of a wrong marker, in root mean square distances from the centre, and surprise, in medians."""
-
-MAX_REPORTED_MARKERS = 20
-"""Largest number of reported exchanges, and of reported wrong markers."""
-
-ROUNDING_DISTANCE = 1e-6
-"""Largest distance that counts as rounding, in root mean square distances from the centre."""
-
-MAX_GROUP_MARKER_SHARE = 0.25
-"""Largest number of markers in a group, relative to all markers."""
-
-MAX_GROUP_SIZE_RATIO = 2.5
-"""Largest ratio of the sizes of two exchanged groups."""
+SPLINE_SLACK = 0.05  # in root mean square distances from the centre; results hardly change from 0 to 0.2
+_MIN_SUPPORT_RATIO = 1e-9  # of a diagonal entry of B to their mean, for a prediction by the others
+MIN_COMPARED_MARKERS = 8  # smallest number of markers that are compared with each other
+MAX_EXCHANGED_DISTANCE_RATIO = 0.5  # of distances from predictions, exchanged to unchanged
+MIN_EXCHANGED_DISTANCE_MEDIANS = 2.5  # of unchanged markers, in medians of all markers
+MIN_WRONG_MARKER_DISTANCE = 0.5  # in root mean square distances from the centre
+MIN_WRONG_MARKER_SURPRISE = 5.0  # in medians of all markers
+MAX_REPORTED_MARKERS = 20  # largest number of reported exchanges, and of reported wrong markers
+ROUNDING_DISTANCE = 1e-6  # largest rounding error, in root mean square distances from the centre
+MAX_GROUP_MARKER_SHARE = 0.25  # largest number of markers in a group, relative to all markers
+MAX_GROUP_SIZE_RATIO = 2.5  # largest ratio of the sizes of two exchanged groups
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,26 +288,14 @@ def find_exchanged_groups(
     return best
 
 
-MIN_MARKERS = 4
-"""Smallest number of markers: four determine an affine map."""
-
-FLAT_EXTENT_RATIO = 0.01
-"""Largest ratio of extents of markers on a line or a plane."""
-
-MAX_MIRRORED_RESIDUAL_RATIO = 0.5
-"""Largest residual of the best reflection of mirrored markers, relative to that of the best rotation."""
-
-MIN_ROTATION_RESIDUAL = 0.01
-"""Smallest residual of the best rotation of mirrored markers; flat markers have less."""
-
-MAX_COMPARED_MARKERS = 1000
-"""Largest number of markers that are compared with each other."""
-
-MAX_EXCHANGED_GROUP_DISTANCE_RATIO, MAX_GROUPED_MARKERS = 0.7, 200
-"""As `MAX_EXCHANGED_DISTANCE_RATIO`, for two groups; largest number of markers that are grouped."""
-
-MAX_NAMED_MARKERS = 6
-"""Largest number of markers named in a message."""
+MIN_MARKERS = 4  # smallest number of markers: four determine an affine map
+FLAT_EXTENT_RATIO = 0.01  # largest ratio of extents of markers on a line or a plane
+MAX_MIRRORED_RESIDUAL_RATIO = 0.5  # of the best reflection of mirrored markers, to the best rotation
+MIN_ROTATION_RESIDUAL = 0.01  # of mirrored markers; that of flat markers is smaller
+MAX_COMPARED_MARKERS = 1000  # largest number of markers that are compared with each other
+MAX_EXCHANGED_GROUP_DISTANCE_RATIO = 0.7  # of distances from predictions, exchanged to unchanged
+MAX_GROUPED_MARKERS = 200  # largest number of markers that are grouped
+MAX_NAMED_MARKERS = 6  # largest number of markers named in a message
 
 
 @dataclass(frozen=True, eq=False)

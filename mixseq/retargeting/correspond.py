@@ -19,11 +19,9 @@ from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
 from mixseq.sequence.sequence import MeshSequence
 
-MIN_MARKED_AREA_SHARE = 0.5
-"""Smallest share of a mesh's area in components with markers, without a warning."""
-
-MAX_FILLED_FACE_SHARE, MAX_FLIPPED_FACE_SHARE = 0.05, 0.01
-"""Largest shares of target triangles without a match, and of flipped ones; tested pairs have < 0.01 and 0."""
+MIN_MARKED_AREA_SHARE = 0.5  # smallest share of a mesh's area in components with markers, without a warning
+MAX_FILLED_FACE_SHARE = 0.05  # of target triangles without a match; tested pairs have less than 0.01
+MAX_FLIPPED_FACE_SHARE = 0.01  # of flipped target triangles; tested pairs have none
 
 
 @dataclass(frozen=True)
@@ -96,7 +94,7 @@ def correspond_and_assess(
     pairings = pair_components(source_mesh.topology, target_mesh.topology, markers)
     _check_areas(source_mesh, target_mesh, pairings)
     check_orientation(source_mesh.points, source_mesh.faces, target_mesh.points, target_mesh.faces)
-    points = register(source_mesh, target_mesh, pairings, markers, settings.registration, progress).points
+    points = register(source_mesh, target_mesh, pairings, markers, settings.registration, progress)
     check_facing(points, source_mesh.faces, target_mesh.points, target_mesh.faces)
     registered = TriangleMesh(points, source_mesh.topology)
     matches = match(registered, target_mesh, pairings, settings.matching)

@@ -112,9 +112,8 @@ class GradientTransfer(PickledWithoutCaches):
         displacement = displacements[root_vertices].mean(axis=0)
         placed = piece_vertices.copy()
         root = pieces.row_slices[attachments.root]
-        placed[root] += (
-            rest[root_vertices].mean(axis=0) + linear_map @ displacement - piece_vertices[root].mean(axis=0)
-        )
+        root_centre = rest[root_vertices].mean(axis=0) + linear_map @ displacement
+        placed[root] += root_centre - piece_vertices[root].mean(axis=0)
 
         own_rows = pieces.find_rows(attachments.pieces, attachments.vertices)
         holder_rows = pieces.find_rows(attachments.holders, attachments.holder_vertices)

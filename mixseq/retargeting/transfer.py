@@ -140,9 +140,8 @@ def plan_transfer(
         mixed = mixed_transfer(gradients, motion.points, motion.part_of_face(), settings.joint_width, shell)
         if not settings.contacts:
             return Transfer(header, motion, rest, correspondence, mixed, quality)
-        planted = plant_contacts(
-            mixed, motion.points, header, settings.contacts, workers or thread_executor(), progress
-        )
+        run = workers or thread_executor()
+        planted = plant_contacts(mixed, motion.points, header, settings.contacts, run, progress)
         return Transfer(header, motion, rest, correspondence, planted.method, quality, planted)
 
 
