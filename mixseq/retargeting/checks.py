@@ -82,7 +82,7 @@ def find_orientation(mesh: TriangleMesh) -> Orientation:
     # Volumes are taken about the centres of the bounding boxes, against rounding.
     a, b, c = np.moveaxis(corners - ((lower_bounds + upper_bounds) / 2)[component_of_face, None], 1, 0)
     volumes = np.bincount(component_of_face, np.einsum("fi,fi->f", a, np.cross(b, c)) / 6, count)
-    vector_areas = [np.bincount(component_of_face, mesh.vectors[:, axis], count) for axis in range(3)]
+    vector_areas = [np.bincount(component_of_face, mesh.vector_areas[:, axis], count) for axis in range(3)]
     diagonals = np.linalg.norm(upper_bounds - lower_bounds, axis=1)
     uncertainty = np.linalg.norm(vector_areas, axis=0) * diagonals / 6 + MIN_VOLUME_RATIO * diagonals**3
     signs = np.where(np.abs(volumes) > uncertainty, np.sign(volumes), 0).astype(np.int64)
