@@ -73,6 +73,13 @@ def factorise_laplacian(pairs: Index, weights: Float, position_weights: Float) -
     return factorise((sparse.diags_array(degrees + position_weights) - coupled).tocsr())
 
 
+def index_of(ids: Index, count: int) -> Index:
+    """Return the index ``(count,)`` of every number below `count` among ids ``(n,)``, -1 for others."""
+    index = np.full(count, -1, dtype=np.int64)
+    index[ids] = np.arange(len(ids))
+    return index
+
+
 def _rslab() -> Any | None:
     try:
         import rslab

@@ -254,7 +254,7 @@ def test_what_is_steady_is_trusted() -> None:
     turns[0, 1] = product(quaternions(rotation((0.4, 0.0, 0.0))), turns[0, 1])
     off = []
     for steady in (0.01, 1.0, 100.0):
-        parts = Steadiness.uniform(4, len(CHAIN.pairs))
+        parts = Steadiness(*np.ones((2, 4)), *np.ones((2, len(CHAIN.pairs))))
         parts.turns[1] = steady
         found = replace(CHAIN, steadiness=parts).reconcile(right._replace(rotations=turns))
         off.append(float(angle_between(found.rotations[0, 1], right.rotations[0, 1])))
@@ -469,7 +469,7 @@ def related(pairs: Index, pivots: Float, radii: Float, rest: Float) -> Articulat
         body_of_part=np.zeros(count, dtype=np.int64),
         pairs=pairs,
         pivots=pivots,
-        steadiness=Steadiness.uniform(count, len(pairs)),
+        steadiness=Steadiness(*np.ones((2, count)), *np.ones((2, len(pairs)))),
     )
 
 
