@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from mixseq.compression.numbering import Renumbering, find_numbering, identity_numbering, object_vertex_counts
 from mixseq.errors import InvalidSequenceError
-from mixseq.mesh.measures import Diagonal, dihedral_angles, edge_lengths, flat_faces, wrap
+from mixseq.mesh.measures import Diagonal, degenerate_faces, dihedral_angles, edge_lengths, wrap_angles
 from mixseq.mesh.polygons import match_triangles
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import RunningStatistics, Statistics
@@ -148,8 +148,8 @@ def compare(a: Frames, b: Frames) -> Comparison:
     volumes: list[Float] = []
     for x, y in paired_blocks(a, b, max(1, _BLOCK // header.vertex_count)):
         if not largest:
-            unit = Diagonal.of(x[0])
-        apart, x, y = (unit.shifted(lengths) for lengths in (x - y, x, y))
+            unit = Diagonal.from_points(x[0])
+        apart, x, y = (unit.rescale(lengths) for lengths in (x - y, x, y))
         distances = np.einsum("tvi,tvi->tv", apart, apart)
         squares += float(distances.sum())
         variation += float(np.square(x - x.mean(axis=1, keepdims=True)).sum())
@@ -251,9 +251,11 @@ def _gather_strains(strains: RunningStatistics, topology: Topology, x: Float, y:
 
 
 def _gather_angles(angles: RunningStatistics, topology: Topology, x: Float, y: Float) -> None:
-    flat = flat_faces(x, topology.faces, FLAT) | flat_faces(y, topology.faces, FLAT)
+    flat = degenerate_faces(x, topology.faces, FLAT) | degenerate_faces(y, topology.faces, FLAT)
     there = ~flat[:, topology.hinge_faces].any(axis=2)
-    turn = wrap(dihedral_angles(y, topology.hinges)[there] - dihedral_angles(x, topology.hinges)[there])
+    turn = wrap_angles(
+        dihedral_angles(y, topology.hinges)[there] - dihedral_angles(x, topology.hinges)[there]
+    )
     angles.add(np.degrees(np.abs(turn)))
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Float", "FloatArray", "Index", "IntArray", "Mask", "PathLike", "Single", "evenly"]
+__all__ = ["Float", "FloatArray", "Index", "IntArray", "Mask", "PathLike", "Single", "evenly_spaced"]
 
 Float = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -25,6 +25,6 @@ PathLike = str | os.PathLike[str]
 """Path of a file."""
 
 
-def evenly(count: int, at_most: int) -> Index:
+def evenly_spaced(count: int, at_most: int) -> Index:
     """Return at most `at_most` evenly spaced indices below `count`, with the first and the last."""
     return np.unique(np.linspace(0, count - 1, min(count, at_most)).round().astype(np.int64))

@@ -82,7 +82,7 @@ def check_memory(file: object, needed: float, part: str = "its contents") -> Non
 def out_of_memory_error(file: object) -> FormatError:
     """Return the error for a file whose reading exhausted the memory."""
     return FormatError(
-        f"{file}: reading needs more memory than the limit, {format_gigabytes(max_memory())}, or than is free; the "
+        f"{file}: reading needs more than {format_gigabytes(max_memory())} of memory, the limit, or than is free; the "
         "file is damaged, or more must be allowed: --max-memory (max_memory=... in Python)"
     )
 

@@ -1,12 +1,12 @@
-"""Readers in a process of their own, for formats that are parsed by C++ libraries.
+"""Readers in a worker process, for formats that are parsed by C++ libraries.
 
-Damaged files can make these libraries crash, hang, or take all memory, which cannot be caught in the same process.
-Readers run in a reused worker (`mixseq_io.worker`), a second Python with limits on memory (`mixseq_io.files`) and on
-time per answer; its death is reported as an error of the file. ``MIXSEQ_READER_SECONDS`` sets the limit of time: by
-default 120 s of processor time, and four times that by the clock.
+A damaged file can make these libraries crash, hang, or allocate all memory, which cannot be caught in the same process.
+Readers run in a worker (`mixseq_io.worker`), a second Python with limits on memory (`mixseq_io.files`) and on time per
+request. If it dies, the file is reported as damaged. ``MIXSEQ_READER_SECONDS`` sets the time limit: by default 120 s of
+processor time, and four times that of wall-clock time.
 
-Workers are started on demand and reused, one for each open file. Above `MAX_WORKERS` files, the least recently used
-one gives up its worker; at its next request it is opened again, and iterations continue where they were.
+Workers are started on demand, serve one open file at a time, and are reused. Above `MAX_WORKERS` open files, the least
+recently used one releases its worker. Its next request opens it again, and iterations continue at the same block.
 """
 
 from __future__ import annotations
@@ -36,9 +36,10 @@ from mixseq_io.reader import SequenceReader, warn
 from mixseq_io.text.labels import Markings
 
 MAX_WORKERS = 8
-"""Largest number of files with workers at a time, unless more threads read files."""
+"""Largest number of files that keep a worker; exceeded only if more threads read at the same time."""
 
-_MOST_IDLE = 2
+_MAX_IDLE_WORKERS = 2
+_EXIT_SECONDS = 5.0
 
 
 class OpenFile:
@@ -46,36 +47,38 @@ class OpenFile:
 
     def __init__(self, path: Path, reader: str, options: dict[str, Any]) -> None:
         self.path = path
-        self.worker: Worker | None = None
-        self.asked = 0
-        self._question = ("open", reader, str(path), options, str(Path.cwd()), max_memory())
-        self._signature = _signature(path)
-        self._times = 0  # that it was opened
-        self._numbers = count()
+        self.worker: WorkerProcess | None = None
+        self.last_request = 0
+        self._open_request = ("open", reader, str(path), options, str(Path.cwd()), max_memory())
+        self._identity = _file_identity(path)
+        self._open_count = 0
+        self._iteration_ids = count()
         self.lock = threading.RLock()
         with self.lock:
-            self.opened = self._open()
-        _files.add(self)
+            header, self.has_velocities = self._open()
+        self.header = _frozen(header)
+        _open_files.add(self)
 
-    def ask(self, *question: Any) -> Any:
+    def request(self, *request: Any) -> Any:
         """Return the answer to a request; see `mixseq_io.worker`."""
         with self.lock:
-            return self._ready().ask(self.path, *question)
+            return self._require_worker().request(self.path, *request)
 
-    def iterate(self, what: str, size: int) -> Iterator[Any]:
-        """Yield the blocks of a worker's iteration."""
-        number, done, times = next(self._numbers), 0, 0
+    def iterate(self, quantity: str, size: int) -> Iterator[Any]:
+        """Yield blocks of points or velocities."""
+        iteration, block_count, open_count = next(self._iteration_ids), 0, 0
         while True:
             with self.lock:
-                worker = self._ready()
-                if times != self._times:
-                    worker.ask(self.path, "iterate", number, what, size, done, again=done > 0)
-                    times = self._times
-                block = worker.ask(self.path, "next", number)
+                worker = self._require_worker()
+                if open_count != self._open_count:
+                    request = "iterate", iteration, quantity, size, block_count
+                    worker.request(self.path, *request, repeated=block_count > 0)
+                    open_count = self._open_count
+                block = worker.request(self.path, "next", iteration)
             if block is None:
                 return
             yield block
-            done += 1
+            block_count += 1
 
     def close(self) -> None:
         """Close the file and release its worker."""
@@ -84,41 +87,41 @@ class OpenFile:
         if worker is not None:
             release_worker(worker)
 
-    def give_up(self) -> bool:
-        """Release the worker if it is idle; return whether it was released."""
+    def close_if_unused(self) -> bool:
+        """Release the worker unless a request is waiting for it; return whether one was released."""
         if not self.lock.acquire(blocking=False):
             return False
         try:
-            held = self.worker is not None
+            has_worker = self.worker is not None
             self.close()
         finally:
             self.lock.release()
-        return held
+        return has_worker
 
-    def _ready(self) -> Worker:
+    def _require_worker(self) -> WorkerProcess:
         if self.worker is None:
-            if _signature(self.path) != self._signature:
+            if _file_identity(self.path) != self._identity:
                 raise FormatError(f"{self.path} has changed since it was opened; open it again")
             self._open()
         assert self.worker is not None
-        self.asked = next(_questions)
+        self.last_request = next(_request_numbers)
         return self.worker
 
     def _open(self) -> Any:
-        _make_room()
+        _release_surplus_workers()
         self.worker = acquire_worker()
         try:
-            answer = self.worker.ask(self.path, *self._question, again=self._times > 0)
+            answer = self.worker.request(self.path, *self._open_request, repeated=self._open_count > 0)
         except BaseException:
             self.close()
             raise
-        self._times += 1
-        self.asked = next(_questions)
+        self._open_count += 1
+        self.last_request = next(_request_numbers)
         return answer
 
 
-class Worker:
-    """Child process that answers one request at a time."""
+class WorkerProcess:
+    """Process that serves one request at a time."""
 
     def __init__(self) -> None:
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
@@ -126,87 +129,87 @@ class Worker:
             [sys.executable, "-P", "-m", "mixseq_io.worker"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,  # where C++ libraries grumble; their reports come with the answers
+            stderr=subprocess.DEVNULL,  # C++ libraries print to it; errors and warnings arrive with the answers
             env=environment,
         )
         self._stdin: Any = self._process.stdin
         self._stdout: Any = self._process.stdout
-        # Whoever drops a reader without closing it leaves no process; without locks, which the same thread may hold.
-        finalize(self, _end, self._process).atexit = False
+        # End the process of a reader that is dropped without closing; without locks, which this thread may hold.
+        finalize(self, _kill, self._process).atexit = False
         self._lock = threading.Lock()
 
-    def ask(
+    def request(
         self,
         path: Path,
-        *question: Any,
-        again: bool = False,
+        *request: Any,
+        repeated: bool = False,
         meanwhile: Callable[[], object] | None = None,
     ) -> Any:
-        """Return the answer to a request about a file; raise its error, and repeat its warnings unless asked `again`.
+        """Send a request about a file; return its value, or raise its error.
 
-        `meanwhile` is called before waiting for the answer.
+        Warnings are passed on unless the request is `repeated`. `meanwhile` is called before waiting for the answer.
         """
         try:
             with self._lock:
-                pickle.dump(question, self._stdin)
+                pickle.dump(request, self._stdin)
                 self._stdin.flush()
                 if meanwhile is not None:
                     meanwhile()
-                answer, error, warnings = pickle.load(self._stdout)
+                value, error, warnings = pickle.load(self._stdout)
         except (EOFError, OSError, pickle.UnpicklingError):
-            raise FormatError(self._obituary(path)) from None
+            raise FormatError(self._explain_death(path)) from None
         except BaseException:
-            # Ctrl-C: the answer that is on its way must not be taken for that to another question.
+            # After Ctrl-C the next request would receive the pending answer.
             self._process.kill()
             raise
-        for message in () if again else warnings:
+        for message in () if repeated else warnings:
             warn(message)
         if error is not None:
             raise error
-        return answer
+        return value
 
     def close(self) -> None:
         """End the process."""
         with suppress(OSError):
             self._stdin.close()
         self._stdout.close()
-        try:
-            self._process.wait(timeout=5)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        self._wait()
 
-    def leave(self) -> None:
-        """Close the pipes in a forked process, so that the worker ends with its last owner."""
-        nowhere = os.open(os.devnull, os.O_RDWR)
+    def detach(self) -> None:
+        """Close the pipes in a forked process, so that only the parent keeps the worker alive."""
+        null_device = os.open(os.devnull, os.O_RDWR)
         for pipe in (self._stdin, self._stdout):
             if not pipe.closed:
-                os.dup2(nowhere, pipe.fileno(), inheritable=False)
-        os.close(nowhere)
+                os.dup2(null_device, pipe.fileno(), inheritable=False)
+        os.close(null_device)
 
     @property
-    def alive(self) -> bool:
-        """Whether it can answer requests."""
+    def is_alive(self) -> bool:
+        """Whether the process is running."""
         return self._process.poll() is None
 
-    def _obituary(self, path: Path) -> str:
+    def _wait(self) -> int:
+        """Wait for the end of the process, kill it if it is late, and return its exit code."""
         try:
-            code = self._process.wait(timeout=5)
+            return self._process.wait(timeout=_EXIT_SECONDS)
         except subprocess.TimeoutExpired:
             self._process.kill()
-            code = self._process.wait()
-        if -code in (getattr(signal, name, None) for name in ("SIGPROF", "SIGALRM")):
+            return self._process.wait()
+
+    def _explain_death(self, path: Path) -> str:
+        signal_number = -self._wait()
+        if signal_number in (getattr(signal, name, None) for name in ("SIGPROF", "SIGALRM")):
             return (
-                f"{path}: reading takes too long; it is damaged, or MIXSEQ_READER_SECONDS, the limit of time, must be "
-                "raised"
+                f"{path}: reading takes too long; the file is damaged, or the time limit, the environment variable "
+                "MIXSEQ_READER_SECONDS, must be raised"
             )
         return (
-            f"{path}: the library that reads it crashed; it is damaged, export it again (or it needs more than "
+            f"{path}: the library that reads it crashed; the file is damaged, export it again (or it needs more than "
             f"{format_gigabytes(max_memory())} of memory: --max-memory)"
         )
 
 
-def _end(process: subprocess.Popen[bytes]) -> None:
+def _kill(process: subprocess.Popen[bytes]) -> None:
     """Kill a process and close its pipes."""
     process.kill()
     process.wait()
@@ -216,47 +219,47 @@ def _end(process: subprocess.Popen[bytes]) -> None:
                 pipe.close()
 
 
-_files: WeakSet[OpenFile] = WeakSet()
-_questions = count(1)
-idle_workers: list[Worker] = []
-_of_parent: list[Worker] = []
+_open_files: WeakSet[OpenFile] = WeakSet()
+_request_numbers = count(1)
+idle_workers: list[WorkerProcess] = []
+_workers_of_parent: list[WorkerProcess] = []
 _lock = threading.Lock()
 
 
-def acquire_worker() -> Worker:
-    """Return a worker without a file, a new one if none is idle."""
+def acquire_worker() -> WorkerProcess:
+    """Return an idle worker, or start one."""
     with _lock:
         while idle_workers:
             worker = idle_workers.pop()
-            if worker.alive:
+            if worker.is_alive:
                 return worker
             worker.close()
-    return Worker()
+    return WorkerProcess()
 
 
-def release_worker(worker: Worker) -> None:
+def release_worker(worker: WorkerProcess) -> None:
     """Keep a worker for the next file if it is alive and few are idle; else end it."""
     with suppress(FormatError):
-        if worker.alive:
-            worker.ask(Path(), "close")
+        if worker.is_alive:
+            worker.request(Path(), "close")
     with _lock:
-        if worker.alive and len(idle_workers) < _MOST_IDLE:
+        if worker.is_alive and len(idle_workers) < _MAX_IDLE_WORKERS:
             idle_workers.append(worker)
             return
     worker.close()
 
 
-def _make_room() -> None:
-    """Release the least recently used file's worker if there are too many."""
-    held = sorted((file for file in list(_files) if file.worker is not None), key=lambda file: file.asked)
-    many = len(held) - MAX_WORKERS + 1
-    for file in held:
-        if many > 0:
-            many -= file.give_up()
+def _release_surplus_workers() -> None:
+    """Release workers of the least recently used files until one more may be acquired."""
+    files = [file for file in list(_open_files) if file.worker is not None]
+    surplus = len(files) - MAX_WORKERS + 1
+    for file in sorted(files, key=lambda file: file.last_request):
+        if surplus > 0:
+            surplus -= file.close_if_unused()
 
 
-def _signature(path: Path) -> tuple[int, int, int] | None:
-    """Return a file's identity: inode, size and modification time in ns; None if it does not exist."""
+def _file_identity(path: Path) -> tuple[int, int, int] | None:
+    """Return a file's inode, size and modification time in ns; None if it does not exist."""
     try:
         state = path.stat()
     except OSError:
@@ -264,22 +267,22 @@ def _signature(path: Path) -> tuple[int, int, int] | None:
     return state.st_ino, state.st_size, state.st_mtime_ns
 
 
-def _leave_to_parent() -> None:
-    """Drop inherited workers in a forked process, since answers at a shared pipe would be mixed up."""
+def _detach_workers() -> None:
+    """Drop inherited workers in a forked process, since two processes cannot share a pipe."""
     global _lock
-    _lock = threading.Lock()  # a thread that is not there may hold the other one
-    _of_parent.extend(idle_workers)
+    _lock = threading.Lock()  # the inherited one may be held by a thread that the fork did not copy
+    _workers_of_parent.extend(idle_workers)
     idle_workers.clear()
-    for file in list(_files):
+    for file in list(_open_files):
         if file.worker is not None:
-            _of_parent.append(file.worker)
+            _workers_of_parent.append(file.worker)
         file.worker, file.lock = None, threading.RLock()
-    for worker in _of_parent:
-        worker.leave()
+    for worker in _workers_of_parent:
+        worker.detach()
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_leave_to_parent)
+    os.register_at_fork(after_in_child=_detach_workers)
 
 
 @atexit.register
@@ -290,75 +293,72 @@ def close_idle_workers() -> None:
 
 
 def open_isolated(reader: str, path: Path, options: dict[str, Any]) -> SequenceReader:
-    """Open a file in a worker, or in this process where none can be started."""
+    """Open a file with a reader ``"module:function"`` in a worker, or in this process if none can be started."""
     if not can_isolate():
-        reader_here: SequenceReader = import_function(reader)(path, **options)
-        return reader_here
+        local_reader: SequenceReader = import_function(reader)(path, **options)
+        return local_reader
     with ExitStack() as resources:
         file = OpenFile(path, reader, options)
         resources.callback(file.close)
-        header, moving = file.opened
-        return _IsolatedReader(path, _frozen(header), file, resources.pop_all(), moving)
+        return _IsolatedReader(path, file, resources.pop_all())
 
 
 def call_isolated(
     function: str, path: Path, *arguments: Any, meanwhile: Callable[[], object] | None = None
 ) -> Any:
-    """Call a function of a file in a worker and return its value; arguments and errors as in `open_isolated`."""
+    """Call a function ``"module:function"`` of a file in a worker; call `meanwhile` while it runs."""
     if not can_isolate():
         return import_function(function)(path, *arguments)
     worker = acquire_worker()
     try:
-        question = "call", function, str(path), arguments, str(Path.cwd()), max_memory()
-        return worker.ask(path, *question, meanwhile=meanwhile)
+        request = "call", function, str(path), arguments, str(Path.cwd()), max_memory()
+        return worker.request(path, *request, meanwhile=meanwhile)
     finally:
         release_worker(worker)
 
 
 time_limiters: list[Callable[[float], None]] = []
-"""Functions that limit time in this process, if it is a worker."""
+"""Functions that restart the time limit of this process if it is a worker, else empty."""
 
 
-def limit_time(share: float) -> None:
-    """Restart the clock of an answer with a share of the time limit; does nothing outside of a worker."""
-    for start in time_limiters:
-        start(share)
+def limit_time(fraction: float) -> None:
+    """Restart the time limit of a request with a fraction of the full one; do nothing outside of a worker."""
+    for restart in time_limiters:
+        restart(fraction)
 
 
 def import_function(reference: str) -> Callable[..., Any]:
-    """Return the function named ``"module:function"`` or ``"module:object.method"``."""
+    """Import the function named ``"module:function"`` or ``"module:object.method"``."""
     module, function = reference.split(":")
-    found: Callable[..., Any] = attrgetter(function)(import_module(module))
-    return found
+    imported: Callable[..., Any] = attrgetter(function)(import_module(module))
+    return imported
 
 
 def can_isolate() -> bool:
-    """Whether a second Python can be started; applications that embed Python have no executable for it."""
+    """Whether a second Python can be started; applications that embed Python have no executable of it."""
     return "python" in Path(sys.executable or "").name.lower()
 
 
 class _IsolatedReader(SequenceReader):
-    def __init__(
-        self, path: Path, header: SequenceHeader, file: OpenFile, resources: ExitStack, moving: bool
-    ) -> None:
-        super().__init__(path, header, resources, moving)
+    def __init__(self, path: Path, file: OpenFile, resources: ExitStack) -> None:
+        super().__init__(path, file.header, resources, file.has_velocities)
         self._file = file
 
     def markings(self) -> Markings:
-        """Return the sets of polygons and the joints of the mesh."""
+        """Return the face sets and skinning weights of the mesh."""
         self._check_open()
-        found: Markings = self._file.ask("markings")
-        return found
+        markings: Markings = self._file.request("markings")
+        return markings
 
     def _check_process(self) -> None:
-        """Do nothing: a forked process opens the file again, in a worker of its own."""
+        """Do nothing: a forked process opens the file again, in a new worker."""
 
-    def _read(self, what: str, size: int) -> Iterator[FloatArray]:
-        return self._file.iterate(what, size)
+    def _read(self, quantity: str, size: int) -> Iterator[FloatArray]:
+        return self._file.iterate(quantity, size)
 
 
 def _frozen(header: SequenceHeader) -> SequenceHeader:
-    """Return a header received from a worker with read-only arrays."""
+    """Make the arrays of an unpickled header read-only."""
     surface = header.surface
     return replace(
         header,

@@ -1,4 +1,4 @@
-"""Load and open files that may hold a model (HDF5 and glTF), importing only what a file needs, while it is read."""
+"""Load models, and open files that may hold a model: HDF5 and glTF; decoders are imported while a file is read."""
 
 from __future__ import annotations
 
@@ -19,17 +19,15 @@ from mixseq_io.reader import SequenceReader
 if TYPE_CHECKING:
     from mixseq.signals.model import Model
 
-
-GLB, HDF5 = ".glb", (".h5", ".hdf5")
-"""File extensions of models."""
+GLB_EXTENSION, HDF5_EXTENSIONS = ".glb", (".h5", ".hdf5")
 
 
 def is_model(path: Path) -> bool:
     """Whether a file holds a model, as opposed to a sequence."""
-    suffix = path.suffix.lower()
-    if suffix not in (GLB, *HDF5) or not path.is_file():
+    extension = path.suffix.lower()
+    if extension not in (GLB_EXTENSION, *HDF5_EXTENSIONS) or not path.is_file():
         return False
-    if suffix == GLB:
+    if extension == GLB_EXTENSION:
         from mixseq_io.gltf.mesh_sequence import has_sequence
 
         return has_sequence(path)
@@ -43,9 +41,9 @@ def load(path: PathLike, *, max_memory: float | None = None) -> Model:
     Parameters
     ----------
     path : path-like
-        A file that `save` wrote; its signals may have been edited.
+        File written by `save`; its signals may have been edited.
     max_memory : float, optional
-        Bytes that the file's arrays may take, as in `mixseq_io.open_sequence`.
+        Memory limit in bytes, as in `mixseq_io.open_sequence`.
 
     Returns
     -------
@@ -54,12 +52,12 @@ def load(path: PathLike, *, max_memory: float | None = None) -> Model:
     Raises
     ------
     FormatError
-        If the file is missing, damaged, not a model, or written by another version of mixseq, if its signals contradict
-        each other, or if it takes more than `max_memory`.
+        If the file is missing, damaged, not a model, of another version of mixseq, or needs more than `max_memory`, or
+        if its signals contradict each other.
     """
     with memory_limit(max_memory):
         source = Path(path)
-        return _load_glb(source) if source.suffix.lower() == GLB else _load_h5(source)
+        return _load_glb(source) if source.suffix.lower() == GLB_EXTENSION else _load_h5(source)
 
 
 def _load_glb(source: Path) -> Model:
@@ -76,9 +74,9 @@ def _load_h5(source: Path) -> Model:
         )
     if source.is_file():
         check_memory(source, source.stat().st_size, "the file itself")
-    # The decoder is imported while the worker reads the file; both take about as long.
-    decoder = partial(import_module, "mixseq_io.coded.streams")
-    file = read_contents(source, MODEL_FORMAT, meanwhile=decoder)
+    # Importing the decoder takes about as long as the worker needs to read the file.
+    import_decoder = partial(import_module, "mixseq_io.coded.streams")
+    file = read_contents(source, MODEL_FORMAT, meanwhile=import_decoder)
     if file.kind != MODEL_FORMAT:
         raise FormatError(
             f"{source} is an HDF5 file, but not a mixseq model (format = {file.kind!r}); make one with mixseq encode"
@@ -86,12 +84,12 @@ def _load_h5(source: Path) -> Model:
     with translate_h5_errors(source):
         if "coding" in file.attrs:
             from mixseq_io.coded.streams import decode_model, read_sequence
-            from mixseq_io.hdf5.coded_files import container_of
+            from mixseq_io.hdf5.coded_files import parse_container
 
-            return decode_model(source, read_sequence(source, container_of(source, file)))
+            return decode_model(source, read_sequence(source, parse_container(file)))
         from mixseq_io.hdf5.models import read_model
 
-        return read_model(source, file)
+        return read_model(file)
 
 
 def _is_hdf5(path: Path) -> bool:
@@ -106,11 +104,11 @@ class ModelReader(SequenceReader):
         from mixseq.signals.decoding import FRAMES_PER_BLOCK
 
         self._model = load(path)
-        self._most = FRAMES_PER_BLOCK
+        self._max_block_frames = FRAMES_PER_BLOCK
         super().__init__(path, self._model.header)
 
-    def _read(self, what: str, size: int) -> Iterator[FloatArray]:
-        return self._model.blocks(self._model.times, min(size, self._most))
+    def _read(self, quantity: str, size: int) -> Iterator[FloatArray]:
+        return self._model.blocks(self._model.times, min(size, self._max_block_frames))
 
 
 def open_h5(path: Path) -> SequenceReader:
@@ -128,9 +126,9 @@ def open_gltf(path: Path, **options: Any) -> SequenceReader:
         from mixseq_io.gltf import reader
 
         return reader.open_gltf(path, **options)
-    given = [name for name, value in options.items() if value is not None]
-    if given:
-        raise SettingsError(
-            f"{path} holds a compressed model, which has no {given[0]} to choose; leave it out"
-        )
+    for name, value in options.items():
+        if value is not None:
+            raise SettingsError(
+                f"{path} holds a compressed model, which has no {name} to choose; leave it out"
+            )
     return ModelReader(path)

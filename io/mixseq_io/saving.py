@@ -13,10 +13,10 @@ from mixseq.signals.model import Model
 from mixseq.types import PathLike
 from mixseq_io.coded.packing import pack
 from mixseq_io.hdf5.coded_files import write_container
-from mixseq_io.hdf5.datasets import creating_h5
+from mixseq_io.hdf5.datasets import create_h5
 from mixseq_io.hdf5.models import write_model
 
-SUFFIXES = (".h5", ".hdf5", ".glb")
+MODEL_EXTENSIONS = (".h5", ".hdf5", ".glb")
 
 
 @public
@@ -28,30 +28,32 @@ def save(path: PathLike, model: Model | CompressedSequence, *, still: StillName 
     path : path-like
         The file; an existing one is replaced when the new one is complete.
     model : Model or CompressedSequence
-        What to store. Of a loaded compressed model only the residual layer is lost, with a `MixseqWarning`.
+        Model or compressed sequence to store. Models are stored without a residual layer, with a `MixseqWarning`.
     still : {"draco", "plain", "none"}
-        First frame of a .glb, for viewers that do not support mesh sequences: compressed by Draco (extra ``draco``),
-        as float32 (5 to 10 times the bytes), or left out.
+        First frame in a .glb, for viewers that do not support mesh sequences: compressed by Draco (extra ``draco``),
+        as float32 (5 to 10 times the bytes), or omitted.
 
     Raises
     ------
     OutputError
-        If the file cannot be written, its name does not end in .h5, .hdf5 or .glb, the shape space is not one of
-        mixseq's, or a model is not compressed and the name ends in .glb.
+        If the file cannot be written, its extension is not .h5, .hdf5 or .glb, the shape space cannot be stored, or the
+        extension is .glb and the model is not compressed.
     MissingExtraError
         If `still` needs Draco and it is not installed.
     SettingsError
-        If there is no such `still`.
+        If `still` is not one of these.
     """
     target = Path(path)
     if still not in STILLS:
         raise SettingsError(f"still is {still!r}; one of {', '.join(STILLS)} is expected")
-    if target.suffix.lower() not in SUFFIXES:
-        raise OutputError(f"{target}: models are HDF5 or GLB files; end the name in {' or '.join(SUFFIXES)}")
+    if target.suffix.lower() not in MODEL_EXTENSIONS:
+        raise OutputError(
+            f"{target}: models are HDF5 or GLB files; end the name in {' or '.join(MODEL_EXTENSIONS)}"
+        )
     if target.suffix.lower() == ".glb":
         _save_glb(target, model, still)
     elif isinstance(model, CompressedSequence):
-        with creating_h5(target) as (file, _):
+        with create_h5(target) as (file, _):
             write_container(file, pack(model))
     else:
         _save_h5(target, model)
@@ -76,5 +78,5 @@ def _save_h5(target: Path, model: Model) -> None:
             MixseqWarning,
             stacklevel=3,
         )
-    with creating_h5(target) as (file, _):
+    with create_h5(target) as (file, _):
         write_model(file, model)

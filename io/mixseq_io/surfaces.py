@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 
 from mixseq.errors import InvalidSequenceError
 from mixseq.mesh.measures import Diagonal
-from mixseq.mesh.surface import WHITE, CornerValues, FaceSet, MeshObject, Origin, Surface
+from mixseq.mesh.surface import DEFAULT_COLOUR, CornerValues, FaceSet, MeshObject, Origin, Surface
 from mixseq.sequence.frame_rates import NEAR
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import Float, FloatArray, IntArray
@@ -66,7 +66,7 @@ class RoundingMonitor:
             points = np.asarray(block)
             if points.dtype == np.float32 or not points.size:
                 continue
-            diagonal = diagonal or Diagonal.of(points[0])
+            diagonal = diagonal or Diagonal.from_points(points[0])
             for start in range(0, len(points), _FRAMES_PER_MEASUREMENT):
                 self._update(points[start : start + _FRAMES_PER_MEASUREMENT], first + start, diagonal)
             first += len(points)
@@ -77,7 +77,7 @@ class RoundingMonitor:
         if bound < VISIBLE_ERROR_DIAGONALS * diagonal.length:
             return
         with np.errstate(over="ignore", under="ignore"):
-            errors: Float = diagonal.shifted(points - points.astype(np.float32))
+            errors: Float = diagonal.rescale(points - points.astype(np.float32))
             errors = np.sqrt(np.square(errors).sum(axis=2).max(axis=1)) / (diagonal.fraction or 1.0)
         if errors.max() > self.error:
             self.error, self.frame = float(errors.max()), first + int(errors.argmax())
@@ -138,7 +138,7 @@ def format_vertex_colours(header: SequenceHeader, channels: int) -> list[str]:
     colours, vertices = header.surface.colours, header.polygons.indices
     if colours is None:
         return []
-    values = clip_to_unit(colours.at_vertices(vertices, header.vertex_count, WHITE)[:, :channels])
+    values = clip_to_unit(colours.at_vertices(vertices, header.vertex_count, DEFAULT_COLOUR)[:, :channels])
     return ["".join(f" {channel!s}".removesuffix(".0") for channel in colour) for colour in values]
 
 

@@ -18,7 +18,7 @@ from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
 from mixseq.compression.numbering import Renumbering
 from mixseq.errors import FormatError
 from mixseq.mesh.measures import Diagonal
-from mixseq.mesh.polygons import matched
+from mixseq.mesh.polygons import match_polygons
 from mixseq.metrics import comparable, paired_blocks
 from mixseq.runtime.progress import Progress, silent
 from mixseq.runtime.public import public
@@ -34,7 +34,7 @@ from mixseq_io.hdf5.contents import MODEL_FORMAT, read_attributes, read_contents
 
 
 def is_compressed(path: Path) -> bool:
-    """Whether a file has a compressed model."""
+    """Whether a file holds a compressed model."""
     if mesh_sequence.is_glb(path):
         return mesh_sequence.has_sequence(path)
     file = read_attributes(path)
@@ -42,14 +42,14 @@ def is_compressed(path: Path) -> bool:
 
 
 def read_container(path: Path) -> Container:
-    """Read text and streams of a compressed model."""
+    """Read the text and the streams of a compressed model, undecoded."""
     if mesh_sequence.is_glb(path):
         return mesh_sequence.read_container(path)
-    return coded_files.container_of(path, read_contents(path, MODEL_FORMAT))
+    return coded_files.parse_container(read_contents(path, MODEL_FORMAT))
 
 
 def read_compressed(path: Path) -> CompressedSequence:
-    """Read a compressed sequence and check all its bytes."""
+    """Read a compressed sequence and verify its checksums."""
     return read_sequence(path, read_container(path))
 
 
@@ -71,33 +71,32 @@ def compressed_sizes(path: Path) -> dict[str, int]:
     }
 
 
-_ROUNDING = 1e-9
-"""Relative tolerance of a bound that was measured instead of requested."""
+_MEASURED_BOUND_TOLERANCE = 1e-9
+"""Relative tolerance of a bound that was measured after compression instead of requested."""
 
 
 @dataclass(frozen=True)
 class Verification:
-    """Result of `verify` for an undamaged file; formulas are at the head of this module.
+    """Result of `verify`. Errors are None without an original.
 
     Attributes
     ----------
     frames, vertices : int
         Number of decoded frames and vertices.
     bound : float
-        Largest distance of a vertex from the original stated by the file, in diagonals.
+        Bound stated by the file: largest distance of a vertex from the original, in diagonals.
     promised : bool
-        Whether that bound was requested for compression; else it was measured then.
+        Whether the bound was requested; else it was measured after compression.
     max_error : float or None
-        Largest distance of a vertex, in diagonals; None without an original, as all that follow.
+        Largest distance of a vertex, in diagonals.
     kg_percent : float or None
         Karni-Gotsman error.
     worst_frame, worst_vertex : int or None
-        Where the largest distance is, in the original's numbers.
+        Where the largest distance is, as numbered in the original.
     uv_bound : float or None
-        Requested largest difference of a texture coordinate from the original; None without coordinates, or if they are
-        stored exactly.
+        Requested bound of texture coordinates; None without coordinates, or if they are stored exactly.
     uv_error : float or None
-        Largest difference of a texture coordinate, of u and of v, at any corner; None if the original has none.
+        Largest difference of u or v at any corner; None if the original has no coordinates.
     """
 
     frames: int
@@ -113,46 +112,46 @@ class Verification:
 
     @property
     def holds(self) -> bool:
-        """Whether all vertices and coordinates are within their bounds; true without an original."""
-        slack = 1.0 if self.promised else 1.0 + _ROUNDING
+        """Whether all vertices and texture coordinates are within their bounds; true without an original."""
+        tolerance = 1.0 if self.promised else 1.0 + _MEASURED_BOUND_TOLERANCE
         if self.uv_bound is not None and self.uv_error is not None and self.uv_error > self.uv_bound:
             return False
-        return self.max_error is None or self.max_error <= self.bound * slack
+        return self.max_error is None or self.max_error <= self.bound * tolerance
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON, with None for infinity."""
-        plain = {**asdict(self), "holds": self.holds}
-        return {name: None if value == float("inf") else value for name, value in plain.items()}
+        """Return values for JSON, with None for infinity."""
+        values = {**asdict(self), "holds": self.holds}
+        return {name: None if value == float("inf") else value for name, value in values.items()}
 
 
 @public
 def verify(path: PathLike, original: Frames | None = None, progress: Progress = silent) -> Verification:
-    """Check a compressed model: its checksums, that every frame decodes, and its bound.
+    """Check the checksums of a compressed model, that its frames decode to finite points, and its error bound.
 
     Parameters
     ----------
     path : path-like
-        An HDF5 or GLB file written by `mixseq.save` from a result of `mixseq.compress`.
+        An HDF5 or GLB file with a result of `mixseq.compress`.
     original : MeshSequence or SequenceReader, optional
-        The compressed sequence; every vertex of every frame is compared with it, also if renumbered.
+        The sequence before compression; every vertex of every frame is compared, also if vertices were renumbered.
     progress : callable, optional
         Called after every frame.
 
     Raises
     ------
     FormatError
-        If the file is damaged, or no compressed model, or a frame is not finite.
+        If the file is damaged or not a compressed model, or a frame is not finite.
     InvalidSequenceError
-        If the original is no sequence, another mesh, or has other frames.
+        If the original is not a sequence, or has another mesh or other frames.
     """
     source = Path(path)
     if original is not None:
         check_frames(original)
-    coded = read_compressed(source)
-    model = decode_model(source, coded)
+    sequence = read_compressed(source)
+    model = decode_model(source, sequence)
     frames = LazyFrames(model.header, lambda size: _finite_blocks(source, model, size, progress))
-    header, parameters = coded.header, coded.parameters
-    found = Verification(
+    header, parameters = sequence.header, sequence.parameters
+    verification = Verification(
         header.frame_count,
         header.vertex_count,
         parameters.max_error,
@@ -162,57 +161,57 @@ def verify(path: PathLike, original: Frames | None = None, progress: Progress = 
     if original is not None:
         original, renumbering = comparable(original, header)
         uv_error = None if parameters.uv_error is None else _uv_error(original.header, header)
-        return replace(found, **_errors(original, frames, renumbering), uv_error=uv_error)
+        return replace(verification, **_measure_errors(original, frames, renumbering), uv_error=uv_error)
     for _ in frames.blocks(FRAMES_PER_BLOCK):
         pass
-    return found
+    return verification
 
 
 def _finite_blocks(path: Path, model: Model, size: int, progress: Progress) -> Iterator[FloatArray]:
     """Decode all frames of a model in blocks ``(B, V, 3)``; raise `FormatError` if one is not finite."""
-    first = 0
+    first_frame = 0
     for block in model.blocks(model.times, size, progress=progress):
-        bad = ~np.isfinite(block).all(axis=(1, 2))
-        if bad.any():
-            name = model.header.frame_name(first + int(bad.argmax()))
+        finite = np.isfinite(block).all(axis=(1, 2))
+        if not finite.all():
+            name = model.header.frame_name(first_frame + int(finite.argmin()))
             raise FormatError(f"{path}: {name} is not finite; it is damaged")
         yield block
-        first += len(block)
+        first_frame += len(block)
 
 
-def _errors(original: Frames, frames: Frames, renumbering: Renumbering) -> dict[str, Any]:
-    """Compare every vertex of every frame; return the errors, and the worst vertex by its original number."""
-    squares = variation = worst = 0.0
-    first, where = 0, (0, 0)
+def _measure_errors(original: Frames, frames: Frames, renumbering: Renumbering) -> dict[str, Any]:
+    """Compare every vertex of every frame; return the errors, and where the largest is, as numbered in the original."""
+    squared_sum = variation = worst = 0.0
+    first_frame, worst_frame, worst_vertex = 0, 0, 0
     unit = Diagonal(0.0, 0)
     for x, y in paired_blocks(original, frames, FRAMES_PER_BLOCK):
-        if first == 0:
-            unit = Diagonal.of(x[0])
+        if first_frame == 0:
+            unit = Diagonal.from_points(x[0])
         with np.errstate(over="ignore"):  # overflow counts as an infinite distance
-            distances = np.square(unit.shifted(x - y)).sum(axis=2)
-            squares += float(distances.sum())
-            variation += float(np.square(unit.shifted(x - x.mean(axis=1, keepdims=True))).sum())
-        if distances.max() > worst:
-            worst = float(distances.max())
-            frame, vertex = np.unravel_index(distances.argmax(), distances.shape)
-            where = first + int(frame), int(vertex)
-        first += len(x)
+            squared = np.square(unit.rescale(x - y)).sum(axis=2)
+            squared_sum += float(squared.sum())
+            variation += float(np.square(unit.rescale(x - x.mean(axis=1, keepdims=True))).sum())
+        if squared.max() > worst:
+            worst = float(squared.max())
+            frame, vertex = np.unravel_index(squared.argmax(), squared.shape)
+            worst_frame, worst_vertex = first_frame + int(frame), int(vertex)
+        first_frame += len(x)
     return {
         "max_error": _ratio(np.sqrt(worst), unit.fraction or 1.0),
-        "kg_percent": 100 * _ratio(np.sqrt(squares), np.sqrt(variation)),
-        "worst_frame": where[0],
-        "worst_vertex": int(renumbering.vertices[where[1]]),
+        "kg_percent": 100 * _ratio(np.sqrt(squared_sum), np.sqrt(variation)),
+        "worst_frame": worst_frame,
+        "worst_vertex": int(renumbering.vertices[worst_vertex]),
     }
 
 
 def _uv_error(original: SequenceHeader, header: SequenceHeader) -> float | None:
     """Return the largest difference of texture coordinates at corners, None if they cannot be compared."""
-    uvs, ours = original.surface.uvs, header.surface.uvs
-    match = matched(original.polygons, header.polygons)
-    if uvs is None or ours is None or match is None:
+    original_uvs, uvs = original.surface.uvs, header.surface.uvs
+    match = match_polygons(original.polygons, header.polygons)
+    if original_uvs is None or uvs is None or match is None:
         return None
-    apart = uvs.at_corners.astype(np.float64) - ours.at_corners[match.corners]
-    return float(np.abs(apart).max())
+    differences = original_uvs.at_corners.astype(np.float64) - uvs.at_corners[match.corners]
+    return float(np.abs(differences).max())
 
 
 def _ratio(value: float, unit: float) -> float:

@@ -3,14 +3,14 @@
 Requests and answers are pickles on stdin and stdout:
 
 - ``("open", reader, path, options, folder, limit)``: the header, and whether there are velocities
-- ``("markings",)``: sets of polygons and joints
-- ``("iterate", number, what, size, start)``: starts an iteration over points or velocities at the block `start`
-- ``("next", number)``: its next block or None
+- ``("markings",)``: face sets and skinning weights
+- ``("iterate", iteration, quantity, size, start)``: starts an iteration over points or velocities at block `start`
+- ``("next", iteration)``: its next block or None
 - ``("close",)``: closes the file
 - ``("call", function, path, arguments, folder, limit)``: the result of a function of a file
 
-The limit is that of memory in bytes. An answer is the value, the exception raised or None, and the warnings. The
-process ends when stdin does.
+The limit is the memory limit in bytes. An answer is a value, the exception raised or None, and the warnings. The
+process ends when stdin ends.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ from mixseq_io.files import MEMORY_LIMIT_VARIABLE, out_of_memory_error
 from mixseq_io.isolation import import_function, time_limiters
 from mixseq_io.reader import SequenceReader
 
-_SECONDS = float(os.environ.get("MIXSEQ_READER_SECONDS", "120"))
-_PATIENCE = 4
-"""Ratio of the clock's time limit to the processor's, for a busy machine."""
+_TIME_LIMIT_SECONDS = float(os.environ.get("MIXSEQ_READER_SECONDS", "120"))
+_WALL_TIME_RATIO = 4
+"""Ratio of the wall-clock limit to the processor-time limit, for busy machines."""
 
 
-class Worker:
+class RequestHandler:
     """Open file and its iterations."""
 
     def __init__(self) -> None:
@@ -45,19 +45,33 @@ class Worker:
         self._iterations: dict[int, Iterator[Any]] = {}
         self._path = ""
 
-    def answer(self, kind: str, *arguments: Any) -> Any:
-        """Answer a request; see the head of the module."""
-        return getattr(self, f"_{kind}")(*arguments)
+    def handle(self, request: tuple[Any, ...]) -> tuple[Any, Exception | None, list[str]]:
+        """Return the value of a request, the exception raised or None, and the warnings."""
+        value: Any = None
+        error: Exception | None = None
+        kind, *arguments = request
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            try:
+                with np.errstate(all="ignore"):  # non-finite points are reported with frame and vertex
+                    value = getattr(self, f"_{kind}")(*arguments)
+            except MixseqError as raised:
+                error = raised
+            except MemoryError:
+                error = out_of_memory_error(self._path)
+            except Exception:  # a bug: pass on its traceback
+                error = RuntimeError(f"in the reader's process:\n{traceback.format_exc()}")
+        return value, error, [str(warning.message) for warning in caught]
 
     def _call(self, function: str, path: str, arguments: tuple[Any, ...], folder: str, limit: int) -> Any:
-        found = import_function(function)
+        imported = import_function(function)
         self._begin(path, folder, limit)
-        return found(Path(path), *arguments)
+        return imported(Path(path), *arguments)
 
     def _open(self, reader: str, path: str, options: dict[str, Any], folder: str, limit: int) -> Any:
-        found = import_function(reader)
+        imported = import_function(reader)
         self._begin(path, folder, limit)
-        self._reader = found(Path(path), **options)
+        self._reader = imported(Path(path), **options)
         return self._reader.header, self._reader.has_velocities
 
     def _begin(self, path: str, folder: str, limit: int) -> None:
@@ -69,17 +83,17 @@ class Worker:
         assert self._reader is not None
         return self._reader.markings()
 
-    def _iterate(self, number: int, what: str, size: int, start: int) -> None:
+    def _iterate(self, iteration: int, quantity: str, size: int, start: int) -> None:
         assert self._reader is not None
-        self._iterations[number] = blocks = iter(self._reader._read(what, size))
+        self._iterations[iteration] = blocks = iter(self._reader._read(quantity, size))
         for _ in range(start):
             next(blocks, None)
-            limit_time(1)  # each had as much
+            limit_time(1)  # restarted for every block, as when it was first read
 
-    def _next(self, number: int) -> Any:
-        block = next(self._iterations[number], None)
+    def _next(self, iteration: int) -> Any:
+        block = next(self._iterations[iteration], None)
         if block is None:
-            del self._iterations[number]
+            del self._iterations[iteration]
         return block
 
     def _close(self) -> None:
@@ -88,38 +102,23 @@ class Worker:
             self._reader.close()
         self._reader = None
 
-    def guarded(self, question: tuple[Any, ...]) -> tuple[Any, Exception | None, list[str]]:
-        """Answer a request; return the value, the exception raised or None, and the warnings."""
-        answer: Any = None
-        error: Exception | None = None
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            try:
-                with np.errstate(all="ignore"):  # non-finite points are reported with frame and vertex
-                    answer = self.answer(*question)
-            except MixseqError as raised:
-                error = raised
-            except MemoryError:
-                error = out_of_memory_error(self._path)
-            except Exception:  # a bug: the other side shows where it was
-                error = RuntimeError(f"in the reader's process:\n{traceback.format_exc()}")
-        return answer, error, [str(warning.message) for warning in caught]
 
-
-def limit_memory(most: int) -> None:
-    """Limit the memory that allocations may add to the process, in bytes; memory-mapped files do not count."""
-    os.environ[MEMORY_LIMIT_VARIABLE] = str(most / (1 << 30))  # what `max_memory` returns from here on
+def limit_memory(limit: int) -> None:
+    """Limit the bytes that allocations may add to the process; memory-mapped files do not count."""
+    os.environ[MEMORY_LIMIT_VARIABLE] = str(limit / (1 << 30))  # read by `mixseq_io.files.max_memory`
     try:
         import resource
     except ImportError:  # Windows
         return
-    most += _memory_used()
-    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    resource.setrlimit(resource.RLIMIT_DATA, (most if hard < 0 else min(most, hard), hard))
+    limit += _data_segment_bytes()
+    _, hard_limit = resource.getrlimit(resource.RLIMIT_DATA)
+    resource.setrlimit(
+        resource.RLIMIT_DATA, (limit if hard_limit < 0 else min(limit, hard_limit), hard_limit)
+    )
 
 
-def _memory_used() -> int:
-    """Return the bytes that count for the limit, 0 where the system does not report them."""
+def _data_segment_bytes() -> int:
+    """Return the memory that counts for the limit, 0 if the system does not report it."""
     try:
         pages = Path("/proc/self/statm").read_text(encoding="ascii").split()[5]
     except OSError:  # not Linux
@@ -127,37 +126,37 @@ def _memory_used() -> int:
     return int(pages) * os.sysconf("SC_PAGE_SIZE")
 
 
-def limit_time(share: float) -> None:
-    """End the process after a share of the time limit, by processor or clock; 0 removes the limit."""
+def limit_time(fraction: float) -> None:
+    """End the process after a fraction of the time limits; 0 removes them."""
     if hasattr(signal, "setitimer"):
-        # Without handlers: Python's would wait for the library to return.
-        signal.setitimer(signal.ITIMER_PROF, share * _SECONDS)
-        signal.setitimer(signal.ITIMER_REAL, _PATIENCE * share * _SECONDS)
+        # No handlers for these signals: a Python handler runs only after the library has returned.
+        signal.setitimer(signal.ITIMER_PROF, fraction * _TIME_LIMIT_SECONDS)
+        signal.setitimer(signal.ITIMER_REAL, _WALL_TIME_RATIO * fraction * _TIME_LIMIT_SECONDS)
 
 
 def main() -> None:
     """Answer requests until stdin ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the other side, which closes stdin
-    questions = sys.stdin.buffer
-    # C++ libraries print to stdout, too; it is kept for answers under another number.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the parent, which closes stdin
+    requests = sys.stdin.buffer
+    # C++ libraries print to stdout, too: answers get a descriptor of their own, and stdout goes to stderr.
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     time_limiters.append(limit_time)
-    worker = Worker()
+    handler = RequestHandler()
     while True:
         try:
-            question = pickle.load(questions)
+            request = pickle.load(requests)
         except EOFError:
             break
         limit_time(1)
-        answer = worker.guarded(question)
+        answer = handler.handle(request)
         limit_time(0)
         try:
             pickle.dump(answer, answers, protocol=pickle.HIGHEST_PROTOCOL)
             answers.flush()
         except BrokenPipeError:
             break
-    os._exit(0)  # without the destructors of C++ libraries, which a damaged file may have left in disorder
+    os._exit(0)  # skips the destructors of C++ libraries, whose state a damaged file may have corrupted
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
-"""Models in Blender: an add-on, and the extension that installs it.
+"""Models in Blender: the add-on, and the extension that installs it.
 
-The folder `addon` runs in Blender, and alone imports its module ``bpy``. The rest works without Blender: `motion` has
-vertices and polygons in Blender's axes and units, `extension` packs the archive.
+Only the folder `addon` imports ``bpy`` and has to run in Blender. `motion` converts vertices and polygons to Blender's
+axes and units; `extension` builds the archive.
 """

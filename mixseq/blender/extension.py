@@ -1,9 +1,9 @@
-"""The extension that Blender installs: an archive with a manifest, modules and wheels.
+"""Build the Blender extension: an archive with a manifest, the add-on's modules and wheels.
 
 https://docs.blender.org/manual/en/latest/advanced/extensions/getting_started.html
 
-The wheels are mixseq's own, of the installed package, and those of the libraries that decode models. NumPy is left to
-Blender, which has it and would not run with two.
+The wheels are the installed mixseq and the libraries that decode models. NumPy is left out: Blender ships its own, and
+two versions cannot be loaded together.
 """
 
 from __future__ import annotations
@@ -27,50 +27,51 @@ from mixseq.errors import OutputError, SettingsError
 from mixseq_io.files import atomic_file
 
 LIBRARIES = ("h5py", "numba", "scipy", "threadpoolctl")
-"""Imports of reading and decoding a model, besides NumPy; without those for other files, as usd-core."""
+"""Libraries that read and decode models, besides NumPy; those of other file formats, such as usd-core, are left out."""
 
-_PACKAGES = ("mixseq", "mixseq_io")
-_WHEEL = "Wheel-Version: 1.0\nGenerator: mixseq\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
-_DATE = (1980, 1, 1, 0, 0, 0)
-"""Date of all files in archives, so that equal files make equal archives."""
+_WHEEL_METADATA = "Wheel-Version: 1.0\nGenerator: mixseq\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
+_ZIP_TIMESTAMP = (1980, 1, 1, 0, 0, 0)
+"""Modification time of all archived files, so that equal contents give equal archives."""
 
 
-def own_wheel(folder: Path) -> Path:
-    """Write the installed mixseq as a wheel in a folder, and return its path."""
+def build_wheel(folder: Path) -> Path:
+    """Build a wheel of the installed mixseq in a folder, and return its path."""
     name = f"mixseq-{mixseq.__version__}"
     path = folder / f"{name}-py3-none-any.whl"
     records = []
     with ZipFile(path, "w", ZIP_DEFLATED) as archive:
-        for inside, content in [*_modules(), *_information(f"{name}.dist-info")]:
-            add(archive, inside, content)
+        for member, content in [*_package_files(), *_dist_info_files(f"{name}.dist-info")]:
+            add_member(archive, member, content)
             digest = urlsafe_b64encode(sha256(content).digest()).rstrip(b"=").decode()
-            records.append(f"{inside},sha256={digest},{len(content)}\n")
+            records.append(f"{member},sha256={digest},{len(content)}\n")
         record = f"{name}.dist-info/RECORD"
-        add(archive, record, "".join([*records, f"{record},,\n"]).encode())
+        add_member(archive, record, "".join([*records, f"{record},,\n"]).encode())
     return path
 
 
-def add(archive: ZipFile, inside: str, content: bytes, compression: int = ZIP_DEFLATED) -> None:
-    """Add a file to an archive, with a fixed date."""
-    archive.writestr(ZipInfo(inside, _DATE), content, compression)
+def add_member(archive: ZipFile, name: str, content: bytes, compression: int = ZIP_DEFLATED) -> None:
+    """Add a file to an archive, with a fixed modification time."""
+    archive.writestr(ZipInfo(name, _ZIP_TIMESTAMP), content, compression)
 
 
-def _modules() -> Iterator[tuple[str, bytes]]:
-    from mixseq_io import __path__ as readers
+def _package_files() -> Iterator[tuple[str, bytes]]:
+    """Yield names and contents of the files of both packages."""
+    import mixseq_io
 
-    for package, folder in zip(_PACKAGES, (mixseq.__path__[0], readers[0]), strict=True):
-        for path in sorted(Path(folder).rglob("*")):
+    for package in (mixseq, mixseq_io):
+        folder = Path(package.__path__[0])
+        for path in sorted(folder.rglob("*")):
             if path.is_file() and "__pycache__" not in path.parts:
-                yield f"{package}/{path.relative_to(folder).as_posix()}", path.read_bytes()
+                yield f"{package.__name__}/{path.relative_to(folder).as_posix()}", path.read_bytes()
 
 
-def _information(folder: str) -> Iterator[tuple[str, bytes]]:
-    """Yield the metadata and the licence of the installed mixseq, for a wheel."""
-    yield f"{folder}/WHEEL", _WHEEL.encode()
+def _dist_info_files(folder: str) -> Iterator[tuple[str, bytes]]:
+    """Yield names and contents of the wheel's metadata and of the licence."""
+    yield f"{folder}/WHEEL", _WHEEL_METADATA.encode()
     for file in _distribution().files or ():
         if file.name in ("METADATA", "LICENSE"):
-            inside = file.as_posix().partition(".dist-info/")[2]
-            yield f"{folder}/{inside}", Path(file.locate()).read_bytes()
+            name = file.as_posix().partition(".dist-info/")[2]
+            yield f"{folder}/{name}", Path(file.locate()).read_bytes()
 
 
 def _distribution() -> metadata.Distribution:
@@ -78,37 +79,37 @@ def _distribution() -> metadata.Distribution:
         return metadata.distribution("mixseq")
     except metadata.PackageNotFoundError:
         raise OutputError(
-            "mixseq runs from a folder and is not installed; run pip install -e . in it"
+            "mixseq is not installed, it runs from a source folder; run pip install -e . in that folder"
         ) from None
 
 
 def requirements() -> list[str]:
-    """Return the requirements of `LIBRARIES` in mixseq, in pip's format."""
-    needed = {
+    """Return mixseq's requirements of `LIBRARIES`, in pip's format."""
+    lines = {
         re.split(r"[^\w.-]", line)[0]: line
         for line in _distribution().requires or ()
         if "extra ==" not in line
     }
-    return [needed[name] for name in LIBRARIES]
+    return [lines[name] for name in LIBRARIES]
 
 
-def download(folder: Path, python: str, numpy: str, tags: Sequence[str]) -> list[Path]:
-    """Download the wheels of `LIBRARIES` with pip, and return their paths."""
-    words = ["download", "--quiet", "--only-binary=:all:", "--dest", str(folder), "--python-version", python]
-    words += [word for tag in tags for word in ("--platform", tag)]
-    command = [sys.executable, "-m", "pip", "--disable-pip-version-check", *words, numpy, *requirements()]
-    done = subprocess.run(command, capture_output=True, text=True)
-    if done.returncode:
-        lines = [line for line in done.stderr.splitlines() if line.strip()]
-        said = next((line for line in lines if line.startswith("ERROR")), lines[-1] if lines else "")
+def download_wheels(folder: Path, release: Release, platform: str) -> list[Path]:
+    """Download the wheels of `LIBRARIES` for a release and platform of Blender with pip, and return their paths."""
+    options = ["--quiet", "--only-binary=:all:", "--dest", str(folder), "--python-version", release.python]
+    options += [option for tag in PLATFORMS[platform] for option in ("--platform", tag)]
+    command = [sys.executable, "-m", "pip", "--disable-pip-version-check", "download", *options]
+    process = subprocess.run([*command, release.numpy, *requirements()], capture_output=True, text=True)
+    if process.returncode:
+        lines = [line for line in process.stderr.splitlines() if line.strip()]
+        reason = next((line for line in lines if line.startswith("ERROR")), lines[-1] if lines else "")
         raise OutputError(
-            f"pip cannot download the libraries that the extension needs: {said}; without a network, name a folder "
-            "that has their wheels in PIP_FIND_LINKS, and set PIP_NO_INDEX=1"
+            f"pip cannot download the libraries of the extension: {reason}; without a network, set PIP_FIND_LINKS to "
+            "a folder with their wheels, and PIP_NO_INDEX=1"
         )
     return sorted(path for path in folder.glob("*.whl") if not path.name.startswith("numpy-"))
 
 
-ADDON = Path(__file__).parent / "addon"
+ADDON_FOLDER = Path(__file__).parent / "addon"
 
 PLATFORMS = {
     "linux-x64": (
@@ -120,15 +121,15 @@ PLATFORMS = {
     "macos-arm64": ("macosx_14_0_arm64",),
     "windows-x64": ("win_amd64",),
 }
-"""Platforms by Blender's names, those with wheels of all libraries, and the names in wheels."""
+"""Blender's names of the platforms for which all libraries have wheels, and the platform tags of those wheels."""
 
 
 @dataclass(frozen=True)
 class Release:
-    """Properties shared by a range of Blender versions."""
+    """A range of Blender versions with the same Python and NumPy."""
 
-    first: str
-    end: str | None
+    min_version: str
+    max_version: str | None  # exclusive
     python: str
     numpy: str
 
@@ -147,36 +148,38 @@ def this_platform() -> str:
     )
     name = f"{system}-{machine}"
     if name not in PLATFORMS:
-        raise SettingsError(f"libraries have no wheels for {name}; platforms are {', '.join(PLATFORMS)}")
+        raise SettingsError(
+            f"there is no extension for {name}; choose a platform from {', '.join(PLATFORMS)}"
+        )
     return name
 
 
 def archive_name(platform: str, release: Release) -> str:
-    """Return the name of a platform's archive: ``mixseq-0.1.0-blender4.2-linux_x64.zip``."""
-    short = release.first.removesuffix(".0")
-    return f"mixseq-{mixseq.__version__}-blender{short}-{platform.replace('-', '_')}.zip"
+    """Return the file name of an archive, such as ``mixseq-0.1.0-blender4.2-linux_x64.zip``."""
+    version = release.min_version.removesuffix(".0")
+    return f"mixseq-{mixseq.__version__}-blender{version}-{platform.replace('-', '_')}.zip"
 
 
 def write_extension(path: Path, platform: str, release: Release) -> None:
-    """Write the extension for a platform and the versions of a release."""
+    """Write the extension for a platform and a range of Blender versions."""
     with atomic_file(path) as temporary, TemporaryDirectory() as scratch:
         folder = Path(scratch)
-        found = download(folder, release.python, release.numpy, PLATFORMS[platform])
-        wheels = [own_wheel(folder), *found]
+        libraries = download_wheels(folder, release, platform)
+        wheels = [build_wheel(folder), *libraries]
         with ZipFile(temporary, "w") as archive:
-            text = manifest(platform, release, [each.name for each in wheels])
-            add(archive, "blender_manifest.toml", text.encode())
-            licence = next(content for inside, content in _information("") if inside.endswith("LICENSE"))
-            add(archive, "LICENSE", licence)
-            for module in sorted(ADDON.glob("*.py")):
-                add(archive, module.name, module.read_bytes())
-            for wheel in wheels:  # they are compressed themselves
-                add(archive, f"wheels/{wheel.name}", wheel.read_bytes(), ZIP_STORED)
+            text = manifest(platform, release, [wheel.name for wheel in wheels])
+            add_member(archive, "blender_manifest.toml", text.encode())
+            licence = next(content for name, content in _dist_info_files("") if name.endswith("LICENSE"))
+            add_member(archive, "LICENSE", licence)
+            for module in sorted(ADDON_FOLDER.glob("*.py")):
+                add_member(archive, module.name, module.read_bytes())
+            for wheel in wheels:  # already compressed
+                add_member(archive, f"wheels/{wheel.name}", wheel.read_bytes(), ZIP_STORED)
 
 
 def manifest(platform: str, release: Release, wheels: Sequence[str]) -> str:
-    """Return the manifest of the extension in TOML; `wheels` are names of files in the folder ``wheels``."""
-    end = f'blender_version_max = "{release.end}"\n' if release.end else ""
+    """Return the extension's manifest in TOML; `wheels` are file names in the folder ``wheels``."""
+    max_version = f'blender_version_max = "{release.max_version}"\n' if release.max_version else ""
     return f"""\
 schema_version = "1.0.0"
 id = "mixseq"
@@ -186,8 +189,8 @@ tagline = "Deforming meshes, live at any frame and sub-frame"
 maintainer = "The mixseq authors"
 type = "add-on"
 tags = ["Animation", "Import-Export", "Mesh"]
-blender_version_min = "{release.first}"
-{end}license = ["SPDX:MIT"]
+blender_version_min = "{release.min_version}"
+{max_version}license = ["SPDX:MIT"]
 copyright = ["2026 The mixseq authors"]
 platforms = ["{platform}"]
 wheels = {json.dumps([f"./wheels/{wheel}" for wheel in wheels], indent=2)}

@@ -58,18 +58,18 @@ def find_sources(paths: Iterable[Path]) -> list[Path]:
     In a folder, without its subfolders, these are files of formats for sequences, and numbered files. Models and the
     meshes of point caches are left out, and other single meshes with a warning.
     """
-    found: dict[Path, None] = {}
+    sources: dict[Path, None] = {}
     for path in paths:
-        sources = sorted(_in_folder(path)) if path.is_dir() else [path]
-        if not sources:
+        candidates = sorted(_sequences_in(path)) if path.is_dir() else [path]
+        if not candidates:
             raise FormatError(
                 f"{path}: there are no sequences in this folder; `mixseq formats` lists what can be read"
             )
-        for source in sources:
+        for source in candidates:
             if not files_of(source):
                 raise FormatError(f"{source} does not exist")
-            found[source.parent.resolve() / source.name] = None
-    return list(found)
+            sources[source.parent.resolve() / source.name] = None
+    return list(sources)
 
 
 def files_of(source: Path) -> list[Path]:
@@ -89,8 +89,8 @@ def plan(sources: Sequence[Path], out: Path, names: Mapping[str, str]) -> tuple[
     assets = []
     for source in sources:
         stem = stem_of(source)
-        alone = stems[stem.casefold()] == 1 and f"{stem}.h5".casefold() not in taken
-        name = names.get(str(source)) or (f"{stem}.h5" if alone else f"{stem}{source.suffix}.h5")
+        is_unique = stems[stem.casefold()] == 1 and f"{stem}.h5".casefold() not in taken
+        name = names.get(str(source)) or (f"{stem}.h5" if is_unique else f"{stem}{source.suffix}.h5")
         other = owners.setdefault(name.casefold(), source)
         if other is not source:
             raise OutputError(
@@ -99,11 +99,11 @@ def plan(sources: Sequence[Path], out: Path, names: Mapping[str, str]) -> tuple[
         target = out.resolve() / name
         if target in sources:
             raise OutputError(f"{target} is a source itself and would be lost; give another --out")
-        assets.append(Asset(source, target, *_signed(files_of(source))))
+        assets.append(Asset(source, target, *_size_and_hash(files_of(source))))
     return tuple(assets)
 
 
-def _signed(files: Iterable[Path]) -> tuple[int, str]:
+def _size_and_hash(files: Iterable[Path]) -> tuple[int, str]:
     """Return the total size of files, and a hash that changes with any of them."""
     states = sorted((file.name, (state := file.stat()).st_size, state.st_mtime_ns) for file in files)
     return sum(size for _, size, _ in states), sha256(repr(states).encode()).hexdigest()
@@ -124,10 +124,10 @@ def stem_of(source: Path) -> str:
     return re.sub(r"[ ._-]*(#+|%\d*d)", "", source.stem) or source.parent.name
 
 
-def _in_folder(folder: Path) -> Iterator[Path]:
+def _sequences_in(folder: Path) -> Iterator[Path]:
     from mixseq_io.registry import FORMATS
 
-    formats = {extension: each for each in FORMATS for extension in each.extensions}
+    formats = {extension: form for form in FORMATS for extension in form.extensions}
     series: dict[str, list[str]] = defaultdict(list)
     caches = set()
     single = []
@@ -141,8 +141,8 @@ def _in_folder(folder: Path) -> Iterator[Path]:
                     caches.add(file.stem)
                 yield file
         elif number := _LAST_NUMBER.search(file.stem):
-            around = file.stem[: number.start()], file.stem[number.end() :] + file.suffix
-            series["\0".join(around)].append(number[1])
+            before_and_after = file.stem[: number.start()], file.stem[number.end() :] + file.suffix
+            series["\0".join(before_and_after)].append(number[1])
         else:
             single.append(file.name)
     for names, numbers in series.items():
@@ -166,7 +166,7 @@ def _is_model(file: Path) -> bool:
     return False
 
 
-HEADING = ("asset", "frames", "vertices", "time", "max error", "KG error", "size", "bits", "")
+TABLE_HEADINGS = ("asset", "frames", "vertices", "time", "max error", "KG error", "size", "bits", "")
 
 
 @dataclass(frozen=True)
@@ -197,10 +197,10 @@ class Entry:
     def holds_for(self, asset: Asset, settings: Mapping[str, Any]) -> bool:
         """Return whether the asset is done: same source and settings, and the model still exists."""
         same = Entry.of(asset, settings)
-        told = ("source", "target", "source_bytes", "source_signature", "settings")
+        inputs = ("source", "target", "source_bytes", "source_signature", "settings")
         return (
             self.state == "done"
-            and all(getattr(self, name) == getattr(same, name) for name in told)
+            and all(getattr(self, name) == getattr(same, name) for name in inputs)
             and asset.target.is_file()
             and asset.target.stat().st_size == self.bytes
         )
@@ -229,11 +229,11 @@ class Report:
 
     def of_others(self, assets: Iterable[Asset], folder: Path) -> list[Path]:
         """Return files in a folder that the batch would replace, but did not make, or that changed since."""
-        found = [
+        replaced = [
             folder / asset.target.name for asset in assets if asset.target.exists() and not self._made(asset)
         ]
         table = folder / "report.md"
-        return found + [table] * (table.exists() and not (folder / "report.json").exists())
+        return replaced + [table] * (table.exists() and not (folder / "report.json").exists())
 
     def _made(self, asset: Asset) -> bool:
         """Return whether the model of an asset is unchanged since a batch wrote it."""
@@ -260,11 +260,11 @@ def read_report(folder: Path) -> Report:
     path = folder / "report.json"
     if not path.exists():
         return Report({})
-    known = {each.name for each in fields(Entry)}
+    names = {each.name for each in fields(Entry)}
     try:
         stored = json.loads(path.read_text(encoding="utf-8"))
         entries = [
-            Entry(**{key: value for key, value in asset.items() if key in known})
+            Entry(**{key: value for key, value in asset.items() if key in names})
             for asset in stored["assets"]
         ]
         rows(entries)  # raises an error for damaged entries
@@ -324,13 +324,15 @@ def in_markdown(report: Report) -> str:
         "",
         f"{len(entries)} assets: {report.summary()}.{again}",
         "",
-        as_markdown([HEADING, *cells]),
+        as_markdown([TABLE_HEADINGS, *cells]),
         "",
         "Times are those of encoding. Errors are of all decoded frames: the largest of a vertex in diagonals, and the",
         "one of Karni and Gotsman. Bits are per vertex and frame.",
     ]
-    told = [printable(f"- {Path(entry.target).stem}: {each}") for entry in entries for each in entry.warnings]
-    return "\n".join([*lines, *(["", "## Warnings", "", *told] if told else [])]) + "\n"
+    messages = [
+        printable(f"- {Path(entry.target).stem}: {each}") for entry in entries for each in entry.warnings
+    ]
+    return "\n".join([*lines, *(["", "## Warnings", "", *messages] if messages else [])]) + "\n"
 
 
 Settings = Mapping[str, Any]
@@ -339,7 +341,7 @@ Settings = Mapping[str, Any]
 Work = Callable[[Settings, Iterable[Asset]], Iterator[tuple[Asset, Callable[[], Entry]]]]
 """Yield finished assets, with a function that returns the entry of each."""
 
-UNFINISHED = ".unfinished"
+UNFINISHED_FOLDER = ".unfinished"
 """Folder of unfinished models."""
 
 
@@ -348,12 +350,12 @@ def run(
 ) -> Report:
     """Encode the assets that are not done yet; the report is written before the work, and after every asset."""
     with _alone(out):
-        left = []
+        pending = []
         entries: dict[str, Entry] = {}
         for asset in assets:
             before = earlier.entries.get(str(asset.source))
             if before is None or force or not before.holds_for(asset, settings):
-                left.append(asset)
+                pending.append(asset)
                 before = Entry.of(asset, settings)
             entries[before.source] = before
         report = Report(
@@ -361,11 +363,11 @@ def run(
         )
         write_report(out, report)
         try:
-            for asset, result in work(settings, left):
+            for asset, result in work(settings, pending):
                 report = report.with_entry(_entry(asset, settings, result))
                 write_report(out, report)
         finally:
-            shutil.rmtree(out / UNFINISHED, ignore_errors=True)
+            shutil.rmtree(out / UNFINISHED_FOLDER, ignore_errors=True)
         report = replace(report, finished=not report.of(assets).count("left"))
         write_report(out, report)
         return report
@@ -407,9 +409,9 @@ def in_turn(workers: Executor, progress: Progress) -> Work:
     """Return a function that encodes assets here, one after the other, the frames of each spread over `workers`."""
 
     def work(settings: Settings, assets: Iterable[Asset]) -> Iterator[tuple[Asset, Callable[[], Entry]]]:
-        left = list(assets)
-        for number, asset in enumerate(left, start=1):
-            place = f"asset {number} of {len(left)}, {asset.target.stem}"
+        pending = list(assets)
+        for number, asset in enumerate(pending, start=1):
+            place = f"asset {number} of {len(pending)}, {asset.target.stem}"
             entry = encode_asset(settings, asset, workers, _naming(place, progress))
             yield asset, lambda entry=entry: entry  # type: ignore[misc]
 
@@ -420,11 +422,11 @@ def on_cluster(cluster: Cluster, progress: Progress) -> Work:
     """Return a function that encodes assets on a cluster, each by one worker."""
 
     def work(settings: Settings, assets: Iterable[Asset]) -> Iterator[tuple[Asset, Callable[[], Entry]]]:
-        left = list(assets)
-        progress(0, len(left), "encoding assets")
-        for done, item in enumerate(cluster.as_done(encode_asset, settings, left), start=1):
+        pending = list(assets)
+        progress(0, len(pending), "encoding assets")
+        for done, item in enumerate(cluster.as_done(encode_asset, settings, pending), start=1):
             yield item
-            progress(done, len(left), "encoding assets")
+            progress(done, len(pending), "encoding assets")
 
     return work
 
@@ -438,11 +440,11 @@ def encode_asset(
 ) -> Entry:
     """Encode an asset, decode and compare it, then move the model into place; errors are recorded in the entry."""
     try:
-        with warnings.catch_warnings(record=True) as told:
+        with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", MixseqWarning)
             result = _encode(settings, asset, workers, progress)
-        said = tuple(str(each.message) for each in told if issubclass(each.category, MixseqWarning))
-        return Entry.of(asset, settings, state="done", warnings=said, **result)
+        messages = tuple(str(each.message) for each in caught if issubclass(each.category, MixseqWarning))
+        return Entry.of(asset, settings, state="done", warnings=messages, **result)
     except MixseqError as error:
         message = str(error)
     except OSError as error:
@@ -452,7 +454,7 @@ def encode_asset(
     except Exception as error:
         # A bug; the other assets go on.
         message = (
-            f"a bug in mixseq, {type(error).__name__}: {error}; `mixseq encode` tells more, please report it"
+            f"a bug in mixseq, {type(error).__name__}: {error}; `mixseq encode` prints more, please report it"
         )
     return Entry.of(asset, settings, state="failed", message=" ".join(message.split()))
 
@@ -463,7 +465,7 @@ def _encode(settings: Settings, asset: Asset, workers: Executor | None, progress
     mapped = workers or serially
     reading = options_of(asset.source, settings["reading"])
     fitting = {name: value for name, value in settings.items() if name not in ("reading", "aim")}
-    unfinished = asset.target.parent / UNFINISHED
+    unfinished = asset.target.parent / UNFINISHED_FOLDER
     unfinished.mkdir(exist_ok=True)
     with (
         TemporaryDirectory(dir=unfinished) as folder,
@@ -526,7 +528,7 @@ def command(
     The same command goes on where it was interrupted, and does again only what failed or has changed. Files in the
     folder that no batch has made are not replaced unless --overwrite says so, or you on a terminal.
 
-    With --max-error, --kg or --size every model is compressed, each of them so far, see "mixseq encode".
+    With --max-error, --kg or --size every model is compressed to it, see "mixseq encode".
     """
     if len(options.given_options("exact", "tolerance", "rank")) > 1:
         raise SettingsError("--exact, --tolerance and --rank exclude each other; give one of them")
@@ -550,9 +552,9 @@ def command(
     with workers as mapped, progress_bar(quiet) as progress:
         work = on_cluster(mapped, progress) if isinstance(mapped, Cluster) else in_turn(mapped, progress)
         report = run(assets, settings, earlier, out.resolve(), work, force)
-    ours = report.of(assets)
+    results = report.of(assets)
     if not quiet:
-        print_table(rows(ours.entries.values()), HEADING)
-    say(f"wrote {click.format_filename(out / 'report.md')} ({ours.summary()})")
-    if ours.count("done") < len(assets):
+        print_table(rows(results.entries.values()), TABLE_HEADINGS)
+    say(f"wrote {click.format_filename(out / 'report.md')} ({results.summary()})")
+    if results.count("done") < len(assets):
         click.get_current_context().exit(1)

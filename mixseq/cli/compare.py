@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.files import check_options, chosen_blocks, counted, options_of
+from mixseq.cli.files import check_options, counted, options_of, select_frames
 from mixseq.cli.group import print_json, print_table, progress_bar, say
 from mixseq.cli.lengths import length_text
 from mixseq.errors import MixseqWarning
@@ -38,12 +38,12 @@ def command(reference: Path, other: Path, as_json: bool, reading: dict[str, Any]
     """
     from mixseq.sequence.sequence import LazyFrames
 
-    ours, theirs = options_of(reference, reading), options_of(other, reading)
+    reference_options, other_options = options_of(reference, reading), options_of(other, reading)
     check_options((reference, other), reading, f"neither {reference} nor {other} is")
     with (
         progress_bar(quiet) as progress,
-        mixseq.open_sequence(reference, **ours) as a,
-        mixseq.open_sequence(other, **theirs) as b,
+        mixseq.open_sequence(reference, **reference_options) as a,
+        mixseq.open_sequence(other, **other_options) as b,
     ):
         _warn_of_axes(reference, a.header, other, b.header)
         shared = at_times_of(a, b)
@@ -77,7 +77,7 @@ def at_times_of(a: Frames, b: Frames) -> Frames:
         return b
     indices = sorted(set(frames.tolist()))
     header = b.header.with_times(b.header.times[indices])
-    return LazyFrames(header, lambda size: chosen_blocks(b.blocks(size), indices))
+    return LazyFrames(header, lambda size: select_frames(b.blocks(size), indices))
 
 
 def _warn_of_axes(reference: Path, a: SequenceHeader, other: Path, b: SequenceHeader) -> None:

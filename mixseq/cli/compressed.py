@@ -31,14 +31,14 @@ _OF_FITTING = (
 )
 """Options of ``mixseq encode`` for models that are not compressed."""
 
-_RENUMBERED = {
+_ORDER_MESSAGES = {
     "vertices": "faces have other numbers than the original's",
     "free": "vertices and faces have other numbers than the original's",
 }
 """Messages about orders in which not all numbers are kept."""
 
 
-def _aim(uvs: bool = True, **given: Any) -> dict[str, Any]:
+def _aim(uvs: bool = True, **parameters: Any) -> dict[str, Any]:
     """Return the parameters of `mixseq.compress`: a target and more, or nothing; options beside them raise an error."""
     targets = options.given_options("max_error", "kg", "size")
     if len(targets) > 1:
@@ -54,7 +54,7 @@ def _aim(uvs: bool = True, **given: Any) -> dict[str, Any]:
     options.refuse(
         *_OF_FITTING, why=f"is for models that are not compressed; leave it out, or leave out {targets[0]}"
     )
-    return given if uvs else given | {"uvs": False}
+    return parameters if uvs else parameters | {"uvs": False}
 
 
 aiming = options.group(
@@ -64,7 +64,7 @@ aiming = options.group(
         help="Compress: no vertex of any frame is farther off than this fraction of the bounding box's diagonal, or "
         "0.5mm.",
     ),
-    options.option("--kg X", type=options.POSITIVE, help="Compress, to a KG error of X percent."),
+    options.option("--kg X", type=options.POSITIVE_NUMBER, help="Compress, to a KG error of X percent."),
     options.option("--size SIZE", type=as_bytes, help="Compress into 2MB, 500kB, 1.5MiB, ..."),
     options.setting(
         "--uv-error X",
@@ -95,12 +95,14 @@ def compressed(
 
     aim = in_diagonals(aim, frames, "max_error")
     if "size" in aim:
-        others = {name: value for name, value in aim.items() if name in ("uv_error", "uvs", "order")}
+        container = {name: value for name, value in aim.items() if name in ("uv_error", "uvs", "order")}
         if still is not None:
             from mixseq_io.gltf.mesh_sequence import bound_overhead_size
 
-            others["container"] = bound_overhead_size(frames.header, next(iter(frames.blocks(1)))[0], still)
-        aim = {**aim, "size": room_for_signals(frames.header, aim["size"], **others)}
+            container["container"] = bound_overhead_size(
+                frames.header, next(iter(frames.blocks(1)))[0], still
+            )
+        aim = {**aim, "size": room_for_signals(frames.header, aim["size"], **container)}
     return mixseq.compress(frames, **aim, progress=progress)
 
 
@@ -133,7 +135,7 @@ def coding_rows(facts: dict[str, Any], metres_per_unit: float) -> Rows:
     """Return table rows of the result of `coding_facts`."""
     sizes, coding = facts["bytes"], facts["coding"]
     stated = "at most " if coding["promised"] else ""
-    others = [
+    components = [
         ("connectivity", "faces"),
         ("uvs", "texture coordinates"),
         ("surface", f"{'texture coordinates' if coding['uv_error'] is None else 'face sets'} and the like"),
@@ -150,7 +152,10 @@ def coding_rows(facts: dict[str, Any], metres_per_unit: float) -> Rows:
             (name, f"{format_bytes(size)}, {rate:.3g} bits per vertex and frame")
             for name, size, rate in rates
         ),
-        ("of it", ", ".join(f"{format_bytes(sizes[name])} {what}" for name, what in others if sizes[name])),
+        (
+            "of it",
+            ", ".join(f"{format_bytes(sizes[name])} {what}" for name, what in components if sizes[name]),
+        ),
         (
             "max error",
             stated + length_text(coding["max_error"], coding["diagonal"] * metres_per_unit, digits=3),
@@ -159,6 +164,6 @@ def coding_rows(facts: dict[str, Any], metres_per_unit: float) -> Rows:
     ]
     if coding["uv_error"] is not None:
         rows.append(("texture error", f"at most {coding['uv_error']:.3g} of the square"))
-    if coding["order"] in _RENUMBERED:
-        rows.append(("order", _RENUMBERED[coding["order"]]))
+    if coding["order"] in _ORDER_MESSAGES:
+        rows.append(("order", _ORDER_MESSAGES[coding["order"]]))
     return rows

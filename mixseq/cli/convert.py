@@ -7,7 +7,7 @@ from typing import Any
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.files import Claim, chosen_blocks, counted, overwriting, write_sequence
+from mixseq.cli.files import Claim, counted, overwriting, select_frames, write_sequence
 from mixseq.cli.group import announce, progress_bar
 
 
@@ -37,7 +37,7 @@ def command(
     """Write a sequence in another format.
 
     The formats of SOURCE and TARGET follow from their extensions, see "mixseq formats". Frames pass through one
-    block at a time, so sequences may be larger than memory. What TARGET's format cannot hold is told in a
+    block at a time, so sequences may be larger than memory. What TARGET's format cannot hold is named in a
     warning.
 
     A USD, Alembic or glTF file that comes from one of its kind builds on it: USD as a layer over SOURCE, which must
@@ -50,8 +50,8 @@ def command(
         if frames is not None:
             indices = frames.indices(header)
             header = header.with_times(header.times[indices])
-            blocks = chosen_blocks(blocks, indices)
-            velocities = None if velocities is None else chosen_blocks(velocities, indices)
+            blocks = select_frames(blocks, indices)
+            velocities = None if velocities is None else select_frames(velocities, indices)
         counting = counted(blocks, header.frame_count, "converting", progress)
         write_sequence(target, header, counting, velocities, writing)
     announce(target)

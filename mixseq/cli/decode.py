@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from mixseq_io.vat.writer import TextureName, VatReport
 
 
-_ONLY_FOR = {
+_KINDS_BY_OPTION = {
     "bones": "skin",
     "skeleton": "skin",
     "kg": "skin",
@@ -35,21 +35,19 @@ _ONLY_FOR = {
     "max_error": "skin or morph (or a target .vat)",
     "max_targets": "skin or morph",
 }
-_USELESS = {"velocities": "velocities", "onto": "other files to build on", "clips": "clips"}
+_UNSUPPORTED_BY_RIGS = {"velocities": "velocities", "onto": "other files to build on", "clips": "clips"}
 
 
 def _check_rig(kind: str | None) -> None:
     """Raise an error for options that exclude each other; without a kind, a sequence is written."""
     options.refuse("texture", why="is for vertex animation textures; leave it out, or end the target in .vat")
-    for name, kinds in _ONLY_FOR.items():
+    for name, kinds in _KINDS_BY_OPTION.items():
         if kind is None or kind not in kinds:
             options.refuse(name, why=f"is for --as {kinds}; leave it out, or give both")
-    telling = options.given_options("bones", "skeleton", "max_error", "kg")
-    if kind == "skin" and len(telling) > 1:
-        raise SettingsError(
-            f"{telling[0]} and {telling[1]} both tell which bones there are; give one of them"
-        )
-    for name, what in _USELESS.items() if kind else ():
+    choices = options.given_options("bones", "skeleton", "max_error", "kg")
+    if kind == "skin" and len(choices) > 1:
+        raise SettingsError(f"{choices[0]} and {choices[1]} both choose the bones; give one of them")
+    for name, what in _UNSUPPORTED_BY_RIGS.items() if kind else ():
         for option in options.given_options(name):
             raise SettingsError(f"a {kind} has no place for {what}; leave out {option}, or --as")
 
@@ -69,16 +67,16 @@ def _fit_rig(
 def _bind_pose(path: Path, sequence: MeshSequence) -> MeshSequence | None:
     """Return the mesh on the skeleton of a file, None if there is none, or if it differs from that of a sequence."""
     try:
-        found = mixseq.read_bind_pose(path)
+        bind_pose = mixseq.read_bind_pose(path)
     except NoMeshError:  # a skeleton alone
         return None
-    if found.vertex_count == sequence.vertex_count:
-        return found
+    if bind_pose.vertex_count == sequence.vertex_count:
+        return bind_pose
     cure = "; if the sequence has other meshes as well, encode that one alone (mixseq encode --prim)"
     warnings.warn(
-        f"{path}: the mesh on the skeleton has {found.vertex_count} vertices, that of the sequence has "
+        f"{path}: the mesh on the skeleton has {bind_pose.vertex_count} vertices, that of the sequence has "
         f"{sequence.vertex_count}; it is left out, and the skeleton is taken as it would stand in the first frame"
-        + (cure if sequence.vertex_count > found.vertex_count else ""),
+        + (cure if sequence.vertex_count > bind_pose.vertex_count else ""),
         MixseqWarning,
         stacklevel=2,
     )
@@ -91,16 +89,16 @@ def rows(path: Path, rig: Skin | Morph, sequence: MeshSequence) -> list[tuple[st
     from mixseq_io.rig_files import GLTF
     from mixseq_io.rig_measuring import measure_rig_file, size_with_frame_targets
 
-    found, diagonal = measure_rig_file(path, sequence), sequence.diagonal * sequence.metres_per_unit
+    measured, diagonal = measure_rig_file(path, sequence), sequence.diagonal * sequence.metres_per_unit
     first, last = rig.header.times[[0, -1]]
     frames = f"{rig.header.frame_count:,} from {first:g} to {last:g} s at {rate_text(rig.header.fps)} frames per second"
     table = [
         ("keys", frames),
         *([("bones", f"{rig.bone_count}")] if isinstance(rig, Skin) else []),
         ("morph targets", f"{len(rig.targets)}"),
-        ("max error", length_text(found.max_error, diagonal)),
-        ("rms error", length_text(found.rms_error, diagonal)),
-        ("KG error", f"{found.kg_percent:.4g} %"),
+        ("max error", length_text(measured.max_error, diagonal)),
+        ("rms error", length_text(measured.rms_error, diagonal)),
+        ("KG error", f"{measured.kg_percent:.4g} %"),
     ]
     if path.suffix.lower() in GLTF:
         size = format_bytes(size_with_frame_targets(sequence.header))
@@ -144,7 +142,7 @@ def _seconds(text: str) -> tuple[float, ...]:
 @options.argument("source", metavar="MODEL")
 @options.argument("target")
 @options.group(
-    "chosen",
+    "frame_options",
     options.fps(help="Frames per second.  [default: the original frames]"),
     options.option("--times S,S,...", type=_seconds, help="Decode exactly these times, in seconds."),
     options.frames(
@@ -162,10 +160,12 @@ def _seconds(text: str) -> tuple[float, ...]:
 )
 @options.group(
     "rig",
-    options.setting("--bones N", type=options.COUNT, help="Number of bones of a skin."),
+    options.setting("--bones N", type=options.POSITIVE_INTEGER, help="Number of bones of a skin."),
     options.setting("--skeleton FILE", help="glTF or USD file with the bones of a skin."),
     options.option(
-        "--kg P", type=options.POSITIVE, help="Give a skin as few bones as reach this KG error, in percent."
+        "--kg P",
+        type=options.POSITIVE_NUMBER,
+        help="Give a skin as few bones as reach this KG error, in percent.",
     ),
     options.length(
         "--correctives E",
@@ -177,7 +177,9 @@ def _seconds(text: str) -> tuple[float, ...]:
         help="Largest error of a skin's bones, of a morph or of textures, as a fraction of the bounding box's "
         "diagonal, or 0.5mm; a morph without it is exact.",
     ),
-    options.setting("--max-targets N", type=options.WHOLE, help="Number of morph targets at most."),
+    options.setting(
+        "--max-targets N", type=options.NON_NEGATIVE_INTEGER, help="Number of morph targets at most."
+    ),
 )
 @options.setting(
     "--texture",
@@ -192,7 +194,7 @@ def _seconds(text: str) -> tuple[float, ...]:
 def command(
     source: Path,
     target: Path,
-    chosen: dict[str, Any],
+    frame_options: dict[str, Any],
     velocities: bool,
     kind: str | None,
     rig: dict[str, Any],
@@ -212,9 +214,9 @@ def command(
     With --as, TARGET is a .glb or .gltf that engines play, or USD with a skeleton; it is fitted to all frames, read
     back, and compared with them. MODEL may then be a sequence, too.
     """
-    textures = target.suffix.lower() == files.VAT
+    textures = target.suffix.lower() == files.VAT_EXTENSION
     if textures:
-        names = {"kind", *_ONLY_FOR, "velocities", *writing} - {"max_error"}
+        names = {"kind", *_KINDS_BY_OPTION, "velocities", *writing} - {"max_error"}
         for option in options.given_options(*sorted(names)):
             raise SettingsError(f"vertex animation textures (.vat) have no place for {option}; leave it out")
     else:
@@ -231,43 +233,45 @@ def command(
     with workers as work, progress_bar(quiet) as progress:
         if kind is None and not textures:
             model = mixseq.load(source)
-            header = _chosen_header(model, **chosen)
+            header = _header_of_frames(model, **frame_options)
             files.write_frames(target, model, header, velocities, writing, progress, work)
             table = files.time_rows(header)
         else:
-            sequence = _sequence(source, chosen, progress, work)
+            sequence = _frames_to_fit(source, frame_options, progress, work)
             files.check_origin(target, sequence)
             rig = in_diagonals(rig, sequence, "max_error", "correctives")
             if textures:
                 report = mixseq.write_vat(target, sequence, rig.get("max_error"), texture, progress)
                 table = texture_rows(report, sequence.diagonal * sequence.metres_per_unit)
             else:
-                made = _fit_rig(kind or "", sequence, progress, **rig)
-                mixseq.write_rig(target, made)
-                table = [] if quiet else rows(target, made, sequence)
+                rig_model = _fit_rig(kind or "", sequence, progress, **rig)
+                mixseq.write_rig(target, rig_model)
+                table = [] if quiet else rows(target, rig_model, sequence)
     if not quiet:
         print_table(table)
     announce(target)
 
 
-def _sequence(source: Path, chosen: Mapping[str, Any], progress: Progress, workers: Executor) -> MeshSequence:
+def _frames_to_fit(
+    source: Path, frame_options: Mapping[str, Any], progress: Progress, workers: Executor
+) -> MeshSequence:
     """Decode the chosen frames of a model into memory, or read a sequence."""
     from mixseq.sequence.sequence import collect
 
     named_as_model = source.suffix.lower() in files.MODEL_EXTENSIONS and not source.is_file()
     if not (files.is_model(source) or named_as_model):
-        if chosen:
+        if frame_options:
             raise SettingsError(
                 f"{source} is a sequence, whose frames are fitted as they are; leave out --fps, --times, --frames, "
                 "--start and --end, or turn it into a model first, with mixseq encode"
             )
         return files.read_sequence(source, {}, progress)
     model = mixseq.load(source)
-    header = _chosen_header(model, **chosen)
+    header = _header_of_frames(model, **frame_options)
     return collect(header, model.blocks(header.times, progress=progress, workers=workers))
 
 
-def _chosen_header(
+def _header_of_frames(
     model: Model,
     fps: float | None = None,
     times: tuple[float, ...] | None = None,
@@ -278,7 +282,7 @@ def _chosen_header(
     """Return the header of the frames to decode, by default those of the model."""
     if frames is not None:
         for option in options.given_options("times", "start", "end"):
-            raise SettingsError(f"--frames tells all frames; leave out {option}")
+            raise SettingsError(f"--frames chooses all frames; leave out {option}")
         if fps is not None:
             return _range(model, fps, *frames.span(model.header))
         return model.header_at(model.times[frames.indices(model.header)])
@@ -286,7 +290,7 @@ def _chosen_header(
         return _range(model, fps, start, end)
     if start is None and end is None:
         return model.header_at(times, fps)
-    raise SettingsError("--times tells all times; leave out --start and --end")
+    raise SettingsError("--times chooses all times; leave out --start and --end")
 
 
 def _range(model: Model, fps: float | None, start: float | None, end: float | None) -> SequenceHeader:

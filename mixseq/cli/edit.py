@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from mixseq.signals.model import Model
 
 
-SCRIPT = """\b
+SCRIPT_HELP = """\b
 A script has a table for every edit:
   [[edit]]
   operation = "repeat"
@@ -40,7 +40,7 @@ A script has a table for every edit:
     "edit",
     "mixseq edit run.h5 attack.h5 --script attack.toml",
     "mixseq edit walk.h5 long.usdc --script edits.toml --fps 48",
-    before=SCRIPT,
+    before=SCRIPT_HELP,
 )
 @options.argument("source", metavar="MODEL")
 @options.argument("target", metavar="OUT")

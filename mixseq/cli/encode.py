@@ -42,8 +42,8 @@ if TYPE_CHECKING:
 @files.labelling
 @options.setting(
     "--knots N",
-    type=options.WHOLE,
-    help="Number of inner knots of all curves over time.  [default: as the tolerance asks, else all]",
+    type=options.NON_NEGATIVE_INTEGER,
+    help="Number of inner knots of all curves over time.  [default: as the tolerance needs, else all]",
 )
 @options.setting(
     "--pose",
@@ -86,11 +86,11 @@ def command(
     also a .glb), reproduces its frames within the tolerance and can be decoded at any time in between.
 
     With --max-error, --kg or --size the model is compressed: as few bytes as that error takes, or as small an error as
-    fits into that many bytes. An error that --max-error asks for is guaranteed, the others are measured; see
+    fits into that many bytes. The error of --max-error is guaranteed, the others are measured; see
     "mixseq verify". As a .glb it plays on the web (see "mixseq web"); a compressed model that SOURCE is already becomes
     one as it is.
     """
-    web = target.suffix.lower() == files.GLB
+    web = target.suffix.lower() == files.GLB_EXTENSION
     _check_name(target, compressed=bool(aim) or (web and files.is_model(source)))
     if not web:
         options.refuse("still", why="is for .glb files; leave it out")
@@ -133,10 +133,10 @@ def command(
 def _check_name(path: Path, compressed: bool) -> None:
     """Raise an error for a path without a model's extension."""
     suffix = path.suffix.lower()
-    if suffix == files.GLB and not compressed:
+    if suffix == files.GLB_EXTENSION and not compressed:
         raise OutputError(f"{path}: a .glb holds compressed models; give --max-error, --kg or --size, too")
-    if suffix not in (*files.MODEL_EXTENSIONS, files.GLB):
+    if suffix not in (*files.MODEL_EXTENSIONS, files.GLB_EXTENSION):
         raise OutputError(
-            f"{path}: models are HDF5 files; end the name in {' or '.join(files.MODEL_EXTENSIONS)}, or in {files.GLB} "
-            "for the web"
+            f"{path}: models are HDF5 files; end the name in {' or '.join(files.MODEL_EXTENSIONS)}, or in "
+            f"{files.GLB_EXTENSION} for the web"
         )

@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from mixseq_io.text.labels import Labels
 
 
-MODEL_EXTENSIONS, GLB = (".h5", ".hdf5"), ".glb"
-VAT = ".vat"
+MODEL_EXTENSIONS, GLB_EXTENSION = (".h5", ".hdf5"), ".glb"
+VAT_EXTENSION = ".vat"
 """Extension of folders with vertex animation textures, the only folders that are written as targets."""
 
 
@@ -69,15 +69,15 @@ def counted(blocks: Iterable[FloatArray], frames: int, what: str, progress: Prog
         progress(done, frames, what)
 
 
-def chosen_blocks(blocks: Iterable[FloatArray], indices: Iterable[int]) -> Iterator[FloatArray]:
+def select_frames(blocks: Iterable[FloatArray], indices: Iterable[int]) -> Iterator[FloatArray]:
     """Yield the chosen frames of a sequence's blocks, in order; later ones are not read."""
-    left, first = sorted(indices), 0
+    remaining, first = sorted(indices), 0
     for block in blocks:
-        here = [index - first for index in left if index < first + len(block)]
-        if here:
-            yield block[here]
-        left, first = left[len(here) :], first + len(block)
-        if not left:
+        rows = [index - first for index in remaining if index < first + len(block)]
+        if rows:
+            yield block[rows]
+        remaining, first = remaining[len(rows) :], first + len(block)
+        if not remaining:
             return
 
 
@@ -136,19 +136,19 @@ def write_sequence(
 
     check_origin(path, header)
     forms = (form for form in FORMATS if path.suffix.lower() in form.extensions)
-    told = {} if sources is None else {"sources": sources}
-    taken = told if any("sources" in form.write_options for form in forms) else {}
+    of_original = {} if sources is None else {"sources": sources}
+    extra = of_original if any("sources" in form.write_options for form in forms) else {}
     options = {
         name: value for name, value in writing.items() if name not in ("convert_axes", "convert_units")
     }
-    conversion = UnitConversion.of(header, writing.get("convert_axes"), writing.get("convert_units"))
+    conversion = UnitConversion.from_header(header, writing.get("convert_axes"), writing.get("convert_units"))
     mixseq.write_blocks(
         path,
         conversion.header(header),
         conversion.blocks(blocks),
         None if velocities is None else conversion.blocks(velocities),
         **options,
-        **taken,
+        **extra,
     )
 
 
@@ -156,24 +156,24 @@ def check_origin(path: Path, header: SequenceHeader) -> None:
     """Raise an error if a path is the file from which a sequence was read."""
     origin = header.surface.origin
     if origin is not None and _replaces(path, Path(origin.path)):
-        lost = origin.path if path.is_dir() else path
+        endangered = origin.path if path.is_dir() else path
         raise OutputError(
-            f"{lost} is the file that the sequence came from, which would be lost; give another name"
+            f"{endangered} is the file that the sequence came from, which would be lost; give another name"
         )
 
 
 def check_target(path: Path, source: Path) -> None:
     """Raise an error, before the work, for a file that cannot be written or would replace the source."""
     if _replaces(path, source) or _share_files(path, source):
-        lost = source if path.is_dir() else path
-        raise OutputError(f"{lost} is the source itself and would be lost; give another name")
+        endangered = source if path.is_dir() else path
+        raise OutputError(f"{endangered} is the source itself and would be lost; give another name")
     check_place(path)
 
 
 def check_place(path: Path) -> None:
     """Raise an error, before the work, for a file that cannot be written at its path."""
     folder = path.parent
-    if path.is_dir() and path.suffix.lower() != VAT:
+    if path.is_dir() and path.suffix.lower() != VAT_EXTENSION:
         raise OutputError(f"{path} is a folder; give the name of a file")
     if not folder.is_dir():
         raise OutputError(f"{path}: the folder {folder} does not exist; make it first")
@@ -185,7 +185,7 @@ def _replaces(target: Path, source: Path) -> bool:
     """Return whether a target is an existing source, or a folder of textures that contains the source."""
     if not (target.exists() and source.exists()):
         return False
-    if not (target.is_dir() and target.suffix.lower() == VAT):
+    if not (target.is_dir() and target.suffix.lower() == VAT_EXTENSION):
         return target.samefile(source)
     from mixseq_io.vat.writer import VAT_FILE_NAMES
 
@@ -203,8 +203,8 @@ def _share_files(target: Path, source: Path) -> bool:
     of_source = (
         source.iterdir() if source.is_dir() else [source, *(file for _, file in find_numbered_files(source))]
     )
-    ours = {file.resolve() for _, file in find_numbered_files(target)}
-    return not ours.isdisjoint(file.resolve() for file in of_source)
+    of_target = {file.resolve() for _, file in find_numbered_files(target)}
+    return not of_target.isdisjoint(file.resolve() for file in of_source)
 
 
 def options_of(path: Path, reading: Mapping[str, Any]) -> dict[str, Any]:
@@ -213,19 +213,19 @@ def options_of(path: Path, reading: Mapping[str, Any]) -> dict[str, Any]:
 
     extension = path.suffix.lower()
     forms = [form for form in FORMATS if (form.numbered if path.is_dir() else extension in form.extensions)]
-    known = {"up_axis", "metres_per_unit", "start_frame"} | {
+    supported = {"up_axis", "metres_per_unit", "start_frame"} | {
         name for form in forms for name in form.read_options
     }
-    return {name: value for name, value in reading.items() if name in known}
+    return {name: value for name, value in reading.items() if name in supported}
 
 
 def check_options(
     files: Iterable[Path], reading: Mapping[str, Any], none: str = "none of the files is"
 ) -> None:
     """Raise an error for options that no format of the files supports."""
-    known = set().union(*(options_of(file, reading) for file in files))
+    supported = set().union(*(options_of(file, reading) for file in files))
     for name in reading:
-        if name not in known:
+        if name not in supported:
             raise SettingsError(f"{none} read with an option {name!r}")
 
 
@@ -251,8 +251,8 @@ def scene_items(
     return items, None if against is None else opened(against)
 
 
-_CACHES = (".pc2", ".mdd")
-_FOLDERS = ("folders", "pack_from")
+_CACHE_EXTENSIONS = (".pc2", ".mdd")
+_FOLDER_PARAMETERS = ("folders", "pack_from")
 """Parameters with folders that may be read, as opposed to files."""
 
 
@@ -283,18 +283,18 @@ class Claim:
         """Check that files may be replaced; `unasked` is the answer without an option and without a terminal."""
         if not files or self.overwrite:
             return
-        asked = self.overwrite is None and on_terminal()
-        exist = f"{_named(files)} {'exists' if len(files) == 1 else 'exist'}"
+        can_ask = self.overwrite is None and on_terminal()
+        exist = f"{_list_files(files)} {'exists' if len(files) == 1 else 'exist'}"
         question = f"{exist}; replace {'it' if len(files) == 1 else 'them'}?"
-        if asked and not click.confirm(printable(question), err=True):
-            raise OutputError(f"{_named(files)} stayed as before; give another name")
-        if not asked and (self.overwrite is False or not unasked):
+        if can_ask and not click.confirm(printable(question), err=True):
+            raise OutputError(f"{_list_files(files)} stayed as before; give another name")
+        if not can_ask and (self.overwrite is False or not unasked):
             raise OutputError(f"{exist}; give another name, or --overwrite")
 
 
 def _claim(overwrite: bool | None = None) -> Claim:
     given = click.get_current_context().params
-    files = _paths(value for name, value in given.items() if name not in _FOLDERS)
+    files = _paths(value for name, value in given.items() if name not in _FOLDER_PARAMETERS)
     return Claim(overwrite, tuple(files), bool(given.get("clips")))
 
 
@@ -321,14 +321,14 @@ def files_in_the_way(target: Path, clips: bool = False) -> list[Path]:
     from mixseq_io.registry import FORMATS
 
     numbered = any(form.numbered and target.suffix.lower() in form.extensions for form in FORMATS)
-    found = [file for _, file in sorted(find_numbered_files(target))] if numbered else []
+    numbered_files = [file for _, file in sorted(find_numbered_files(target))] if numbered else []
     folder = [target.with_name(f"{target.name}.clips")] if clips else []
-    return [file for file in (*found, target, *_beside(target), *folder) if file.exists()]
+    return [file for file in (*numbered_files, target, *_beside(target), *folder) if file.exists()]
 
 
 def _beside(target: Path) -> list[Path]:
     """Return the files written beside a target: the mesh of a point cache."""
-    return [target.with_suffix(".obj")] if target.suffix.lower() in _CACHES else []
+    return [target.with_suffix(".obj")] if target.suffix.lower() in _CACHE_EXTENSIONS else []
 
 
 def _paths(values: Iterable[Any]) -> Iterator[Path]:
@@ -339,7 +339,7 @@ def _paths(values: Iterable[Any]) -> Iterator[Path]:
             yield from _paths(value)
 
 
-def _named(files: Sequence[Path]) -> str:
+def _list_files(files: Sequence[Path]) -> str:
     """Format files for a message: all of a few, the first and last of many."""
     names = [click.format_filename(file) for file in files]
     if len(names) > 4:
@@ -374,7 +374,7 @@ class LabelChoice:
         if not self.is_given:
             return count
         if count is not None:
-            raise SettingsError("--labels and --source tell the parts; leave out --parts, or them")
+            raise SettingsError("--labels and --source give the parts; leave out --parts, or them")
         return self.read(reader, reading).part_of_face
 
 
@@ -395,7 +395,7 @@ labelling = options.group(
 """Options of labels made elsewhere, as ``labels``."""
 
 
-ANIMATED = (".glb", ".gltf")
+GLTF_EXTENSIONS = (".glb", ".gltf")
 """Extensions of formats that have a pose beside their animations."""
 
 
@@ -403,13 +403,13 @@ def first_frame(path: Path, reading: Mapping[str, Any]) -> MeshSequence:
     """Read the first frame of a file; of glTF, whose animations rarely begin at rest, the pose without animation."""
     from mixseq.sequence.sequence import MeshSequence
 
-    still = {"animation": "none"} if path.suffix.lower() in ANIMATED else {}
+    still = {"animation": "none"} if path.suffix.lower() in GLTF_EXTENSIONS else {}
     with mixseq.open_sequence(path, **options_of(path, still | dict(reading))) as reader:
         first = next(iter(reader.blocks(1)))[:1]
         return MeshSequence.from_header(reader.header.with_times(reader.header.times[:1]), first)
 
 
-def chosen_picture(
+def picture_path(
     target: Path, what: str, picture: Path | None = None, no_picture: bool = False
 ) -> Path | None:
     """Return the path of the picture, by default beside the target; that of numbered files has no number."""

@@ -37,7 +37,7 @@ from mixseq.errors import MixseqError, MixseqWarning, SettingsError
 from mixseq.runtime.interrupts import unwinding
 from mixseq.runtime.progress import Progress, silent, warnings_heard
 
-_CONTROLS = re.compile(
+_CONTROL_CHARACTERS = re.compile(
     "[\x00-\x1f\x7f-\x9f"  # C0, DEL and C1
     "\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069"  # of bidirectional text
     "\u2028\u2029\ud800-\udfff]"  # ends of lines and paragraphs; halves of characters
@@ -46,7 +46,7 @@ _CONTROLS = re.compile(
 
 def printable(text: str) -> str:
     """Return text with all control and formatting characters escaped."""
-    return _CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
+    return _CONTROL_CHARACTERS.sub(lambda match: match[0].encode("unicode_escape").decode("ascii"), text)
 
 
 def say(text: str, err: bool = False) -> None:
@@ -139,45 +139,50 @@ def progress_bar(quiet: bool) -> Iterator[Progress]:
     with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("starting", total=None)
 
-        def tell(done: int, total: int, what: str) -> None:
+        def update(done: int, total: int, what: str) -> None:
             bar.update(task, completed=done, total=total, description=printable(what))
 
-        yield tell
+        yield update
 
 
 # Without address space, as after ``ulimit -v``, C libraries crash, abort or hang, none of which Python can catch: they
 # take it by the hundred megabytes, with the stacks and arenas of their threads. So under a limit they start no threads,
 # and are not loaded below a minimum.
 
-FLOOR = 2000 << 20
+MIN_ADDRESS_SPACE = 2000 << 20
 """Smallest address space in bytes: small files take up to 1.8 GB on one thread (measured), libraries a sixth of it."""
 
-_THREADS = ("MIXSEQ_THREADS", "OPENBLAS_NUM_THREADS", "RAYON_NUM_THREADS")
+_THREAD_VARIABLES = ("MIXSEQ_THREADS", "OPENBLAS_NUM_THREADS", "RAYON_NUM_THREADS")
 
-_SIGNS = ("can't start new thread", "failed to map segment", "Cannot allocate memory", "libllvmlite")
+_OUT_OF_MEMORY_SIGNS = (
+    "can't start new thread",
+    "failed to map segment",
+    "Cannot allocate memory",
+    "libllvmlite",
+)
 """Parts of error messages that signal a lack of memory."""
 
 
-def make_do() -> None:
+def limit_threads() -> None:
     """Set libraries that are not loaded yet to one thread, if the address space is limited."""
-    limit = _limit()
+    limit = _address_space()
     if limit is None:
         return
-    if limit < FLOOR:
+    if limit < MIN_ADDRESS_SPACE:
         raise SettingsError(
             f"the address space is limited to {limit >> 20} MiB (ulimit -v), and the libraries that mixseq works with "
-            f"need {FLOOR >> 20} MiB before they begin; raise the limit"
+            f"need {MIN_ADDRESS_SPACE >> 20} MiB before they begin; raise the limit"
         )
-    for name in _THREADS:
+    for name in _THREAD_VARIABLES:
         os.environ.setdefault(name, "1")
 
 
 def is_short_of_memory(error: Exception) -> bool:
     """Return whether an error of another kind is due to limited memory."""
-    return _limit() is not None and any(sign in str(error) for sign in _SIGNS)
+    return _address_space() is not None and any(sign in str(error) for sign in _OUT_OF_MEMORY_SIGNS)
 
 
-def _limit() -> int | None:
+def _address_space() -> int | None:
     try:
         import resource
     except ImportError:  # Windows
@@ -186,17 +191,17 @@ def _limit() -> int | None:
     return None if limit == resource.RLIM_INFINITY else limit
 
 
-_UNITS = {"": 1, "b": 1, "kb": 1e3, "mb": 1e6, "gb": 1e9, "kib": 2**10, "mib": 2**20, "gib": 2**30}
-_SIZE = re.compile(r"(\d+\.?\d*|\.\d+)\s*([kmg]?i?b|)", re.IGNORECASE)
+_BYTE_UNITS = {"": 1, "b": 1, "kb": 1e3, "mb": 1e6, "gb": 1e9, "kib": 2**10, "mib": 2**20, "gib": 2**30}
+_SIZE_PATTERN = re.compile(r"(\d+\.?\d*|\.\d+)\s*([kmg]?i?b|)", re.IGNORECASE)
 
 
 def as_bytes(text: str) -> int:
     """Parse a size such as 2MB, 500kB or 1.5MiB; without a unit, bytes."""
-    found = _SIZE.fullmatch(text.strip())
-    unit = found and _UNITS.get(found[2].lower())
-    if not found or not unit or float(found[1]) * unit < 1:
+    match = _SIZE_PATTERN.fullmatch(text.strip())
+    unit = match and _BYTE_UNITS.get(match[2].lower())
+    if not match or not unit or float(match[1]) * unit < 1:
         raise click.BadParameter(f"{text!r} is not a size such as 2MB, 500kB or 1.5MiB")
-    return int(float(found[1]) * unit)
+    return int(float(match[1]) * unit)
 
 
 def _limit_memory(context: click.Context, option: click.Parameter, size: int | None) -> None:
@@ -284,7 +289,7 @@ class LazyGroup(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         """Run a command; help needs no memory."""
         if not set(ctx.help_option_names) & set(ctx.args):
-            make_do()
+            limit_threads()
         return super().invoke(ctx)
 
     def main(self, *args: Any, standalone_mode: bool = True, **settings: Any) -> Any:

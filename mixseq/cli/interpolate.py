@@ -32,10 +32,10 @@ class Pose(NamedTuple):
 
 def pose_of(text: str) -> Pose:
     """Parse ``FRAME=WEIGHT`` or ``FRAME``; weights may be fractions, such as ``2=1/4``."""
-    frame, given, weight = text.partition("=")
+    frame, has_weight, weight = text.partition("=")
     above, divided, below = weight.partition("/")
     try:
-        number = float(above) / float(below if divided else 1) if given else None
+        number = float(above) / float(below if divided else 1) if has_weight else None
         if number is None or math.isfinite(number):
             return Pose(int(frame), number)
     except (ValueError, ZeroDivisionError):
@@ -85,8 +85,8 @@ def command(
 ) -> None:
     """Blend poses of a mesh in a shape space.
 
-    IN is a sequence in any format, whose frames are the poses. OUT is one frame: their blend. All frames of IN tell
-    of the parts of the mesh, also those without a weight.
+    IN is a sequence in any format, whose frames are the poses. OUT is one frame: their blend. The parts of the mesh are
+    found in all frames of IN, also those without a weight.
 
     With --steps OUT is a sequence from the first --pose to the second, evenly; IN with two frames needs no --pose.
     """
@@ -112,7 +112,7 @@ def command(
         names = [name if steps else f"{name} = {weights[0, pose]:g}" for pose, name in named.items()]
         print_table(
             [
-                ("space", f"{interpolator.space.name}, dim {interpolator.dim:,}"),
+                ("space", f"{interpolator.space.name}, dim {interpolator.space.dim:,}"),
                 ("poses", ", ".join(names)),
                 ("frames", f"{len(weights):,}"),
             ]
@@ -148,11 +148,11 @@ def _weights(poses: Sequence[Pose], steps: int | None, count: int) -> NDArray[np
 
     if not poses and count != 2:
         raise SettingsError(f"there are {count} poses; name two of them by --pose FRAME --pose FRAME")
-    chosen = list(poses) or [Pose(0, None), Pose(1, None)]
+    blended = list(poses) or [Pose(0, None), Pose(1, None)]
     weights = np.zeros((steps or 1, count))
-    columns = [pose.frame for pose in chosen]
+    columns = [pose.frame for pose in blended]
     if steps is None:
-        weights[0, columns] = [pose.weight for pose in chosen]
+        weights[0, columns] = [pose.weight for pose in blended]
         normalise_weights(weights[0], count)
     else:
         along = np.linspace(0.0, 1.0, steps)

@@ -18,7 +18,9 @@ from mixseq.errors import SettingsError
 if TYPE_CHECKING:
     from mixseq.sequence.sequence import Frames
 
-_LENGTH = re.compile(rf"(\d+\.?\d*(?:e[-+]?\d+)?|\.\d+(?:e[-+]?\d+)?)\s*({'|'.join(UNITS)}|)", re.IGNORECASE)
+_LENGTH_PATTERN = re.compile(
+    rf"(\d+\.?\d*(?:e[-+]?\d+)?|\.\d+(?:e[-+]?\d+)?)\s*({'|'.join(UNITS)}|)", re.IGNORECASE
+)
 
 _REPORTED_UNITS = ("km", "m", "cm", "mm")
 """Units of reported lengths, from large to small."""
@@ -30,12 +32,12 @@ def parse_length(text: str) -> float | str:
     >>> parse_length("1e-3"), parse_length("0.5 mm")
     (0.001, '0.5mm')
     """
-    found = _LENGTH.fullmatch(text.strip())
-    if not found or not 0.0 < float(found[1]) < float("inf"):
+    match = _LENGTH_PATTERN.fullmatch(text.strip())
+    if not match or not 0.0 < float(match[1]) < float("inf"):
         raise click.BadParameter(
             f"{text!r} is not a length above 0, such as 0.001 (of the diagonal) or 0.5mm"
         )
-    return f"{found[1]}{found[2].lower()}" if found[2] else float(found[1])
+    return f"{match[1]}{match[2].lower()}" if match[2] else float(match[1])
 
 
 def in_diagonals(settings: Mapping[str, Any], frames: Frames, *names: str) -> dict[str, Any]:
@@ -45,8 +47,8 @@ def in_diagonals(settings: Mapping[str, Any], frames: Frames, *names: str) -> di
     converted = dict(settings)
     for name in names:
         length = settings.get(name)
-        found = _LENGTH.fullmatch(length) if isinstance(length, str) else None
-        if found is None:
+        match = _LENGTH_PATTERN.fullmatch(length) if isinstance(length, str) else None
+        if match is None:
             continue
         diagonal = bounding_diagonal(next(iter(frames.blocks(1)))[0]) * frames.header.metres_per_unit
         if not diagonal > 0.0:
@@ -54,7 +56,7 @@ def in_diagonals(settings: Mapping[str, Any], frames: Frames, *names: str) -> di
                 f"{frames.header.name!r} has no size in its first frame, so {length} is no fraction of it; give a "
                 "sequence whose first frame is larger than a point"
             )
-        converted[name] = float(found[1]) * UNITS[found[2]] / diagonal
+        converted[name] = float(match[1]) * UNITS[match[2]] / diagonal
     return converted
 
 

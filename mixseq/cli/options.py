@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 Command = Callable[..., None]
 Decorator = Callable[[Command], Command]
 
-ON = ("yes", "true", "on", "1")
-OFF = ("no", "false", "off", "0")
+YES_WORDS = ("yes", "true", "on", "1")
+NO_WORDS = ("no", "false", "off", "0")
 
 
 class Setting(click.Option):
@@ -46,13 +46,13 @@ class Setting(click.Option):
         """Return the usage of the setting in help."""
         return f"{self.key}={'yes' if self.is_flag else self.make_metavar(ctx)}"
 
-    def spelled(self, value: str) -> list[str]:
+    def arguments(self, value: str) -> list[str]:
         """Return the arguments of a value."""
         if not self.is_flag:
             return [self.opts[-1], value]
-        if value.lower() in ON:
+        if value.lower() in YES_WORDS:
             return [self.opts[-1]]
-        if value.lower() not in OFF:
+        if value.lower() not in NO_WORDS:
             raise click.BadParameter(f"{self.key}={value} is neither yes nor no", param_hint="'--set'")
         return self.secondary_opts[-1:]
 
@@ -75,9 +75,9 @@ class CommandWithSettings(click.Command):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse arguments, with settings expanded to options."""
-        return super().parse_args(ctx, list(self._spelled(ctx, args)) if self.settings else args)
+        return super().parse_args(ctx, list(self._expanded(ctx, args)) if self.settings else args)
 
-    def _spelled(self, ctx: click.Context, args: list[str]) -> Iterator[str]:
+    def _expanded(self, ctx: click.Context, args: list[str]) -> Iterator[str]:
         rest = iter(args)
         for arg in rest:
             option, given, text = arg.partition("=")
@@ -89,13 +89,13 @@ class CommandWithSettings(click.Command):
             if not given:
                 text = next(rest, "")
             name, given, value = text.partition("=")
-            found = self.settings.get(name.replace("-", "_"))
-            if found is None or not given:
+            matches = self.settings.get(name.replace("-", "_"))
+            if matches is None or not given:
                 names = ", ".join(self.settings)
                 raise click.BadParameter(
                     f"{text!r} is not NAME=VALUE with one of: {names}", ctx=ctx, param_hint="'--set'"
                 )
-            yield from found.spelled(value)
+            yield from matches.arguments(value)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options, and after them the settings."""
@@ -136,8 +136,8 @@ def group(name: str, *options: Decorator, make: Callable[..., Any] = dict) -> De
 
         @wraps(function)
         def with_group(**values: Any) -> None:
-            given = {key: value for key in keys if (value := values.pop(key)) is not None}
-            function(**values, **{name: make(**given)})
+            present = {key: value for key in keys if (value := values.pop(key)) is not None}
+            function(**values, **{name: make(**present)})
 
         return with_group
 
@@ -165,14 +165,14 @@ def refuse(*names: str, why: str) -> None:
 
 # Types ----------------------------------------------------------------------------------------------------
 
-FILE = click.Path(path_type=Path)
-PATHS = ("FILE", "FOLDER", "PAGE", "PNG", "SEQUENCE")
-COUNT = click.IntRange(min=1)
-WHOLE = click.IntRange(min=0)
-POSITIVE = click.FloatRange(min=0, min_open=True)
-RATE = click.FloatRange(min=0, min_open=True, max=1_000_000)
+FILE_PATH = click.Path(path_type=Path)
+PATH_METAVARS = ("FILE", "FOLDER", "PAGE", "PNG", "SEQUENCE")
+POSITIVE_INTEGER = click.IntRange(min=1)
+NON_NEGATIVE_INTEGER = click.IntRange(min=0)
+POSITIVE_NUMBER = click.FloatRange(min=0, min_open=True)
+FRAME_RATE = click.FloatRange(min=0, min_open=True, max=1_000_000)
 
-_RANGE = re.compile(r"\s*(-?\d+)(?:-(-?\d+))?\s*")
+_FRAME_RANGE = re.compile(r"\s*(-?\d+)(?:-(-?\d+))?\s*")
 
 
 @dataclass(frozen=True)
@@ -184,9 +184,9 @@ class FrameChoice:
     @classmethod
     def from_text(cls, text: str) -> FrameChoice:
         """Parse the value of an option."""
-        found = [_RANGE.fullmatch(part) for part in text.split(",")]
-        ranges = [(int(each[1]), int(each[2] or each[1])) for each in found if each]
-        if len(ranges) < len(found) or any(first > last for first, last in ranges):
+        matches = [_FRAME_RANGE.fullmatch(part) for part in text.split(",")]
+        ranges = [(int(each[1]), int(each[2] or each[1])) for each in matches if each]
+        if len(ranges) < len(matches) or any(first > last for first, last in ranges):
             raise click.BadParameter(
                 f"{text!r} is not a range of frames such as 1005-1010, or a list of them"
             )
@@ -238,7 +238,7 @@ def _unit(text: str) -> float:
 
 
 @contextmanager
-def threads_held(count: int | None) -> Iterator[Executor]:
+def thread_limit(count: int | None) -> Iterator[Executor]:
     """Set the number of threads meanwhile, also for code without the executor."""
     from mixseq.runtime.parallel import on_threads
 
@@ -248,7 +248,7 @@ def threads_held(count: int | None) -> Iterator[Executor]:
 
 def _workers(threads: int | None = None, cluster: str | None = None) -> AbstractContextManager[Executor]:
     if cluster is None:
-        return threads_held(threads)
+        return thread_limit(threads)
     if threads is not None:
         raise SettingsError("--threads and --cluster exclude each other; a cluster has threads of its own")
     from mixseq.runtime.cluster import cluster as connected
@@ -259,7 +259,7 @@ def _workers(threads: int | None = None, cluster: str | None = None) -> Abstract
 # Options --------------------------------------------------------------------------------------------------
 # Partial ones are for commands to complete: ``@options.fps(help=...)``.
 
-argument = partial(click.argument, type=FILE)
+argument = partial(click.argument, type=FILE_PATH)
 
 
 def option(spec: str, *names: str, **settings: Any) -> Decorator:
@@ -270,8 +270,8 @@ def option(spec: str, *names: str, **settings: Any) -> Decorator:
     name, _, metavar = spec.partition(" ")
     settings.setdefault("metavar", metavar or None)
     settings.setdefault("show_default", settings.get("default") is not None)
-    if metavar in PATHS:
-        settings["type"] = FILE
+    if metavar in PATH_METAVARS:
+        settings["type"] = FILE_PATH
     return click.option(name, *names, **settings)
 
 
@@ -283,16 +283,16 @@ flag = partial(option, is_flag=True, default=None)
 
 quiet = option("-q", "--quiet", is_flag=True, help="Print neither progress nor tables.")
 as_json = option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
-out_folder = partial(option, "--out", type=FILE, help="Folder for the files, made if missing.")
+out_folder = partial(option, "--out", type=FILE_PATH, help="Folder for the files, made if missing.")
 frames = partial(option, "--frames A-B", type=FrameChoice.from_text)
-fps = partial(option, "--fps N", type=RATE)
+fps = partial(option, "--fps N", type=FRAME_RATE)
 parts = partial(
     option,
     "--parts N",
-    type=COUNT,
+    type=POSITIVE_INTEGER,
     help="Number of parts; every connected component has at least one.  [default: automatic]",
 )
-threads = partial(option, "--threads N", type=COUNT)
+threads = partial(option, "--threads N", type=POSITIVE_INTEGER)
 velocities = partial(
     option,
     "--velocities/--no-velocities",
@@ -301,7 +301,7 @@ velocities = partial(
 )
 joint_width = setting(
     "--joint-width N",
-    type=COUNT,
+    type=POSITIVE_INTEGER,
     default=3,
     help="Largest width of joints, in strips of triangles on each side of a boundary.",
 )
@@ -357,7 +357,7 @@ fitting = group(
         help="Largest error of a vertex, as a fraction of the bounding box's diagonal, or 0.5mm.  "
         "[default: 0.0005, lossless to the eye]",
     ),
-    option("--rank N", type=WHOLE, help="Number of shape modes; parts stay in place exactly."),
+    option("--rank N", type=NON_NEGATIVE_INTEGER, help="Number of shape modes; parts stay in place exactly."),
     *SPACE_OPTIONS,
 )
 """Options of fitting, and those of shape spaces, as ``fitting``."""
@@ -380,20 +380,20 @@ reading = group(
     setting(
         "--start-frame N",
         type=float,
-        help="Number of the first frame, where the file does not tell; 1001 is at 41.708 s of 24 frames per second.",
+        help="Number of the first frame, where the file has none; 1001 is at 41.708 s of 24 frames per second.",
     ),
-    setting("--mesh", type=FILE, help="Mesh of a point cache.  [default: the file of the same name]"),
+    setting("--mesh", type=FILE_PATH, help="Mesh of a point cache.  [default: the file of the same name]"),
     flag("--allow-gaps", cls=Setting, help="Accept missing numbers among numbered files."),
     setting(
         "--up-axis",
         type=click.Choice(["X", "Y", "Z"]),
-        help="Axis that points up, where the file does not tell; nothing is turned.",
+        help="Axis that points up, where the file does not say; nothing is turned.",
     ),
     setting(
         "--units M",
         "metres_per_unit",
-        type=POSITIVE,
-        help="Metres per unit, where the file does not tell; nothing is scaled.",
+        type=POSITIVE_NUMBER,
+        help="Metres per unit, where the file does not say; nothing is scaled.",
     ),
 )
 """Options of the formats' readers, as ``reading``."""
@@ -407,9 +407,11 @@ writing = group(
         help="Write glTF whose animation begins when the sequence does, and not at 0.",
     ),
     setting(
-        "--onto", type=FILE, help="The original file to build on, if it is not where the sequence came from."
+        "--onto",
+        type=FILE_PATH,
+        help="The original file to build on, if it is not where the sequence came from.",
     ),
-    setting("--clips N", type=COUNT, help="Write USD as value clips of N frames per file."),
+    setting("--clips N", type=POSITIVE_INTEGER, help="Write USD as value clips of N frames per file."),
     setting(
         "--pack-from FOLDER",
         help="Also pack textures that are in this folder into a .usdz, not only those in the original's.",
@@ -422,7 +424,7 @@ writing = group(
     setting(
         "--convert-units m|cm|...",
         type=_unit,
-        help="Scale the sequence to mm, cm, m, km, in, ft, yd, or a unit of so many metres.  [default: as it is]",
+        help="Scale the sequence to mm, cm, m, km, in, ft, yd, or a unit in metres.  [default: as it is]",
     ),
 )
 """Options of writing sequences, as ``writing``."""

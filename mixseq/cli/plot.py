@@ -137,11 +137,11 @@ def command(
     picture_format(target)
     camera = filming.get("camera")
     numbers = None if frames is None else frames.ranges
-    known = 1.0 if isinstance(tolerance, str) else tolerance  # a length in units is converted below
-    check_settings(kind, against is not None, numbers, known, camera)
+    positive = 1.0 if isinstance(tolerance, str) else tolerance  # a length in units is converted below
+    check_settings(kind, against is not None, numbers, positive, camera)
     if against is None and reading:
         raise SettingsError(
-            "--prim, --animation, --input-fps, --mesh and --allow-gaps tell how to read a sequence; give --against"
+            "--prim, --animation, --input-fps, --mesh and --allow-gaps are for reading a sequence; give --against"
         )
     claim(target)
     from mixseq.sequence.sequence import LazyFrames

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 @options.fps("rate", help="Frames per second of TARGET.  [default: those of SOURCE]")
 @options.option(
     "--speed X",
-    type=options.POSITIVE,
+    type=options.POSITIVE_NUMBER,
     default=1.0,
     help="How much faster the motion is; 0.5 lasts twice as long.",
 )
@@ -89,14 +89,14 @@ def command(
     its extension, see "mixseq formats"; it is written while frames are decoded.
 
     Frames of TARGET are at whole multiples of 1/fps: all of those from the start of the output to its end. The
-    table tells what is left over before the first and after the last, if anything is.
+    table lists the time left over before the first and after the last, if any.
     """
     if exact and tolerance is not None:
         raise SettingsError("--exact keeps everything and --tolerance does not; leave out one of them")
     if linear and retime is None:
         raise SettingsError("--linear is about the points of --retime; give both, or neither")
     if frames is not None and (start, end, retime) != (None, None, None):
-        raise SettingsError("--frames tells the section; leave out --start, --end and --retime")
+        raise SettingsError("--frames chooses the section; leave out --start, --end and --retime")
     claim(target)
     from mixseq.operations.resampling import plan
     from mixseq.operations.retiming import Retiming, read_retiming_keys
@@ -152,12 +152,12 @@ def _rows(planned: Resampling) -> list[tuple[str, str]]:
     begin, end, low, high = sources[0], sources[-1], sources.min(), sources.max()
     beyond = f", between {low:g} and {high:g} s" if low < min(begin, end) or high > max(begin, end) else ""
     rows = [*time_rows(header), ("source", f"{span_text(begin, end, planned.model.header.fps)}{beyond}")]
-    rest = 1e-3 / header.fps  # smaller ones are rounding errors
+    negligible = 1e-3 / header.fps  # smaller ones are rounding errors
     why = f"; frames are at whole multiples of 1/{header.fps:g} s"
-    if first - retiming.start > rest:
+    if first - retiming.start > negligible:
         rows.append(
             ("left over", f"{first - retiming.start:.3g} s before the first frame, at {first:g} s{why}")
         )
-    if retiming.end - last > rest:
+    if retiming.end - last > negligible:
         rows.append(("left over", f"{retiming.end - last:.3g} s after the last frame, at {last:g} s{why}"))
     return rows

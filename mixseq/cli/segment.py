@@ -13,7 +13,7 @@ import click
 import mixseq
 from mixseq.choices import SEGMENTATIONS
 from mixseq.cli import options
-from mixseq.cli.files import Claim, LabelChoice, check_picture, chosen_picture, labelling, overwriting
+from mixseq.cli.files import Claim, LabelChoice, check_picture, labelling, overwriting, picture_path
 from mixseq.cli.group import announce, print_json, print_table, progress_bar, say
 from mixseq.errors import SettingsError
 
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from mixseq_io.text.labels import Labels
 
 
-_GIVEN = ("labels", "skeleton")
-METHODS = (*SEGMENTATIONS, *_GIVEN)
+_LABEL_METHODS = ("labels", "skeleton")
+METHOD_NAMES = (*SEGMENTATIONS, *_LABEL_METHODS)
 
 
 @options.command(
@@ -45,13 +45,13 @@ METHODS = (*SEGMENTATIONS, *_GIVEN)
 @options.argument("target")
 @options.option(
     "--method",
-    type=click.Choice(METHODS),
+    type=click.Choice(METHOD_NAMES),
     help="How parts are found.  [default: motion; labels with --labels or --source]",
 )
 @options.parts()
 @options.setting(
     "--seed N",
-    type=options.WHOLE,
+    type=options.NON_NEGATIVE_INTEGER,
     help="Seed of the random choice of views of the method silhouettes.  [default: 0]",
 )
 @labelling
@@ -86,73 +86,75 @@ def command(
     """
     from mixseq_io.text.label_files import check_label_target, write_labels
 
-    how = _method(method, parts, labels)
-    settings = None if seed is None else _with_seed(how, seed)
+    method_name = _method(method, parts, labels)
+    settings = None if seed is None else _with_seed(method_name, seed)
     check_label_target(target)
-    drawn = chosen_picture(target, "parts", **picture)
-    claim(target, drawn)
-    if drawn is not None:
-        check_picture(drawn)
+    picture_file = picture_path(target, "parts", **picture)
+    claim(target, picture_file)
+    if picture_file is not None:
+        check_picture(picture_file)
     with progress_bar(quiet) as progress, mixseq.open_sequence(path, **reading) as reader:
-        from mixseq.segmentation.joints import frames_to_look_at
+        from mixseq.segmentation.joints import sample_frame_ids
         from mixseq.sequence.sequence import frame_store
 
         frames = frame_store(reader, progress)
-        some = frames.points[frames_to_look_at(len(frames.points))]
-        if how in _GIVEN:
-            wanted = replace(labels, label_source="skeleton") if how == "skeleton" else labels
-            given = connected(reader.header, wanted.read(reader, reading))
+        points = frames.points[sample_frame_ids(len(frames.points))]
+        if method_name in _LABEL_METHODS:
+            choice = replace(labels, label_source="skeleton") if method_name == "skeleton" else labels
+            parts_of_faces = split_into_connected(reader.header, choice.read(reader, reading))
         else:
-            given = _found(reader.header, some, how, parts, settings)
-        found = _measured(reader.header, some, given)
-        agreement = None if against is None else _agreement(reader, some[0], given, against)
-        write_labels(target, reader, given, flatten=flatten)
-        if drawn is not None:
-            _draw(drawn, reader.header, some[0], given)
+            parts_of_faces = _segment(reader.header, points, method_name, parts, settings)
+        measures = _measure_parts(reader.header, points, parts_of_faces)
+        agreement = None if against is None else _compare_labels(reader, points[0], parts_of_faces, against)
+        write_labels(target, reader, parts_of_faces, flatten=flatten)
+        if picture_file is not None:
+            _draw(picture_file, reader.header, points[0], parts_of_faces)
     if as_json:
-        told = {} if agreement is None else {"agreement": agreement}
-        print_json({"source": str(path), "method": how} | found | told)
+        compared = {} if agreement is None else {"agreement": agreement}
+        print_json({"source": str(path), "method": method_name} | measures | compared)
         return
     if not quiet:
-        print_table(_rows(found), ("part", "faces", "area", "near-rigid error"))
+        print_table(_rows(measures), ("part", "faces", "area", "near-rigid error"))
     if agreement is not None and not quiet:
         say(
             "adjusted Rand index against {against} ({labels} labels): {by_faces:.3f} by faces, "
             "{by_area:.3f} by area".format(**agreement)
         )
-    announce(target, drawn)
+    announce(target, picture_file)
 
 
-def _rows(found: Mapping[str, Any]) -> list[tuple[str, ...]]:
+def _rows(measures: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """Return table rows of `_measured`, the whole mesh last."""
-    parts, count = found["parts"], len(found["parts"])
+    parts, count = measures["parts"], len(measures["parts"])
     total = {
         "name": f"{count} part{'s' * (count != 1)}",
-        "faces": sum(each["faces"] for each in parts),
-        "area": sum(each["area"] for each in parts),
-        "near_rigid_percent": found["near_rigid_percent"],
+        "faces": sum(row["faces"] for row in parts),
+        "area": sum(row["area"] for row in parts),
+        "near_rigid_percent": measures["near_rigid_percent"],
     }
     return [
-        (each["name"], f"{each['faces']}", f"{each['area']:.1%}", f"{each['near_rigid_percent']:.2g} %")
-        for each in (*parts, total)
+        (row["name"], f"{row['faces']}", f"{row['area']:.1%}", f"{row['near_rigid_percent']:.2g} %")
+        for row in (*parts, total)
     ]
 
 
 def _method(method: str | None, parts: int | None, labels: LabelChoice) -> str:
     """Return the method chosen by the options."""
-    how = method or ("labels" if labels.is_given else "motion")
-    if labels.is_given and how not in _GIVEN:
-        raise SettingsError(f"--labels and --source are no settings of the method {how}; leave out --method")
-    if how == "skeleton" and labels.label_source not in (None, "skeleton"):
+    method_name = method or ("labels" if labels.is_given else "motion")
+    if labels.is_given and method_name not in _LABEL_METHODS:
+        raise SettingsError(
+            f"--labels and --source are no settings of the method {method_name}; leave out --method"
+        )
+    if method_name == "skeleton" and labels.label_source not in (None, "skeleton"):
         raise SettingsError(
             f"the method skeleton takes labels from the skeleton, not from {labels.label_source}"
         )
-    if how in _GIVEN and parts is not None:
+    if method_name in _LABEL_METHODS and parts is not None:
         raise SettingsError("given labels tell how many parts there are; leave out --parts")
-    return how
+    return method_name
 
 
-def connected(header: SequenceHeader, labels: Labels) -> Labels:
+def split_into_connected(header: SequenceHeader, labels: Labels) -> Labels:
     """Split labels into connected parts; the second part of a label "arm" is "arm_1", unless that is a label."""
     import numpy as np
 
@@ -180,7 +182,7 @@ def numbered(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(result)
 
 
-def _found(
+def _segment(
     header: SequenceHeader,
     points: FloatArray,
     method: str,
@@ -199,10 +201,10 @@ def _found(
 def _with_seed(method: str, seed: int) -> MethodSettings:
     from mixseq.segmentation.methods import METHODS
 
-    found = METHODS.get(cast("SegmentationName", method))
-    if found is None or "seed" not in {field.name for field in fields(found.settings)}:
+    measures = METHODS.get(cast("SegmentationName", method))
+    if measures is None or "seed" not in {field.name for field in fields(measures.settings)}:
         raise SettingsError(f"the method {method} has no random numbers; leave out --seed")
-    return found.settings(seed=seed)  # type: ignore[call-arg]
+    return measures.settings(seed=seed)  # type: ignore[call-arg]
 
 
 def _areas(points: FloatArray, header: SequenceHeader) -> NDArray[np.float64]:
@@ -213,7 +215,7 @@ def _areas(points: FloatArray, header: SequenceHeader) -> NDArray[np.float64]:
     return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1))
 
 
-def _measured(header: SequenceHeader, points: FloatArray, labels: Labels) -> dict[str, Any]:
+def _measure_parts(header: SequenceHeader, points: FloatArray, labels: Labels) -> dict[str, Any]:
     """Return the triangles, the share of the area and the error in percent of every part, plain values for JSON."""
     import numpy as np
 
@@ -226,23 +228,25 @@ def _measured(header: SequenceHeader, points: FloatArray, labels: Labels) -> dic
     columns = (labels.names, faces.tolist(), (area / (area.sum() or 1.0)).tolist(), errors.tolist())
     keys = ("name", "faces", "area", "near_rigid_percent")
     return {
-        "parts": [dict(zip(keys, each, strict=True)) for each in zip(*columns, strict=True)],
+        "parts": [dict(zip(keys, row, strict=True)) for row in zip(*columns, strict=True)],
         "near_rigid_percent": whole,
     }
 
 
-def _agreement(reader: SequenceReader, points: FloatArray, labels: Labels, source: str) -> dict[str, Any]:
+def _compare_labels(
+    reader: SequenceReader, points: FloatArray, labels: Labels, source: str
+) -> dict[str, Any]:
     """Return the adjusted Rand indices against other labels: by triangles, and weighted by area."""
     from mixseq.segmentation.methods import adjusted_rand_index
     from mixseq_io.text.label_files import extract_labels
 
-    others = extract_labels(reader, source)
-    ours, theirs = labels.part_of_face, others.part_of_face
+    other_labels = extract_labels(reader, source)
+    own, other = labels.part_of_face, other_labels.part_of_face
     return {
         "against": source,
-        "labels": len(others.names),
-        "by_faces": adjusted_rand_index(ours, theirs),
-        "by_area": adjusted_rand_index(ours, theirs, _areas(points, reader.header)),
+        "labels": len(other_labels.names),
+        "by_faces": adjusted_rand_index(own, other),
+        "by_area": adjusted_rand_index(own, other, _areas(points, reader.header)),
     }
 
 

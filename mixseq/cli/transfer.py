@@ -34,37 +34,41 @@ if TYPE_CHECKING:
     from mixseq_io.reader import SequenceReader
 
 
-_READ_OF_ALL = ("up_axis", "metres_per_unit")  # reader options that hold for every file
+_SHARED_READ_OPTIONS = ("up_axis", "metres_per_unit")  # reader options that hold for every file
 
-NAMED = 4
+MAX_LISTED_NAMES = 4
 """Largest number of followers and markers named in the table."""
 
-COLUMNS = 5
+MAX_PICTURE_COLUMNS = 5
 """Number of frames in the picture, beside the rest."""
 
 
-def facts(made: Transfer, method: str, report: TransferReport) -> dict[str, Any]:
+def facts(transferred: Transfer, method: str, report: TransferReport) -> dict[str, Any]:
     """Return plain values for JSON."""
-    quality = made.quality
-    reported = {"method": method, "frames": made.header.frame_count, "vertices": made.header.vertex_count}
+    quality = transferred.quality
+    reported = {
+        "method": method,
+        "frames": transferred.header.frame_count,
+        "vertices": transferred.header.vertex_count,
+    }
     return (
         reported
-        | _part_counts(made)
+        | _part_counts(transferred)
         | {"correspondence": None if quality is None else _quality_facts(quality)}
         | report.as_dict()
-        | {"contacts": asdict(made.contacts)}
+        | {"contacts": asdict(transferred.contacts)}
     )
 
 
-def rows(made: Transfer, method: str, report: TransferReport) -> list[tuple[str, str]]:
+def rows(transferred: Transfer, method: str, report: TransferReport) -> list[tuple[str, str]]:
     """Return the table rows."""
-    header, parts = made.header, _part_counts(made)
+    header, parts = transferred.header, _part_counts(transferred)
     by = ", ".join(_number(count, what[:-1]) for what, count in parts.items()) or "deformation gradients"
     frames = _number(header.frame_count, "frame")
     return [
         ("transferred", f"{frames} to {header.vertex_count:,} vertices, by {by}"),
         *_coverage_rows(report.coverage),
-        *([] if made.quality is None else _quality_rows(made.quality)),
+        *([] if transferred.quality is None else _quality_rows(transferred.quality)),
         ("strain", f"{_strain(report.strain)}; source {_strain(report.source_strain)}"),
         ("unlike the source's", _strain(report.excess)),
         ("acceleration", _smoothness(report, header)),
@@ -72,13 +76,13 @@ def rows(made: Transfer, method: str, report: TransferReport) -> list[tuple[str,
         ("... of the source", _crossings(report.source_intersections, header)),
         ("turned over", _triangles(report.turned_over, header)),
         ("flat", _triangles(report.flat, header)),
-        *_contact_rows(made.contacts),
+        *_contact_rows(transferred.contacts),
     ]
 
 
-def _part_counts(made: Transfer) -> dict[str, int]:
+def _part_counts(transferred: Transfer) -> dict[str, int]:
     """Return the numbers of parts and joints of the target, if there are any."""
-    parts = made.method.parts
+    parts = transferred.method.parts
     return {} if parts is None else {"parts": len(parts.target.parts), "joints": len(parts.target.joints)}
 
 
@@ -89,7 +93,7 @@ def _coverage_rows(covered: Coverage) -> list[tuple[str, str]]:
     ]
     result = [("corresponds", shares)]
     if followers:
-        result.append(("without counterpart", _some(followers)))
+        result.append(("without counterpart", _first_names(followers)))
     return result
 
 
@@ -175,9 +179,9 @@ def _contact_rows(contacts: ContactReport) -> list[tuple[str, str]]:
     return result
 
 
-def _some(names: list[str]) -> str:
-    more = len(names) - NAMED
-    return ", ".join(names[:NAMED]) + (f" and {more} more" if more > 0 else "")
+def _first_names(names: list[str]) -> str:
+    more = len(names) - MAX_LISTED_NAMES
+    return ", ".join(names[:MAX_LISTED_NAMES]) + (f" and {more} more" if more > 0 else "")
 
 
 def _number(count: int, what: str) -> str:
@@ -191,16 +195,16 @@ def _percent(share: float) -> str:
 # Picture ---------------------------------------------------------------------------------------------------
 
 
-def _frames_to_draw(made: Transfer, frame: int, rest_file: Path | None) -> list[int]:
+def _frames_to_draw(transferred: Transfer, frame: int, rest_file: Path | None) -> list[int]:
     """Choose frames for the picture, without the rest, which is always drawn."""
-    from mixseq.types import evenly
+    from mixseq.types import evenly_spaced
 
-    count = made.header.frame_count
-    chosen = [int(each) for each in evenly(count, COLUMNS)]
+    count = transferred.header.frame_count
+    chosen = [int(each) for each in evenly_spaced(count, MAX_PICTURE_COLUMNS)]
     return [each for each in chosen if rest_file is not None or each != frame % count] or chosen
 
 
-def _recorded(
+def _record_frames(
     blocks: Iterable[FloatArray], frames: Sequence[int], points: list[FloatArray]
 ) -> Iterator[FloatArray]:
     """Pass on blocks, and append the points ``(V', 3)`` of some frames to a list."""
@@ -292,7 +296,7 @@ def command(
     a line, counted from 0; what corresponds in between is found by bending SOURCE onto TARGET, which takes a while:
     --save-map keeps it for the next time. Components of TARGET without markers follow what is next to them.
 
-    The table tells what corresponds, how much OUT is strained in comparison with SOURCE, whether it moves as smoothly,
+    The table shows what corresponds, how much OUT is strained in comparison with SOURCE, whether it moves as smoothly,
     and where it goes through itself. A picture of both is drawn beside OUT.
 
     With --as-model only the key poses of SOURCE are transferred, and OUT moves by SOURCE's time and pose signals: what
@@ -304,7 +308,7 @@ def command(
         options.refuse("markers", why="and --map are two ways to say the same; give one of them")
     if markers is None:
         options.refuse("reverse", why="is about the order of --markers; give both, or neither")
-    drawn = files.chosen_picture(out, "transfer", **picture)
+    picture_file = files.picture_path(out, "transfer", **picture)
     if method == "gradients":
         for name in options.given_options("parts", "joint_width", "labels", "label_source", "contacts"):
             raise SettingsError(f"the method gradients knows no parts; leave out {name}, or --method")
@@ -315,18 +319,18 @@ def command(
             )
         why = "are kept frame by frame, and only key poses are transferred; leave one out"
         options.refuse("contacts", why=why)
-    frame, rest_file = _chosen_rest(rest, source)
-    claim(out, drawn, save_map, read=[rest_file])
+    frame, rest_file = _rest_frame_or_file(rest, source)
+    claim(out, picture_file, save_map, read=[rest_file])
     _check_formats(out, save_map)
-    if drawn is not None:
-        files.check_picture(drawn)
-    common = {name: value for name, value in reading.items() if name in _READ_OF_ALL}
+    if picture_file is not None:
+        files.check_picture(picture_file)
+    common = {name: value for name, value in reading.items() if name in _SHARED_READ_OPTIONS}
     notes: list[str] = []
     with (
         workers as work,
         progress_bar(quiet) as progress,
         warnings_heard(notes.append),
-        _opened_source(source, reading) as opened,
+        _open_source(source, reading) as source_motion,
     ):
         import numpy as np
 
@@ -342,64 +346,76 @@ def command(
         pairs = None if markers is None else read_markers(markers, reverse=reverse)
         feet = None if contacts is None else read_contacts(contacts)
         if rest is not None and rest_file is None and frame >= 0:
-            frame = opened.header.index_of(frame)
-        shape = files.first_frame(target, common | ({} if target_prim is None else {"prim": target_prim}))
-        rest_shape = frame if rest_file is None else _mesh_at_rest(rest_file, reading, opened, rest is None)
-        given = _chosen_parts(opened, parts, labels, reading)
-        model: Any = opened
+            frame = source_motion.header.index_of(frame)
+        target_mesh = files.first_frame(
+            target, common | ({} if target_prim is None else {"prim": target_prim})
+        )
+        rest_shape = (
+            frame if rest_file is None else _mesh_at_rest(rest_file, reading, source_motion, rest is None)
+        )
+        source_parts = _parts_of_source(source_motion, parts, labels, reading)
+        model: Any = source_motion
         if as_model:
-            given = None if model.space.segmentation is None else model.space.segmentation.part_of_face
+            source_parts = None if model.space.segmentation is None else model.space.segmentation.part_of_face
             if isinstance(rest_shape, int):
                 rest_shape = model.sample(frames=[rest_shape])
-        moving = key_poses(model) if as_model else opened
-        motion = prepare_source(moving, rest_shape, given, progress)
+        moving = key_poses(model) if as_model else source_motion
+        motion = prepare_source(moving, rest_shape, source_parts, progress)
         mapping = None
         if map_file is not None:
-            meshes = (motion.rest, motion.header.faces), (shape.points[0], shape.faces)
+            meshes = (motion.rest, motion.header.faces), (target_mesh.points[0], target_mesh.faces)
             mapping = to_correspondence(read_map(map_file), *meshes)
         settings = TransferSettings(pairs, mapping, method, contacts=feet, joint_width=joint_width)
-        made = plan_transfer(motion, shape, settings, progress, work)
+        transferred = plan_transfer(motion, target_mesh, settings, progress, work)
         if save_map is not None:
-            write_map(save_map, made.correspondence, made.source.header.faces, made.header.faces)
-        meter, shown = TransferMeter(made), _frames_to_draw(made, frame, rest_file)
+            write_map(
+                save_map,
+                transferred.correspondence,
+                transferred.source.header.faces,
+                transferred.header.faces,
+            )
+        meter, shown = TransferMeter(transferred), _frames_to_draw(transferred, frame, rest_file)
         points: list[FloatArray] = []
-        blocks = _recorded(meter.measure_blocks(made.blocks(progress, work)), shown, points)
+        blocks = _record_frames(meter.measure_blocks(transferred.blocks(progress, work)), shown, points)
         if as_model:
-            mixseq.save(out, with_shapes(model, collect(made.header, blocks)))
+            mixseq.save(out, with_shapes(model, collect(transferred.header, blocks)))
         else:
-            files.write_sequence(out, made.header, blocks, None, writing)
+            files.write_sequence(out, transferred.header, blocks, None, writing)
         report = meter.report()
-        if drawn is not None:
+        if picture_file is not None:
             from mixseq.pictures.sheets import transfer_sheet
 
-            with atomic_file(drawn) as temporary:
-                transfer_sheet(temporary, made, shown, np.stack(points))
+            with atomic_file(picture_file) as temporary:
+                transfer_sheet(temporary, transferred, shown, np.stack(points))
     if as_json:
         named = {"source": str(source), "target": str(target), "out": str(out)}
-        print_json(named | facts(made, method, report) | {"warnings": notes})
+        print_json(named | facts(transferred, method, report) | {"warnings": notes})
         return
     if not quiet:
-        print_table(rows(made, method, report))
-    announce(save_map, out, drawn)
+        print_table(rows(transferred, method, report))
+    announce(save_map, out, picture_file)
 
 
-def _chosen_rest(text: str | None, source: Path) -> tuple[int, Path | None]:
+def _rest_frame_or_file(text: str | None, source: Path) -> tuple[int, Path | None]:
     """Return the rest frame, by its number or from the end, or a file."""
     if text is None:
-        return 0, source if source.suffix.lower() in files.ANIMATED else None
+        return 0, source if source.suffix.lower() in files.GLTF_EXTENSIONS else None
     return (int(text), None) if re.fullmatch(r"-?\d+", text) else (0, Path(text))
 
 
 def _mesh_at_rest(
-    path: Path, reading: Mapping[str, Any], opened: SequenceReader | Model, unasked: bool
+    path: Path, reading: Mapping[str, Any], source_motion: SequenceReader | Model, is_default: bool
 ) -> MeshSequence | int:
     """Read the source's mesh at rest; frame 0 instead, if a file that was not asked for has other meshes."""
-    shape = files.first_frame(
-        path, {name: reading[name] for name in (*_READ_OF_ALL, "prim") if name in reading}
+    target_mesh = files.first_frame(
+        path, {name: reading[name] for name in (*_SHARED_READ_OPTIONS, "prim") if name in reading}
     )
-    header = opened.header
-    if not unasked or (shape.vertex_count, len(shape.faces)) == (header.vertex_count, len(header.faces)):
-        return shape
+    header = source_motion.header
+    if not is_default or (target_mesh.vertex_count, len(target_mesh.faces)) == (
+        header.vertex_count,
+        len(header.faces),
+    ):
+        return target_mesh
     warnings.warn(
         f"{path}: without animation there are other meshes than those that move, so frame 0 counts as the rest; "
         "--prim / takes all meshes, --rest FRAME says that a frame is meant",
@@ -413,30 +429,28 @@ def _check_formats(out: Path, save_map: Path | None) -> None:
     """Raise an error for unsupported extensions, before the work."""
     from mixseq_io.registry import FORMATS
 
-    known = [extension for each in FORMATS for extension in each.extensions]
-    if out.suffix.lower() not in known:
+    extensions = [extension for each in FORMATS for extension in each.extensions]
+    if out.suffix.lower() not in extensions:
         raise OutputError(
-            f"{out}: the extension {out.suffix!r} is not known; write one of {', '.join(known)}"
+            f"{out}: the extension {out.suffix!r} is not known; write one of {', '.join(extensions)}"
         )
     if save_map is not None and save_map.suffix.lower() != ".npz":
         raise OutputError(f"{save_map}: maps are written as npz files; end the name in .npz")
 
 
-def _opened_source(
-    source: Path, reading: Mapping[str, Any]
-) -> AbstractContextManager[SequenceReader | Model]:
+def _open_source(source: Path, reading: Mapping[str, Any]) -> AbstractContextManager[SequenceReader | Model]:
     """Open a sequence, or load a model."""
     if not files.is_model(source):
         return mixseq.open_sequence(source, **reading)
-    others = [name for name in reading if name not in _READ_OF_ALL]
-    if others:
+    unused = [name for name in reading if name not in _SHARED_READ_OPTIONS]
+    if unused:
         raise SettingsError(
             f"{source} is a model, which is read without options; leave out those for sequences"
         )
     return nullcontext(mixseq.load(source))
 
 
-def _chosen_parts(
+def _parts_of_source(
     motion: SequenceReader | Model, parts: int | None, labels: files.LabelChoice, reading: Mapping[str, Any]
 ) -> Any:
     """Return a number of parts, labels of triangles, or None."""

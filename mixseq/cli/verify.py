@@ -35,47 +35,51 @@ def command(path: Path, original: Path | None, as_json: bool, reading: dict[str,
     from mixseq_io.verification import read_compressed
 
     if reading and original is None:
-        raise SettingsError(f"{next(iter(reading))!r} tells how to read ORIGINAL, but there is none; name it")
+        raise SettingsError(f"{next(iter(reading))!r} is for reading ORIGINAL, which is missing; name it")
     with ExitStack() as resources:
         progress = resources.enter_context(progress_bar(quiet))
         frames = None
         if original is not None:
             frames = resources.enter_context(mixseq.open_sequence(original, **reading))
-        found = mixseq.verify(path, frames, progress=progress)
+        result = mixseq.verify(path, frames, progress=progress)
     worst = (
-        None if frames is None or found.worst_frame is None else frames.header.frame_number(found.worst_frame)
+        None
+        if frames is None or result.worst_frame is None
+        else frames.header.frame_number(result.worst_frame)
     )
     if as_json:
         print_json(
-            {"file": str(path), "original": None if original is None else str(original)} | found.as_dict()
+            {"file": str(path), "original": None if original is None else str(original)} | result.as_dict()
         )
     elif not quiet:
-        print_table(_rows(found, read_compressed(path), worst))
-    if not found.holds:
+        print_table(_rows(result, read_compressed(path), worst))
+    if not result.holds:
         click.get_current_context().exit(1)
 
 
-def _rows(found: Verification, coded: CompressedSequence, worst: str | None) -> list[tuple[str, str]]:
+def _rows(result: Verification, coded: CompressedSequence, worst: str | None) -> list[tuple[str, str]]:
 
     def length(fraction: float) -> str:
         return length_text(fraction, coded.parameters.diagonal * coded.header.metres_per_unit, digits=6)
 
     rows = [
-        ("intact", f"{found.frames:,} frames of {found.vertices:,} vertices"),
-        ("bound", f"{length(found.bound)}, {'requested' if found.promised else 'as measured'}"),
+        ("intact", f"{result.frames:,} frames of {result.vertices:,} vertices"),
+        ("bound", f"{length(result.bound)}, {'requested' if result.promised else 'as measured'}"),
     ]
-    if found.uv_bound is not None:
-        rows.append(("texture", f"{found.uv_bound:.6g} of the square, requested"))
-    if found.max_error is None:
+    if result.uv_bound is not None:
+        rows.append(("texture", f"{result.uv_bound:.6g} of the square, requested"))
+    if result.max_error is None:
         return rows
-    texture = [("texture error", f"{found.uv_error:.6g} of the square")] if found.uv_error is not None else []
+    texture = (
+        [("texture error", f"{result.uv_error:.6g} of the square")] if result.uv_error is not None else []
+    )
     return [
         *rows,
         (
             "max error",
-            f"{length(found.max_error)}, of vertex {found.worst_vertex} in frame {worst}",
+            f"{length(result.max_error)}, of vertex {result.worst_vertex} in frame {worst}",
         ),
-        ("KG error", f"{found.kg_percent:.4g} %"),
+        ("KG error", f"{result.kg_percent:.4g} %"),
         *texture,
-        ("bound holds", "yes" if found.holds else "no"),
+        ("bound holds", "yes" if result.holds else "no"),
     ]

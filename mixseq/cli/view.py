@@ -102,7 +102,9 @@ if TYPE_CHECKING:
 )
 @options.group(
     "paging",
-    options.setting("--every N", type=options.COUNT, help="Of the frames of PAGE, keep every N-th."),
+    options.setting(
+        "--every N", type=options.POSITIVE_INTEGER, help="Of the frames of PAGE, keep every N-th."
+    ),
     options.length(
         "--max-error E",
         help="No vertex of PAGE is farther off than this fraction of the bounding box's diagonal, or 0.5mm; compressed "
@@ -137,7 +139,7 @@ def command(
     started.
 
     With --markers, the two FILES are shown at rest, each in its first frame (of glTF, in the pose without animation),
-    and points that are the same are clicked in pairs. Some are proposed; how well they fit is told meanwhile.
+    and points that are the same are clicked in pairs. Some are proposed; how well they fit is shown meanwhile.
 
     The viewer runs until Ctrl-C. On another machine, forward its port: ssh -L 8080:127.0.0.1:8080 machine.
     """
@@ -163,7 +165,7 @@ def command(
     if markers is not None:
         _set_markers(files, markers, reading, viewing, browser)
         return
-    with options.threads_held(threads) as work:
+    with options.thread_limit(threads) as work:
         with progress_bar(quiet) as progress:
             colours = _opened(files, against, rate, reading, progress)
             if page is not None:
@@ -296,7 +298,7 @@ def _set_markers(
             _wait(running.address, browser)
         finally:
             answered()  # later saves are intentional
-            if running.session.unsaved:
+            if running.session.has_changes:
                 kept = _free_name(path.with_stem(f"{path.stem}-unsaved"))
                 write_markers(kept, running.session.marking.markers)
                 warnings.warn(f"the markers were not saved; they are in {kept}", MixseqWarning, stacklevel=2)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from mixseq.signals.model import Model
 
 
-FRAMES = 6
+FRAME_COUNT = 6
 
 
 @options.command("warm-up", "mixseq warm-up")
@@ -47,7 +47,7 @@ def _work() -> Iterator[list[tuple[str, Callable[[], object]]]]:
     from mixseq.creature import walk_cycle
     from mixseq.mesh.surface import CornerValues, Surface
 
-    walk = walk_cycle(FRAMES)
+    walk = walk_cycle(FRAME_COUNT)
     corners = walk.polygons.indices
     uvs = CornerValues(walk.points[0][:, :2], corners)
     walk = replace(walk, surface=Surface(uvs=uvs, hard_edges=corners))

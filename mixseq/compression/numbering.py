@@ -19,8 +19,8 @@ import numpy as np
 from mixseq.choices import ORDERS, OrderName
 from mixseq.compression.bitstream.connectivity import encode_polygons, walk_polygons
 from mixseq.errors import SettingsError
-from mixseq.mesh.polygons import Polygons, matched
-from mixseq.mesh.surface import FaceSet, Surface, by_first_use
+from mixseq.mesh.polygons import Polygons, match_polygons
+from mixseq.mesh.surface import FaceSet, Surface, renumber_by_first_use
 from mixseq.sequence.header import SequenceHeader, header_fields
 from mixseq.sequence.sequence import Frames, LazyFrames, MeshSequence
 from mixseq.types import FloatArray, Index
@@ -78,9 +78,9 @@ class Renumbering:
         uvs, colours, hard_edges = surface.uvs, surface.colours, surface.hard_edges
         return replace(
             surface,
-            uvs=uvs and uvs.taken(self.corners),
-            colours=colours and colours.taken(self.corners),
-            hard_edges=None if hard_edges is None else by_first_use(hard_edges[self.corners]),
+            uvs=uvs and uvs.select(self.corners),
+            colours=colours and colours.select(self.corners),
+            hard_edges=None if hard_edges is None else renumber_by_first_use(hard_edges[self.corners]),
             face_sets=tuple(
                 FaceSet(each.name, new[each.polygons], each.material) for each in surface.face_sets
             ),
@@ -127,10 +127,10 @@ def find_numbering(other: Polygons, polygons: Polygons, sizes: Sequence[int]) ->
     """Return the numbering of a mesh's vertices in a file of it, None if the file has another mesh."""
     if not np.array_equal(np.sort(polygons.counts), np.sort(other.counts)):
         return None
-    if matched(polygons, other) is not None:
+    if match_polygons(polygons, other) is not None:
         return identity_numbering(polygons, sum(sizes))
     found = walk_numbering(polygons, sizes, vertices=True)
-    return None if matched(found.renumber_polygons(polygons), other) is None else found
+    return None if match_polygons(found.renumber_polygons(polygons), other) is None else found
 
 
 def object_vertex_counts(header: SequenceHeader) -> list[int]:

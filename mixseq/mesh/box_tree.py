@@ -32,8 +32,8 @@ from mixseq.errors import InvalidSequenceError
 from mixseq.runtime.jit import compiled
 from mixseq.types import Float, FloatArray, Index, IntArray
 
-SAFE = 1.0 - 1e-14  # a box is as close as a triangle in it, but for rounding
-SLACK = 1e-14  # of cosines, likewise
+PRUNING_FACTOR = 1.0 - 1e-14  # a box is as close as a triangle in it, but for rounding
+COSINE_TOLERANCE = 1e-14  # of cosines, likewise
 
 
 @compiled
@@ -93,7 +93,7 @@ def _faces_away(bounds: Float, m0: float, m1: float, m2: float, cosine: float) -
     product = m0 * (bounds[3] if m0 > 0.0 else bounds[0])
     product += m1 * (bounds[4] if m1 > 0.0 else bounds[1])
     product += m2 * (bounds[5] if m2 > 0.0 else bounds[2])
-    return not product >= cosine - SLACK
+    return not product >= cosine - COSINE_TOLERANCE
 
 
 @compiled
@@ -101,7 +101,7 @@ def closest(
     corners: Float,
     normals: Float,
     order: Index,
-    firsts: Index,
+    leaf_starts: Index,
     boxes: Float,
     bounds: Float,
     queries: Float,
@@ -116,7 +116,7 @@ def closest(
     Corners and normals are in the order of the tree; boxes, and bounds of the normals, are of its nodes. Triangles
     count if their normal has at least the given cosine with the query's; all where `facing` is empty.
     """
-    leaves = len(firsts) - 1
+    leaves = len(leaf_starts) - 1
     nodes = np.empty(64, dtype=np.int64)
     nearness = np.empty(64)
     gated = len(facing) > 0
@@ -127,7 +127,7 @@ def closest(
         height = 1
         while height > 0:
             height -= 1
-            if not nearness[height] * SAFE <= best:
+            if not nearness[height] * PRUNING_FACTOR <= best:
                 continue
             node = nodes[height]
             if gated and _faces_away(bounds[node], facing[k, 0], facing[k, 1], facing[k, 2], cosine):
@@ -141,7 +141,7 @@ def closest(
                 nodes[height + 1], nearness[height + 1] = near, to_near
                 height += 2
                 continue
-            for place in range(firsts[node - leaves], firsts[node - leaves + 1]):
+            for place in range(leaf_starts[node - leaves], leaf_starts[node - leaves + 1]):
                 if gated:
                     product = (
                         normals[place, 0] * facing[k, 0]
@@ -219,7 +219,7 @@ def crossing_pairs(
     normals: Float,
     places: Index,
     order: Index,
-    firsts: Index,
+    leaf_starts: Index,
     boxes: Float,
     least: float,
     pairs: Index,
@@ -229,7 +229,7 @@ def crossing_pairs(
     Corners ``(F, 3, 3)``, unit normals, places ``(F, 3)`` are in the order of the tree (`BoxTree`). Depths and lengths
     up to `least`, in the unit of the corners, are contact. Triangles without area, with a NaN normal, cross nothing.
     """
-    leaves = len(firsts) - 1
+    leaves = len(leaf_starts) - 1
     nodes = np.empty(64, dtype=np.int64)
     of_f, of_g, along = np.empty(3), np.empty(3), np.empty(3)
     low, high = np.empty(3), np.empty(3)
@@ -251,7 +251,7 @@ def crossing_pairs(
                 nodes[height], nodes[height + 1] = 2 * node + 1, 2 * node
                 height += 2
                 continue
-            for b in range(max(firsts[node - leaves], a + 1), firsts[node - leaves + 1]):
+            for b in range(max(leaf_starts[node - leaves], a + 1), leaf_starts[node - leaves + 1]):
                 shared = False
                 for i in range(3):
                     for k in range(3):
@@ -264,17 +264,17 @@ def crossing_pairs(
     return count
 
 
-LEAF = 4
+MAX_LEAF_TRIANGLES = 4
 """Largest number of triangles in a leaf; from 2 to 8 times are the same."""
 
-MARGIN = 1e-14
+BOX_MARGIN = 1e-14
 """Enlargement of boxes, relative to the largest coordinate, against rounding."""
 
-NO_AREA = 1e-12
+DEGENERATE_HEIGHT_RATIO = 1e-12
 """Ratio of height to longest side below which triangles have no area: their normals are rounding."""
 
 
-def corners_of(points: FloatArray, faces: IntArray) -> Float:
+def triangle_corners(points: FloatArray, faces: IntArray) -> Float:
     """Return the corners ``(F, 3, 3)`` of the triangles ``(F, 3)`` of points ``(V, 3)``."""
     points, faces = np.asarray(points, dtype=np.float64), np.asarray(faces)
     if points.ndim != 2 or points.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
@@ -299,13 +299,15 @@ def corners_of(points: FloatArray, faces: IntArray) -> Float:
 
 
 def unit_normals(corners: Float) -> Float:
-    """Return the unit normals ``(F, 3)`` of triangles ``(F, 3, 3)``; NaN for those without area (`NO_AREA`)."""
+    """Return the unit normals ``(F, 3)`` of triangles ``(F, 3, 3)``; NaN below `DEGENERATE_HEIGHT_RATIO`."""
     sides = np.roll(corners, -1, axis=1) - corners
     longest = np.einsum("fki,fki->fk", sides, sides).max(axis=1, initial=0.0)
     normals = np.cross(sides[:, 0], sides[:, 1])
     areas = np.sqrt(np.einsum("fi,fi->f", normals, normals))
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(normals / np.where(areas > NO_AREA * longest, areas, np.nan)[:, None])
+        return np.asarray(
+            normals / np.where(areas > DEGENERATE_HEIGHT_RATIO * longest, areas, np.nan)[:, None]
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,25 +315,25 @@ class BoxTree:
     """A tree of bounding boxes of triangles."""
 
     order: Index  # (F,) triangle at every place of the tree
-    firsts: Index  # (L + 1,) first place of every leaf, and F
+    leaf_starts: Index  # (L + 1,) first place of every leaf, and F
     # (2 L, 6) least x, y, z and largest x, y, z of every node; infinite and minus infinite where a node is empty.
     boxes: Float
 
     @classmethod
-    def of(cls, corners: Float) -> BoxTree:
+    def from_triangles(cls, corners: Float) -> BoxTree:
         """Build the tree of triangles ``(F, 3, 3)``, deterministically."""
         low, high = corners.min(axis=1), corners.max(axis=1)
-        depth = max((len(corners) - 1) // LEAF, 0).bit_length()
+        depth = max((len(corners) - 1) // MAX_LEAF_TRIANGLES, 0).bit_length()
         order = _order(low + high, depth)
-        firsts = _firsts(len(corners), 1 << depth)
-        margin = MARGIN * max(-low.min(initial=0.0), high.max(initial=0.0))
-        return cls(order, firsts, _boxes(low[order] - margin, high[order] + margin, firsts))
+        leaf_starts = _firsts(len(corners), 1 << depth)
+        margin = BOX_MARGIN * max(-low.min(initial=0.0), high.max(initial=0.0))
+        return cls(order, leaf_starts, _boxes(low[order] - margin, high[order] + margin, leaf_starts))
 
-    def bounds(self, values: Float) -> Float:
+    def node_bounds(self, values: Float) -> Float:
         """Return the bounding boxes ``(2 L, 6)`` of values ``(F, 3)`` of the triangles in every node, ignoring NaN."""
         values = values[self.order]
         low, high = (np.where(np.isnan(values), none, values) for none in (np.inf, -np.inf))
-        return _boxes(low, high, self.firsts)
+        return _boxes(low, high, self.leaf_starts)
 
 
 def _firsts(count: int, parts: int) -> Index:
@@ -341,22 +343,22 @@ def _firsts(count: int, parts: int) -> Index:
 def _order(centres: Float, depth: int) -> Index:
     order = np.arange(len(centres))
     for level in range(depth):
-        firsts = _firsts(len(centres), 1 << level)
+        leaf_starts = _firsts(len(centres), 1 << level)
         at = centres[order]
-        spread = np.maximum.reduceat(at, firsts[:-1]) - np.minimum.reduceat(at, firsts[:-1])
-        node = np.repeat(np.arange(1 << level), np.diff(firsts))
+        spread = np.maximum.reduceat(at, leaf_starts[:-1]) - np.minimum.reduceat(at, leaf_starts[:-1])
+        node = np.repeat(np.arange(1 << level), np.diff(leaf_starts))
         along = at[np.arange(len(order)), spread.argmax(axis=1)[node]]
         order = order[np.lexsort((along, node))]
     return order
 
 
-def _boxes(low: Float, high: Float, firsts: Index) -> Float:
-    leaves = len(firsts) - 1
+def _boxes(low: Float, high: Float, leaf_starts: Index) -> Float:
+    leaves = len(leaf_starts) - 1
     boxes = np.full((2 * leaves, 6), np.inf)
     boxes[:, 3:] = -np.inf
     if len(low):
-        boxes[leaves:, :3] = np.minimum.reduceat(low, firsts[:-1])
-        boxes[leaves:, 3:] = np.maximum.reduceat(high, firsts[:-1])
+        boxes[leaves:, :3] = np.minimum.reduceat(low, leaf_starts[:-1])
+        boxes[leaves:, 3:] = np.maximum.reduceat(high, leaf_starts[:-1])
     while leaves > 1:
         leaves //= 2
         children = boxes[2 * leaves : 4 * leaves].reshape(leaves, 2, 6)

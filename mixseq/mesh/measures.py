@@ -36,7 +36,7 @@ class Diagonal:
     exponent: int  # the power of two
 
     @classmethod
-    def of(cls, points: FloatArray) -> Diagonal:
+    def from_points(cls, points: FloatArray) -> Diagonal:
         """Measure the bounding box of points ``(V, 3)``."""
         low, high = (
             np.asarray(corner, dtype=np.float64) for corner in (points.min(axis=0), points.max(axis=0))
@@ -54,7 +54,7 @@ class Diagonal:
         with np.errstate(over="ignore"):
             return float(np.ldexp(self.fraction, self.exponent))
 
-    def shifted(self, lengths: FloatArray) -> Float:
+    def rescale(self, lengths: FloatArray) -> Float:
         """Return lengths divided by ``2**exponent``, which brings those near the diagonal near `fraction`."""
         with np.errstate(over="ignore", under="ignore"):
             return np.asarray(np.ldexp(lengths, -self.exponent), dtype=np.float64)
@@ -73,7 +73,7 @@ def vector_areas(points: FloatArray, polygons: Polygons) -> NDArray[np.float64]:
     return np.add.reduceat(np.cross(here, there), starts, axis=1) / 2
 
 
-def shared_normals(
+def corner_normals(
     points: FloatArray, polygons: Polygons, groups: IntArray | None = None
 ) -> NDArray[np.float32]:
     """Return one normal ``(T, G, 3)`` per group ``(sum of counts,)`` of corners: points ``(T, V, 3)``."""
@@ -98,7 +98,7 @@ def _of_triangles(points: FloatArray, polygons: Polygons) -> NDArray[np.float64]
     return np.asarray(np.cross(points[:, b] - origin, points[:, c] - origin) / 2)
 
 
-def hard_edges_of_normals(polygons: Polygons, normals: FloatArray) -> NDArray[np.int32] | None:
+def hard_edges_from_normals(polygons: Polygons, normals: FloatArray) -> NDArray[np.int32] | None:
     """Group corners of each vertex by equal authored normals ``(sum of counts, 3)``: groups ``(sum of counts,)``."""
     # To three digits: exporters recompute normals of one vertex face by face.
     keys = np.column_stack([polygons.indices, np.rint(normals * 1e3).astype(np.int64)])
@@ -110,10 +110,10 @@ def hard_edges_of_normals(polygons: Polygons, normals: FloatArray) -> NDArray[np
 
 _TURN = 2.0 * np.pi
 
-SHORTEST = 1e-6
+MIN_EDGE_LENGTH_RATIO = 1e-6
 """Least length of an edge, relative to its typical length."""
 
-NO_LENGTH = 1e-12
+MIN_DIRECTED_LENGTH = 1e-12
 """Length in diagonals below which edges have no direction, and no weight."""
 
 
@@ -124,13 +124,13 @@ def edge_lengths(points: FloatArray, edges: IntArray) -> Float:
 
 
 def length_weights(typical: Float) -> Float:
-    """Return the weights ``(e,)`` of lengths: inverse typical ones, 0 below `NO_LENGTH`."""
-    return np.divide(1.0, typical, out=np.zeros_like(typical), where=typical > NO_LENGTH)
+    """Return the weights ``(e,)`` of lengths: inverse typical ones, 0 below `MIN_DIRECTED_LENGTH`."""
+    return np.divide(1.0, typical, out=np.zeros_like(typical), where=typical > MIN_DIRECTED_LENGTH)
 
 
-def sound_lengths(lengths: Float, weights: Float) -> Float:
-    """Raise lengths to `SHORTEST`: overshooting curves can have lengths of zero or less."""
-    shortest = np.divide(SHORTEST, weights, out=np.zeros_like(weights), where=weights > 0)
+def clamp_lengths(lengths: Float, weights: Float) -> Float:
+    """Raise lengths to `MIN_EDGE_LENGTH_RATIO`: overshooting curves can have lengths of zero or less."""
+    shortest = np.divide(MIN_EDGE_LENGTH_RATIO, weights, out=np.zeros_like(weights), where=weights > 0)
     return np.maximum(lengths, shortest)
 
 
@@ -155,7 +155,7 @@ def dihedral_angles(points: FloatArray, hinges: IntArray) -> Float:
     return np.asarray(np.arctan2(sine, cosine * length), dtype=np.float64)
 
 
-def flat_faces(points: FloatArray, faces: IntArray, height: float) -> NDArray[np.bool_]:
+def degenerate_faces(points: FloatArray, faces: IntArray, height: float) -> NDArray[np.bool_]:
     """Mark the faces ``(..., F)`` that are lower than `height` times their longest side."""
     corners = points[..., faces, :]
     sides = np.roll(corners, -1, axis=-2) - corners
@@ -164,7 +164,7 @@ def flat_faces(points: FloatArray, faces: IntArray, height: float) -> NDArray[np
     return np.asarray(double_area <= height * longest)
 
 
-def summed(values: FloatArray, places: IntArray, count: int) -> Float:
+def scatter_add(values: FloatArray, places: IntArray, count: int) -> Float:
     """Sum values ``(m, k)`` at their places ``(m,)`` to ``(count, k)``, in order."""
     sums = [np.bincount(places, column, minlength=count) for column in values.T]
     return np.stack(sums, axis=1).astype(np.float64)  # without any places they are integers
@@ -176,7 +176,7 @@ def triangle_areas(points: FloatArray, faces: IntArray) -> Float:
     return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
 
 
-def volume(points: FloatArray, faces: IntArray) -> float:
+def signed_volume(points: FloatArray, faces: IntArray) -> float:
     """Return the signed volume of points ``(n, 3)`` about their mean, over faces ``(m, 3)``."""
     x = points - points.mean(axis=0)
     a, b, c = (x[corner] for corner in faces.T)
@@ -184,15 +184,15 @@ def volume(points: FloatArray, faces: IntArray) -> float:
 
 
 def volume_gradient(points: FloatArray, faces: IntArray) -> Float:
-    """Return the derivatives ``(n, 3)`` of `volume`; they add up to zero."""
+    """Return the derivatives ``(n, 3)`` of `signed_volume`; they add up to zero."""
     x = points - points.mean(axis=0)
     a, b, c = (x[corner] for corner in faces.T)
     pulls = np.concatenate([np.cross(b, c), np.cross(c, a), np.cross(a, b)]) / 6.0
-    gradient = summed(pulls, faces.T.reshape(-1), len(x))
+    gradient = scatter_add(pulls, faces.T.reshape(-1), len(x))
     return np.asarray(gradient - gradient.mean(axis=0))
 
 
-def wrap(angles: FloatArray) -> Float:
+def wrap_angles(angles: FloatArray) -> Float:
     """Map angles to (-pi, pi]."""
     return np.asarray(np.pi - np.mod(np.pi - angles, _TURN), dtype=np.float64)
 

@@ -18,7 +18,7 @@ from mixseq.errors import InvalidSequenceError
 from mixseq.types import Index, IntArray
 
 
-def frozen(array: NDArray[Any]) -> NDArray[Any]:
+def read_only(array: NDArray[Any]) -> NDArray[Any]:
     """Return a read-only view of an array, for frozen dataclasses."""
     view = array.view()
     view.flags.writeable = False
@@ -52,8 +52,8 @@ class Polygons:
             raise InvalidSequenceError(
                 f"polygon corner counts add up to {int(counts.sum())} but {indices.size} corners are given"
             )
-        object.__setattr__(self, "counts", frozen(counts))
-        object.__setattr__(self, "indices", frozen(indices))
+        object.__setattr__(self, "counts", read_only(counts))
+        object.__setattr__(self, "indices", read_only(indices))
 
     @classmethod
     def from_triangles(cls, faces: ArrayLike) -> Polygons:
@@ -75,7 +75,7 @@ class Polygons:
         [[0, 1, 2], [0, 2, 3], [3, 2, 4]]
         """
         if self.only_triangles:
-            return frozen(self.indices.reshape(-1, 3))
+            return read_only(self.indices.reshape(-1, 3))
         starts = np.cumsum(self.counts) - self.counts
         per_polygon = self.counts - 2
         first = np.repeat(starts, per_polygon)
@@ -83,7 +83,7 @@ class Polygons:
             np.cumsum(per_polygon) - per_polygon, per_polygon
         )
         corners = np.stack([first, first + step + 1, first + step + 2], axis=1)
-        return np.asarray(frozen(self.indices[corners]), dtype=np.int32)
+        return np.asarray(read_only(self.indices[corners]), dtype=np.int32)
 
     @property
     def only_triangles(self) -> bool:
@@ -95,7 +95,7 @@ class Polygons:
         return np.array_equal(self.counts, other.counts) and np.array_equal(self.indices, other.indices)
 
 
-def reversed_corners(counts: IntArray, *, keep_first: bool) -> NDArray[np.intp]:
+def reversed_winding(counts: IntArray, *, keep_first: bool) -> NDArray[np.intp]:
     """Return corner indices that reverse every polygon, an involution: new corner ``c`` is old ``order[c]``.
 
     Shapes: counts ``(P,)``.
@@ -132,11 +132,11 @@ class PolygonMatch:
     corners: Index
 
 
-def matched(ours: Polygons, theirs: Polygons) -> PolygonMatch | None:
+def match_polygons(ours: Polygons, theirs: Polygons) -> PolygonMatch | None:
     """Return the polygons and corners of `theirs` for those of `ours`, None if the meshes differ."""
     if ours.same_as(theirs):
         return PolygonMatch(np.arange(len(ours.counts)), np.arange(ours.indices.size))
-    own, other = in_canonical_order(ours), in_canonical_order(theirs)
+    own, other = canonical_order(ours), canonical_order(theirs)
     if not (
         np.array_equal(ours.counts[own.polygons], theirs.counts[other.polygons])
         and np.array_equal(ours.indices[own.corners], theirs.indices[other.corners])
@@ -148,7 +148,7 @@ def matched(ours: Polygons, theirs: Polygons) -> PolygonMatch | None:
     return PolygonMatch(polygons, corners)
 
 
-def in_canonical_order(polygons: Polygons) -> PolygonMatch:
+def canonical_order(polygons: Polygons) -> PolygonMatch:
     """Return polygon and corner indices in an order that depends on cycles only.
 
     Polygons are sorted by size, then lexicographically; each begins at its lexicographically first rotation.
@@ -180,19 +180,19 @@ def match_triangles(ours: Polygons, theirs: Polygons, names: tuple[str, str]) ->
     """Return triangles ``(F,)`` of the other mesh, within equal polygons; InvalidSequenceError if they differ."""
     if np.array_equal(ours.triangles, theirs.triangles):
         return np.arange(len(ours.triangles))
-    found = matched(ours, theirs)
+    found = match_polygons(ours, theirs)
     if found is not None:
         own, other = (np.cumsum(each.counts - 2) - each.counts + 2 for each in (ours, theirs))
         sizes = ours.counts - 2
         within = np.arange(len(ours.triangles)) - np.repeat(own, sizes)
         return np.asarray(np.repeat(other[found.polygons], sizes) + within, dtype=np.int64)
-    found = matched(*(Polygons.from_triangles(each.triangles) for each in (ours, theirs)))
+    found = match_polygons(*(Polygons.from_triangles(each.triangles) for each in (ours, theirs)))
     if found is None:
-        raise InvalidSequenceError(difference(ours, theirs, names))
+        raise InvalidSequenceError(describe_difference(ours, theirs, names))
     return found.polygons
 
 
-def difference(ours: Polygons, theirs: Polygons, names: tuple[str, str]) -> str:
+def describe_difference(ours: Polygons, theirs: Polygons, names: tuple[str, str]) -> str:
     """Describe the first polygon that one of two meshes lacks, "" if there is none."""
     for one, other, (name, beside) in ((ours, theirs, names), (theirs, ours, names[::-1])):
         left = Counter(_keys(other))

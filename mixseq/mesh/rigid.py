@@ -15,22 +15,22 @@ import numpy as np
 from mixseq.runtime.jit import compiled
 from mixseq.types import Float, FloatArray
 
-SWEEPS = 30
-ORTHOGONAL = 1e-15
-PAIRS = ((0, 1), (0, 2), (1, 2))
+MAX_JACOBI_SWEEPS = 30
+ORTHOGONALITY_TOLERANCE = 1e-15
+ROW_PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
 @compiled
 def _orthogonalise(a: Float, v: Float) -> None:
     """Rotate the rows of a, and those of v with them, until they are orthogonal."""
-    for _ in range(SWEEPS):
+    for _ in range(MAX_JACOBI_SWEEPS):
         turned = False
         for pair in range(3):
-            p, q = PAIRS[pair]
+            p, q = ROW_PAIRS[pair]
             pp = a[p, 0] * a[p, 0] + a[p, 1] * a[p, 1] + a[p, 2] * a[p, 2]
             qq = a[q, 0] * a[q, 0] + a[q, 1] * a[q, 1] + a[q, 2] * a[q, 2]
             pq = a[p, 0] * a[q, 0] + a[p, 1] * a[q, 1] + a[p, 2] * a[q, 2]
-            if pq == 0.0 or abs(pq) <= ORTHOGONAL * math.sqrt(pp * qq):
+            if pq == 0.0 or abs(pq) <= ORTHOGONALITY_TOLERANCE * math.sqrt(pp * qq):
                 continue
             turned = True
             zeta = (qq - pp) / (2.0 * pq)
@@ -47,7 +47,7 @@ def _orthogonalise(a: Float, v: Float) -> None:
 
 
 @compiled
-def nearest(matrices: Float, held: float) -> Float:
+def nearest_rotation_kernel(matrices: Float, held: float) -> Float:
     """Return the rotations ``(N, 3, 3)`` nearest to matrices."""
     result = np.empty_like(matrices)
     a, v = np.empty((3, 3)), np.empty((3, 3))
@@ -104,8 +104,8 @@ def nearest(matrices: Float, held: float) -> Float:
     return result
 
 
-_POINTS = 1 << 12  # points per block, in all frames
-_FRAMES = 256  # compared at once with all frames
+POINTS_PER_BLOCK = 1 << 12  # points per block, in all frames
+FRAMES_PER_BLOCK = 256  # compared at once with all frames
 
 
 def nearest_rotations(matrices: FloatArray) -> Float:
@@ -127,7 +127,7 @@ def _nearest(matrices: Float, held: float) -> Float:
     if not np.isfinite(matrices).all():
         raise np.linalg.LinAlgError("a matrix with an entry that is not finite has no nearest rotation")
     flat = np.ascontiguousarray(matrices).reshape(-1, 3, 3)
-    return np.asarray(nearest(flat, held)).reshape(matrices.shape)
+    return np.asarray(nearest_rotation_kernel(flat, held)).reshape(matrices.shape)
 
 
 def kabsch(source: FloatArray, target: FloatArray, weights: FloatArray | None = None) -> tuple[Float, Float]:
@@ -143,7 +143,7 @@ def kabsch(source: FloatArray, target: FloatArray, weights: FloatArray | None = 
     return rotation, translation
 
 
-def transform(points: FloatArray, rotation: FloatArray, translation: FloatArray) -> Float:
+def transform_points(points: FloatArray, rotation: FloatArray, translation: FloatArray) -> Float:
     """Apply ``x -> R x + t`` to points ``(..., N, 3)``."""
     return np.asarray(points @ np.swapaxes(rotation, -1, -2) + translation[..., None, :], dtype=np.float64)
 
@@ -154,8 +154,8 @@ def mean_shape(points: FloatArray, sweeps: int = 50, tolerance: float = 1e-10) -
     centres = points.mean(axis=1, dtype=np.float64)
 
     def centred() -> Iterator[tuple[slice, Float]]:
-        for start in range(0, count, _POINTS):
-            some = slice(start, start + _POINTS)
+        for start in range(0, count, POINTS_PER_BLOCK):
+            some = slice(start, start + POINTS_PER_BLOCK)
             yield some, (points[:, some] - centres[:, None]).swapaxes(1, 2).reshape(3 * len(points), -1)
 
     products = np.zeros((3 * len(points), 3 * len(points)))
@@ -180,10 +180,13 @@ def mean_shape(points: FloatArray, sweeps: int = 50, tolerance: float = 1e-10) -
     return shape
 
 
-def bend(first: FloatArray, second: FloatArray) -> float:
+def largest_rotation(first: FloatArray, second: FloatArray) -> float:
     """Return the largest relative rotation of two moving bodies ``(T, 3, 3)`` between two frames, in degrees."""
     relative = np.ascontiguousarray(np.swapaxes(first, 1, 2) @ second)
     flat = relative.reshape(-1, 9)
     # Traces of all pairs of frames, some frames at a time: there may be many.
-    lowest = min((flat[start : start + _FRAMES] @ flat.T).min() for start in range(0, len(flat), _FRAMES))
+    lowest = min(
+        (flat[start : start + FRAMES_PER_BLOCK] @ flat.T).min()
+        for start in range(0, len(flat), FRAMES_PER_BLOCK)
+    )
     return float(np.degrees(np.arccos(np.clip((lowest - 1.0) / 2.0, -1.0, 1.0))))

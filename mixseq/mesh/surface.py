@@ -23,14 +23,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mixseq.errors import InvalidSequenceError
-from mixseq.mesh.polygons import Polygons, as_indices, frozen
+from mixseq.mesh.polygons import Polygons, as_indices, read_only
 from mixseq.types import FloatArray, Index, IntArray
 
 SUBDIVISIONS = ("none", "catmullClark", "loop", "bilinear")
 
-NO_UV = (0.0, 0.0)
+DEFAULT_UV = (0.0, 0.0)
 """Texture coordinates of corners that have none, in meshes where others have some."""
-WHITE = (1.0, 1.0, 1.0, 1.0)
+DEFAULT_COLOUR = (1.0, 1.0, 1.0, 1.0)
 """Colour (RGBA) of corners that have none, in meshes where others have one."""
 
 
@@ -44,13 +44,13 @@ class CornerValues:
     def __post_init__(self) -> None:
         with np.errstate(over="ignore"):
             values = np.ascontiguousarray(self.values, dtype=np.float32)
-        object.__setattr__(self, "values", frozen(values))
+        object.__setattr__(self, "values", read_only(values))
         object.__setattr__(self, "indices", _flat(self.indices, "values of corners"))
         if values.ndim != 2:
             raise InvalidSequenceError(f"values of corners have shape {values.shape}; (n, k) is expected")
 
     @classmethod
-    def of_corners(cls, values: FloatArray) -> CornerValues:
+    def from_corners(cls, values: FloatArray) -> CornerValues:
         """Make them from the values ``(sum of counts, k)`` of all corners; equal values become one row."""
         rows, indices = np.unique(values, axis=0, return_inverse=True)
         return cls(rows, indices.reshape(-1))
@@ -60,7 +60,7 @@ class CornerValues:
         """Values ``(sum of counts, k)``, one per corner."""
         return self.values[self.indices]
 
-    def taken(self, corners: IntArray) -> CornerValues:
+    def select(self, corners: IntArray) -> CornerValues:
         """Return the values of the given corners, in their order."""
         return CornerValues(self.values, self.indices[corners])
 
@@ -76,7 +76,7 @@ class CornerValues:
         own = self.at_vertices(vertices, int(vertices.max(initial=-1)) + 1, default.tolist())
         return np.array_equal(own[vertices], self.at_corners, equal_nan=True)
 
-    def welded(self, vertices: IntArray) -> CornerValues:
+    def weld(self, vertices: IntArray) -> CornerValues:
         """Return the values with bitwise equal rows at a vertex merged; vertex of every corner ``(n,)``.
 
         Rows shared by several vertices stay shared, so the number of rows never grows.
@@ -108,7 +108,7 @@ class FaceSet:
 
     def __post_init__(self) -> None:
         object.__setattr__(
-            self, "polygons", frozen(np.unique(_flat(self.polygons, "polygons of a face set")))
+            self, "polygons", read_only(np.unique(_flat(self.polygons, "polygons of a face set")))
         )
 
 
@@ -198,7 +198,7 @@ class Surface:
             _check_objects(self.objects, polygons, vertex_count)
 
 
-def by_first_use(numbers: IntArray) -> Index:
+def renumber_by_first_use(numbers: IntArray) -> Index:
     """Renumber to 0, 1, 2, ... in the order of first occurrence, as only equality matters in hard edges."""
     _, first, number = np.unique(numbers, return_index=True, return_inverse=True)
     rank = np.empty(len(first), dtype=np.int64)
@@ -207,7 +207,7 @@ def by_first_use(numbers: IntArray) -> Index:
 
 
 def _flat(indices: ArrayLike, what: str) -> IntArray:
-    return frozen(as_indices(indices, what).reshape(-1))
+    return read_only(as_indices(indices, what).reshape(-1))
 
 
 def _check_corners(what: str, indices: IntArray, corners: int, limit: int | None) -> None:

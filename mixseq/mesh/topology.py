@@ -186,7 +186,7 @@ def _symmetric(pairs: Index, count: int) -> sparse.csr_array:
     return sparse.coo_array((np.ones(2 * len(pairs)), tuple(places)), shape=(count, count)).tocsr()
 
 
-def connected(count: int, pairs: IntArray) -> Index:
+def connected_components(count: int, pairs: IntArray) -> Index:
     """Return the connected component ``(count,)`` of each of ``count`` nodes, by pairs ``(n, 2)``."""
     graph = sparse.coo_array(
         (np.ones(len(pairs), dtype=bool), (pairs[:, 0], pairs[:, 1])), shape=(count, count)
@@ -194,14 +194,14 @@ def connected(count: int, pairs: IntArray) -> Index:
     return csgraph.connected_components(graph, directed=False)[1].astype(np.int64)
 
 
-def vertices_of(topology: Topology, faces: Mask) -> Mask:
+def mark_face_vertices(topology: Topology, faces: Mask) -> Mask:
     """Mark the vertices ``(V,)`` of the marked faces ``(F,)``."""
     marked = np.zeros(topology.vertex_count, dtype=bool)
     marked[topology.faces[faces]] = True
     return marked
 
 
-def vertices_near(topology: Topology, vertices: Mask, rings: int) -> Mask:
+def dilate_vertices(topology: Topology, vertices: Mask, rings: int) -> Mask:
     """Mark the vertices ``(V,)`` at most `rings` edges from a marked one."""
     near = vertices.copy()
     ring = np.flatnonzero(near)
@@ -212,7 +212,7 @@ def vertices_near(topology: Topology, vertices: Mask, rings: int) -> Mask:
     return near
 
 
-def hinges_inside(topology: Topology, faces: Mask) -> Index:
+def interior_hinges(topology: Topology, faces: Mask) -> Index:
     """Return the indices of hinges between two of the marked faces ``(F,)``, ascending."""
     first, second = topology.hinge_faces.T
     return np.flatnonzero(faces[first] & faces[second])
@@ -222,22 +222,22 @@ def face_patches(topology: Topology, faces: Mask) -> NDArray[np.int64]:
     """Number the hinge-connected patches ``(F,)`` of the marked faces, in order of their first face; -1 elsewhere."""
     patch = np.full(len(topology.faces), -1, dtype=np.int64)
     chosen = np.flatnonzero(faces)
-    pairs = topology.hinge_faces[hinges_inside(topology, faces)]
-    patch[chosen] = connected(len(chosen), np.searchsorted(chosen, pairs))
+    pairs = topology.hinge_faces[interior_hinges(topology, faces)]
+    patch[chosen] = connected_components(len(chosen), np.searchsorted(chosen, pairs))
     return patch
 
 
 def split_labels(topology: Topology, labels: IntArray) -> NDArray[np.int64]:
     """Number the hinge-connected patches ``(F,)`` of equal labels 0, 1, ..., label by label."""
     together = labels[topology.hinge_faces[:, 0]] == labels[topology.hinge_faces[:, 1]]
-    patch = connected(len(labels), topology.hinge_faces[together])
+    patch = connected_components(len(labels), topology.hinge_faces[together])
     first = np.unique(patch, return_index=True)[1]
     number = np.empty(len(first), dtype=np.int64)
     number[np.lexsort((first, labels[first]))] = np.arange(len(first))
     return number[patch]
 
 
-def spread(topology: Topology, depth: NDArray[np.int64]) -> NDArray[np.int64]:
+def propagate_depth(topology: Topology, depth: NDArray[np.int64]) -> NDArray[np.int64]:
     """Propagate values ``(V,)`` over edges with a decrement of one: ``max_b (depth_b - hops(v, b))``, at least 0."""
     result = np.maximum(depth, 0)
     for _ in range(int(result.max(initial=0)) - 1):

@@ -16,37 +16,38 @@ from functools import cached_property
 
 import numpy as np
 
-from mixseq.mesh.measures import summed
-from mixseq.mesh.nearest import Found, Nearest
+from mixseq.mesh.measures import scatter_add
 from mixseq.mesh.topology import Topology
 from mixseq.types import Float, Index, Mask
 
-FLAT = 1e-4
+DEGENERATE_HEIGHT_RATIO = 1e-4
 """Ratio of height to longest side below which a triangle has no area: in single precision its normal is random."""
 
-CANCELLED = 1e-6
+CANCELLED_NORMAL_RATIO = 1e-6
 """Ratio of the sum of face normals to the sum of their lengths below which a vertex has no normal."""
 
 
-def unit(vectors: Float) -> Float:
+def normalise(vectors: Float) -> Float:
     """Return vectors ``(..., 3)`` scaled to length 1; zero vectors stay zero."""
     lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.asarray(np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0))
 
 
-def across(directions: Float) -> Float:
+def perpendicular(directions: Float) -> Float:
     """Return a unit vector perpendicular to each direction ``(n, 3)``, the same one for its opposite."""
     least = np.abs(directions).argmin(axis=1)
     axis = np.eye(3)[least]
-    return unit(axis - unit(directions) * np.sum(axis * unit(directions), axis=1, keepdims=True))
+    return normalise(
+        axis - normalise(directions) * np.sum(axis * normalise(directions), axis=1, keepdims=True)
+    )
 
 
-def face_normals(x: Float, faces: Index) -> Float:
-    """Return normals ``(F, 3)`` of faces, twice as long as their areas; zero without area, see `FLAT`."""
+def area_normals(x: Float, faces: Index) -> Float:
+    """Return normals ``(F, 3)`` of faces, twice their areas long; zero below `DEGENERATE_HEIGHT_RATIO`."""
     corners = x[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     longest = np.square(np.roll(corners, -1, axis=1) - corners).sum(axis=2).max(axis=1)
-    normals[np.linalg.norm(normals, axis=1) <= FLAT * longest] = 0.0
+    normals[np.linalg.norm(normals, axis=1) <= DEGENERATE_HEIGHT_RATIO * longest] = 0.0
     return np.asarray(normals)
 
 
@@ -55,16 +56,18 @@ def vertex_normals(x: Float, faces: Index, edges: Index) -> Float:
 
     Without one, the mean of neighbours along edges ``(E, 2)``; zero if no connected vertex has a normal.
     """
-    of_faces = face_normals(x, faces)
-    sums = summed(np.repeat(of_faces, 3, axis=0), faces.reshape(-1), len(x))
+    of_faces = area_normals(x, faces)
+    sums = scatter_add(np.repeat(of_faces, 3, axis=0), faces.reshape(-1), len(x))
     sizes = np.repeat(np.linalg.norm(of_faces, axis=1), 3)
     whole = np.bincount(faces.reshape(-1), sizes, minlength=len(x))
-    normals = np.where((np.linalg.norm(sums, axis=1) > CANCELLED * whole)[:, None], unit(sums), 0.0)
+    normals = np.where(
+        (np.linalg.norm(sums, axis=1) > CANCELLED_NORMAL_RATIO * whole)[:, None], normalise(sums), 0.0
+    )
     starts, ends = np.concatenate([edges, edges[:, ::-1]]).T
     missing = np.flatnonzero(~normals.any(axis=1))
     while missing.size:
         into = np.isin(starts, missing)
-        found = unit(summed(normals[ends[into]], starts[into], len(x)))
+        found = normalise(scatter_add(normals[ends[into]], starts[into], len(x)))
         normals[missing] = found[missing]
         still = missing[~found[missing].any(axis=1)]
         if still.size == missing.size:
@@ -73,40 +76,40 @@ def vertex_normals(x: Float, faces: Index, edges: Index) -> Float:
     return normals
 
 
-def completed(rows: Float, faces: Index, edges: Index) -> Float:
+def triangle_matrices(rows: Float, faces: Index, edges: Index) -> Float:
     """Return matrices D ``(F, 3, 3)`` of faces of rows ``(n, 3)``: sides 01, 02 and fourth vertices, in columns.
 
     The fourth vertex of a face without area is across its longest side, by the normals of its vertices.
     """
     corners = rows[faces]
-    normals = face_normals(rows, faces)
+    normals = area_normals(rows, faces)
     areas = np.linalg.norm(normals, axis=1)
     flat = np.flatnonzero(areas == 0)
     if flat.size:
         _, longest, length = _longest(corners[flat])
         around = vertex_normals(rows, faces, edges)[faces[flat]].sum(axis=1)
         upright = around - longest * np.sum(around * longest, axis=1, keepdims=True)
-        has = np.linalg.norm(upright, axis=1) > FLAT * np.linalg.norm(around, axis=1)
-        normals[flat] = np.where(has[:, None], unit(upright), across(longest))
-        areas[flat] = FLAT * length**2
-    fourth = unit(normals) * np.sqrt(areas)[:, None]
+        has = np.linalg.norm(upright, axis=1) > DEGENERATE_HEIGHT_RATIO * np.linalg.norm(around, axis=1)
+        normals[flat] = np.where(has[:, None], normalise(upright), perpendicular(longest))
+        areas[flat] = DEGENERATE_HEIGHT_RATIO * length**2
+    fourth = normalise(normals) * np.sqrt(areas)[:, None]
     return np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], fourth], axis=2)
 
 
-def with_area(triangles: Float) -> Float:
+def replace_degenerate(triangles: Float) -> Float:
     """Replace D ``(F, 3, 3)`` of triangles without area by equilateral ones on their longest sides.
 
     Fourth directions stay. Triangles that are points get the mean size of the others.
     """
     first, second, fourth = (triangles[:, :, column] for column in range(3))
     corners = np.stack([np.zeros_like(first), first, second], axis=1)
-    normals = face_normals(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
+    normals = area_normals(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
     flat = np.flatnonzero(~normals.any(axis=1))
     longest, along, length = _longest(corners)
     usual = length[length > 0].mean() if length.any() else 1.0
     side = np.where(length > 0, length, usual)[flat, None]
     along = np.where(along[flat].any(axis=1, keepdims=True), along[flat], [1.0, 0.0, 0.0])
-    upright = np.where(fourth[flat].any(axis=1, keepdims=True), unit(fourth[flat]), across(along))
+    upright = np.where(fourth[flat].any(axis=1, keepdims=True), normalise(fourth[flat]), perpendicular(along))
 
     chosen = np.arange(len(flat))
     corners = np.zeros((len(flat), 3, 3))
@@ -125,7 +128,7 @@ def _longest(corners: Float) -> tuple[Index, Float, Float]:
     lengths = np.linalg.norm(sides, axis=2)
     longest = lengths.argmax(axis=1)
     chosen = np.arange(len(corners)), longest
-    return longest, unit(sides[chosen]), lengths[chosen]
+    return longest, normalise(sides[chosen]), lengths[chosen]
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +162,7 @@ class TriangleMesh:
     @cached_property
     def face_normals(self) -> Float:
         """Unit normals ``(F, 3)``; zero where a triangle has no area."""
-        return unit(self.vectors)
+        return normalise(self.vectors)
 
     @cached_property
     def centroids(self) -> Float:
@@ -175,7 +178,9 @@ class TriangleMesh:
     @cached_property
     def vertex_normals(self) -> Float:
         """Unit normals ``(V, 3)``, area-weighted means of the triangles'; zero where there is none."""
-        return unit(summed(np.repeat(self.vectors, 3, axis=0), self.faces.reshape(-1), len(self.points)))
+        return normalise(
+            scatter_add(np.repeat(self.vectors, 3, axis=0), self.faces.reshape(-1), len(self.points))
+        )
 
     @cached_property
     def squared_lengths(self) -> Float:
@@ -225,22 +230,3 @@ class TriangleMesh:
         whole = np.flatnonzero(~partly)
         leaders[whole] = self.nearest_by_component(whole, near)
         return leaders
-
-
-@dataclass(frozen=True, eq=False)
-class ClosestPoints:
-    """Closest-point queries on some triangles of a mesh."""
-
-    mesh: TriangleMesh  # the mesh
-    triangles: Index  # (n,) searched triangles of it
-
-    @cached_property
-    def _nearest(self) -> Nearest:
-        return Nearest.of(self.mesh.points, self.mesh.faces[self.triangles])
-
-    def query(self, points: Float, normals: Float | None = None, largest_angle: float = 90.0) -> Found:
-        """Find closest points to ``(n, 3)``, facing as normals ``(n, 3)``; triangles are numbered as in the mesh."""
-        found = self._nearest.query(points, normals, largest_angle)
-        return Found(
-            np.where(found.faces >= 0, self.triangles[found.faces], -1), found.weights, found.distances
-        )

@@ -4,12 +4,12 @@ A smoothing spline f through values y minimises
 
 .. math:: \int (y - f)^2\, dt + \lambda \int f''^2\, dt
 
-and answers a sine of angular frequency :math:`\omega` with the gain :math:`1 / (1 + \lambda \omega^4)`. Its power is
-halved at the period P for
+and has the gain :math:`1 / (1 + \lambda \omega^4)` for a sine of angular frequency :math:`\omega`. Its power is halved
+at the period P for
 
 .. math:: \lambda = (\sqrt 2 - 1)\, (P / 2 \pi)^4 .
 
-Lines stay unchanged. Their counterpart for rotations is a steady turn, :math:`\exp(\omega t)\, R`, with the mean
+Lines stay unchanged. Their counterpart for rotations is a steady rotation, :math:`\exp(\omega t)\, R`, with the mean
 :math:`\omega` of angular velocities: quaternions are smoothed relative to it.
 
 Relative poses and shapes of parts are exaggerated about their mean,
@@ -29,8 +29,15 @@ import numpy as np
 from scipy.interpolate import make_smoothing_spline
 
 from mixseq.errors import SettingsError
-from mixseq.mesh.rotations import exponentials, inverse, normalised, product, rotations_of, vectors
-from mixseq.operations.sections import between, sites_of
+from mixseq.mesh.rotations import (
+    matrix_to_rotvec,
+    normalise_quat,
+    quat_conjugate,
+    quat_multiply,
+    quat_to_matrix,
+    rotvec_to_quat,
+)
+from mixseq.operations.sections import merge_sites, strictly_between
 from mixseq.runtime.public import public
 from mixseq.sequence.frame_rates import Seconds
 from mixseq.signals.curve import Curve
@@ -39,13 +46,13 @@ from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.temporal import Poses
 from mixseq.types import Float
 
-LARGEST_GAIN = 1000.0
-"""Largest gain."""
+MAX_GAIN = 1000.0
+"""Largest magnitude of a gain."""
 
 
 @public
 def exaggerate(model: Model, gain: float, modes: Sequence[int] | None = None) -> Model:
-    """Return the model with its motion exaggerated or damped.
+    """Exaggerate or damp the motion of a model.
 
     The time signal is scaled about its mean over the frames. The path of the body stays; relative poses and shapes of
     its parts change. The residual layer is kept.
@@ -55,7 +62,7 @@ def exaggerate(model: Model, gain: float, modes: Sequence[int] | None = None) ->
     model : Model
         The motion.
     gain : float
-        1 changes nothing, 0 freezes all at the mean, more than 1 exaggerates, less damps.
+        1 keeps the motion, 0 freezes it at the mean, more than 1 exaggerates, less damps.
     modes : sequence of int, optional
         Scale only these coordinates of pose space, from 0 on, and no correction. In a fitted model they are the modes,
         largest first.
@@ -67,41 +74,43 @@ def exaggerate(model: Model, gain: float, modes: Sequence[int] | None = None) ->
     """
     check_gain(gain)
     count = model.time.dim
-    wanted = range(count) if modes is None else modes
-    for mode in wanted:
+    scaled_modes = range(count) if modes is None else modes
+    for mode in scaled_modes:
         if not 0 <= mode < count:
             raise SettingsError(f"there is no mode {mode}; the model has {count}, from 0 on")
     gains = np.ones(count)
-    gains[list(wanted)] = gain
-    scaled = replace(model, time=_scaled(model, model.time, gains))
+    gains[list(scaled_modes)] = gain
+    scaled = replace(model, time=_scale_about_mean(model, model.time, gains))
     if modes is not None:
         return scaled
-    return replace(scaled, correction=_scaled(model, model.correction, np.full(model.correction.dim, gain)))
+    return replace(
+        scaled, correction=_scale_about_mean(model, model.correction, np.full(model.correction.dim, gain))
+    )
 
 
-def _scaled(model: Model, curve: Curve, gains: Float) -> Curve:
-    """Return a curve with its coordinates scaled about their means over the frames of a model."""
+def _scale_about_mean(model: Model, curve: Curve, gains: Float) -> Curve:
+    """Scale the coordinates of a curve about their means over the frames of a model."""
     mean = curve(model.times).mean(axis=0)
     values = np.where(gains == 1.0, curve.values, mean + gains * (curve.values - mean))
     return Curve(curve.times, values)
 
 
 def check_gain(gain: float) -> None:
-    """Raise SettingsError for gains above `LARGEST_GAIN` in size, or not a number."""
-    if not abs(gain) <= LARGEST_GAIN:
-        raise SettingsError(f"gain is {gain}; a number is expected, at most {LARGEST_GAIN:g} in size")
+    """Raise SettingsError for gains above `MAX_GAIN` in magnitude, or NaN."""
+    if not abs(gain) <= MAX_GAIN:
+        raise SettingsError(f"gain is {gain}; a number from -{MAX_GAIN:g} to {MAX_GAIN:g} is expected")
 
 
-FEWEST = 5
+MIN_SMOOTHED_VALUES = 5
 """Smallest number of values of a smoothing spline."""
 
-LONGEST = 1e9
-"""Largest period in mean steps; beyond it only a line is left."""
+MAX_PERIOD_STEPS = 1e9
+"""Period, in mean steps of time, beyond which the result is a line."""
 
 
 @public
 def smooth(model: Model, seconds: Seconds) -> Model:
-    """Return the model without changes that are faster than a period: time, placement and correction.
+    """Remove changes of time signal, placement and correction that are faster than a period.
 
     A sine of this period loses half its power. At half the period 0.13 of the amplitude are left, at twice the period
     0.97. Within about a period of the ends smoothing is weaker. The residual layer is left out.
@@ -116,68 +125,68 @@ def smooth(model: Model, seconds: Seconds) -> Model:
     Raises
     ------
     SettingsError
-        If the period is not positive, or the model has less than five frames and knots.
+        If the period is not positive, or the model has fewer than five frames and knots.
     """
     if not (np.isfinite(seconds) and seconds > 0):
         raise SettingsError(f"seconds is {seconds}; a positive period is expected")
     return model.with_motion(
-        smoothed(model.time, model.times, seconds),
-        smoothed(model.placement, model.times, seconds, SteadyTurn.of(model.space, model.placement)),
-        smoothed(model.correction, model.times, seconds),
+        smooth_curve(model.time, model.times, seconds),
+        smooth_curve(model.placement, model.times, seconds, SteadyRotation.fit(model.space, model.placement)),
+        smooth_curve(model.correction, model.times, seconds),
     )
 
 
 @dataclass(frozen=True, eq=False)
-class SteadyTurn:
-    """Mean turning of the r rotations of placements."""
+class SteadyRotation:
+    """Mean angular velocity of the r rotations of placements."""
 
     space: ShapeSpace  # the space of the placements
-    rates: Float  # (r, 3) mean angular velocities, in radians per second
+    rates: Float  # (r, 3) in radians per second
 
     @classmethod
-    def of(cls, space: ShapeSpace, placement: Curve) -> SteadyTurn:
+    def fit(cls, space: ShapeSpace, placement: Curve) -> SteadyRotation:
         """Fit the mean angular velocity to a placement, from knot to knot."""
-        turns = normalised(space.unpack_placements(placement.values).rotations)
-        steps = vectors(rotations_of(product(turns[1:], inverse(turns[:-1]))))
-        lasting = placement.end - placement.start
-        return cls(space, steps.sum(axis=0) / (lasting if lasting > 0 else 1.0))
+        rotations = normalise_quat(space.unpack_placements(placement.values).rotations)
+        turns = matrix_to_rotvec(quat_to_matrix(quat_multiply(rotations[1:], quat_conjugate(rotations[:-1]))))
+        duration = placement.end - placement.start
+        return cls(space, turns.sum(axis=0) / (duration if duration > 0 else 1.0))
 
-    def turned(self, times: Float, placements: Float, sign: float) -> Float:
-        """Add the steady turn to placements ``(N, P)`` at times ``(N,)``, or remove it with the sign -1."""
-        turns, centres = self.space.unpack_placements(placements)
-        steady = exponentials(sign * times[:, None, None] * self.rates)
-        return self.space.pack_placements(Poses(product(steady, turns), centres))
+    def apply(self, times: Float, placements: Float, sign: float) -> Float:
+        """Add the steady rotation to placements ``(N, P)`` at times ``(N,)``, or remove it with the sign -1."""
+        rotations, centres = self.space.unpack_placements(placements)
+        steady = rotvec_to_quat(sign * times[:, None, None] * self.rates)
+        return self.space.pack_placements(Poses(quat_multiply(steady, rotations), centres))
 
 
-def smoothed(curve: Curve, frames: Float, seconds: float, steady: SteadyTurn | None = None) -> Curve:
-    """Smooth a curve by its values at knots and frames ``(T,)``; a placement relative to a steady turn."""
+def smooth_curve(curve: Curve, frames: Float, seconds: float, steady: SteadyRotation | None = None) -> Curve:
+    """Smooth a curve by its values at knots and frames ``(T,)``; a placement relative to a steady rotation."""
     ends = np.array([curve.start, curve.end])
-    inner = np.concatenate([curve.times, frames])
-    times = np.union1d(ends, between(inner, *ends))
-    close = 1e-6 * (ends[1] - ends[0]) / len(times)
-    times = np.append(times[:-1][np.diff(times) > close], ends[1])
-    if len(times) < FEWEST:
-        raise SettingsError(f"{len(times)} frames and knots cannot be smoothed; {FEWEST} or more are needed")
+    times = np.union1d(ends, strictly_between(np.concatenate([curve.times, frames]), *ends))
+    min_step = 1e-6 * (ends[1] - ends[0]) / len(times)
+    times = np.append(times[:-1][np.diff(times) > min_step], ends[1])
+    if len(times) < MIN_SMOOTHED_VALUES:
+        raise SettingsError(
+            f"{len(times)} frames and knots cannot be smoothed; {MIN_SMOOTHED_VALUES} or more are needed"
+        )
     if not curve.dim:
         return curve
     steps = np.diff(times)
-    lasting = (np.append(steps, 0.0) + np.append(0.0, steps)) / 2  # seconds that every value stands for
-    # The unit of time is the mean step, for the sake of the digits.
-    unit = float(steps.mean())
-    strength = (np.sqrt(2.0) - 1.0) * min(seconds / unit / (2.0 * np.pi), LONGEST) ** 4
-    values = curve(times) if steady is None else steady.turned(times, curve(times), -1.0)
-    line = _line(times, values, lasting)
-    spline = make_smoothing_spline(times / unit, values - line(times), lasting / unit, strength)
-    sites = sites_of(ends, times[1:-1])
+    durations = (np.append(steps, 0.0) + np.append(0.0, steps)) / 2  # seconds of each value in the integral
+    unit = float(steps.mean())  # of time, to keep digits
+    strength = (np.sqrt(2.0) - 1.0) * min(seconds / unit / (2.0 * np.pi), MAX_PERIOD_STEPS) ** 4
+    values = curve(times) if steady is None else steady.apply(times, curve(times), -1.0)
+    line = _fit_line(times, values, durations)
+    spline = make_smoothing_spline(times / unit, values - line(times), durations / unit, strength)
+    sites = merge_sites(ends, times[1:-1])
     result = line(sites) + np.asarray(spline(sites / unit)).reshape(len(sites), curve.dim)
-    return Curve(sites, result if steady is None else steady.turned(sites, result, 1.0))
+    return Curve(sites, result if steady is None else steady.apply(sites, result, 1.0))
 
 
-def _line(times: Float, values: Float, weights: Float) -> Curve:
+def _fit_line(times: Float, values: Float, weights: Float) -> Curve:
     """Fit a line to values ``(N, k)``: it is invariant to smoothing, and strong smoothing would lose its digits."""
     middle = np.average(times, weights=weights)
     mean = np.average(values, axis=0, weights=weights)
-    away = weights * (times - middle)
-    slope = away @ (values - mean) / (away @ (times - middle))
+    moments = weights * (times - middle)
+    slope = moments @ (values - mean) / (moments @ (times - middle))
     ends = times[[0, -1]]
     return Curve(ends, mean + (ends - middle)[:, None] * slope)

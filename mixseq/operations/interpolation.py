@@ -1,4 +1,4 @@
-r"""Parts of a sequence; blends of any number of poses: the operator A of the paper, then the projection to meshes.
+r"""Segmentation of a sequence, and blends of poses: the operator A of the paper, then the projection to meshes.
 
 .. math:: x(w) = P\Bigl(\sum_i w_i\, s_i\Bigr), \qquad \sum_i w_i = 1
 
@@ -82,16 +82,16 @@ def segment(
     return segmentation.segment(sequence.points, topology, method, parts, settings)
 
 
-SUM = 1e-6
-"""Largest deviation of the sum of weights from one, that of single precision; weights are divided by their sum."""
+WEIGHT_SUM_TOLERANCE = 1e-6
+"""Largest deviation of the sum of weights from one, for weights in single precision."""
 
 
 @dataclass(frozen=True, eq=False)
 class PoseInterpolator(PickledWithoutCaches):
     """Poses of a mesh as vectors of a shape space, for blends with any weights; make it with `from_poses`."""
 
-    header: SequenceHeader  # the mesh
-    space: ShapeSpace  # the space, made from the poses
+    header: SequenceHeader
+    space: ShapeSpace  # made from the poses
     vectors: Float  # (n, D) the poses
 
     @classmethod
@@ -109,40 +109,37 @@ class PoseInterpolator(PickledWithoutCaches):
         **settings: Unpack[SpaceOptions],
     ) -> PoseInterpolator:
         """Make a space of all poses, and encode those of `pose_ids`, by default all; see `interpolate`."""
-        chosen = space_settings(space, placement=placement, parts=parts, joint_width=joint_width, **settings)
+        making = space_settings(space, placement=placement, parts=parts, joint_width=joint_width, **settings)
         check_frames(poses)
         count = poses.header.frame_count
-        blended = np.arange(count) if pose_ids is None else np.asarray(pose_ids)
-        if blended.ndim != 1 or not np.issubdtype(blended.dtype, np.integer) or not len(blended):
-            raise SettingsError("poses to blend are named by their numbers; name one at least")
-        wrong = blended[(blended < 0) | (blended >= count)]
-        if wrong.size:
-            raise SettingsError(f"there is no pose {wrong[0]}; poses are 0 to {count - 1}")
-        stages = Stages(progress, 2 + SPACE_STAGES, poses.header.frame_count)
-        work = workers or on_threads()
+        ids = np.arange(count) if pose_ids is None else np.asarray(pose_ids)
+        if ids.ndim != 1 or not np.issubdtype(ids.dtype, np.integer) or not len(ids):
+            raise SettingsError("poses to blend are given by their numbers; give at least one")
+        missing = ids[(ids < 0) | (ids >= count)]
+        if missing.size:
+            raise SettingsError(f"there is no pose {missing[0]}; poses are 0 to {count - 1}")
+        stages = Stages(progress, 2 + SPACE_STAGES, count)
+        executor = workers or on_threads()
         with one_blas_thread():
             frames = frame_store(poses, stages.at(0))
-            if isinstance(chosen, MixedSettings):
+            if isinstance(making, MixedSettings):
                 topology = Topology(frames.header.faces, frames.header.vertex_count)
-                chosen = replace(chosen, parts=segment_faces(frames, chosen, topology), purpose="blends")
-            some = FrameStore(frames.header.with_times(np.arange(len(blended))), frames.points[blended])
-            made = make_space(some, space, chosen, work, stages.at(1, SPACE_STAGES))
-            encoded = encode_sequence(some, made, workers=work, progress=stages.at(1 + SPACE_STAGES))
+                making = replace(making, parts=segment_faces(frames, making, topology), purpose="blends")
+            blended = FrameStore(frames.header.with_times(np.arange(len(ids))), frames.points[ids])
+            shape_space = make_space(blended, space, making, executor, stages.at(1, SPACE_STAGES))
+            encoded = encode_sequence(
+                blended, shape_space, workers=executor, progress=stages.at(1 + SPACE_STAGES)
+            )
             vectors = np.concatenate([encoded.shapes[:], encoded.placement], axis=1)
-            vectors = np.pad(vectors, ((0, 0), (0, made.correction_dim)))
-        return cls(frames.header, made, vectors)
-
-    @property
-    def dim(self) -> int:
-        """Dimension D of the space."""
-        return self.space.dim
+            vectors = np.pad(vectors, ((0, 0), (0, shape_space.correction_dim)))
+        return cls(frames.header, shape_space, vectors)
 
     def blend(self, weights: ArrayLike) -> Float:
-        """Return the points ``(V, 3)`` of a blend with weights ``(n,)``; SettingsError unless they add up to one."""
+        """Blend poses with weights ``(n,)`` of sum one to points ``(V, 3)``."""
         return self.blend_with_reports(weights)[0]
 
     def blend_with_reports(self, weights: ArrayLike) -> tuple[Float, list[ShellReport]]:
-        """Blend as `blend`, and return the reports of the fits to lengths and angles, in spaces that fit."""
+        """Blend poses, and return the reports of the fits to lengths and angles, in spaces that fit."""
         with one_blas_thread():
             vector = (normalise_weights(weights, len(self.vectors)) @ self.vectors)[None]
         points, (reports,) = self.space.decode_with_reports(vector)
@@ -151,15 +148,15 @@ class PoseInterpolator(PickledWithoutCaches):
     def iterate_blends(
         self, weights: ArrayLike, progress: Progress = silent, workers: Executor | None = None
     ) -> Iterator[Float]:
-        """Yield the points ``(V, 3)`` of blends with weights ``(m, n)``, see `blend`."""
+        """Yield the points ``(V, 3)`` of blends with weights ``(m, n)``, each row of sum one."""
         try:
             table = np.asarray(weights, dtype=np.float64)
         except (TypeError, ValueError) as error:
             raise SettingsError("weights are not a table of numbers, with a row for every blend") from error
         rows = [normalise_weights(row, len(self.vectors)) for row in np.atleast_1d(table)]
         self.space.prepared()
-        work = workers or on_threads()
-        for done, points in enumerate(work(PoseInterpolator.blend, self, rows), start=1):
+        executor = workers or on_threads()
+        for done, points in enumerate(executor(PoseInterpolator.blend, self, rows), start=1):
             yield points
             progress(done, len(rows), "blending poses")
 
@@ -230,7 +227,7 @@ def interpolate(
     True
     """
     check_frames(poses)
-    weights = normalise_weights(weights, poses.header.frame_count)  # before the work
+    weights = normalise_weights(weights, poses.header.frame_count)  # errors first
     used = np.flatnonzero(weights)
     interpolator = PoseInterpolator.from_poses(
         poses,
@@ -247,7 +244,7 @@ def interpolate(
 
 
 def normalise_weights(weights: ArrayLike, count: int) -> Float:
-    """Return the weights of `count` poses as float64 ``(n,)``, divided by their sum."""
+    """Return the weights ``(n,)`` of `count` poses divided by their sum."""
     try:
         numbers = np.asarray(weights, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -260,7 +257,7 @@ def normalise_weights(weights: ArrayLike, count: int) -> Float:
         wrong = int(np.flatnonzero(~np.isfinite(numbers))[0])
         raise SettingsError(f"the weight of pose {wrong} is {numbers[wrong]}; finite numbers are expected")
     total = numbers.sum()
-    if abs(total - 1) > SUM:
+    if abs(total - 1) > WEIGHT_SUM_TOLERANCE:
         raise SettingsError(
             f"weights add up to {total:.10g} and must add up to 1; divide them by their sum"
             if total

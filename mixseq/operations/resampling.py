@@ -14,7 +14,7 @@ import numpy as np
 
 from mixseq.errors import SettingsError
 from mixseq.operations.retiming import Retiming
-from mixseq.operations.sections import SLACK
+from mixseq.operations.sections import TIME_TOLERANCE_FRAMES
 from mixseq.runtime.parallel import Executor
 from mixseq.runtime.progress import Progress, silent
 from mixseq.runtime.public import public
@@ -32,11 +32,10 @@ class Resampling:
     """The frames of a resampling before decoding; make it with `plan`."""
 
     model: Model  # the source
-    header: SequenceHeader  # what the output is, with the times of its frames
-    retiming: Retiming  # which time of the source is shown when; how long the output lasts
-    sources: Float  # (N,) time of the source, in seconds, that every frame shows
-    # (N,) speed of the source at every frame, in seconds of it per second of the output; negative backwards.
-    slopes: Float
+    header: SequenceHeader  # of the output, with the times of its frames
+    retiming: Retiming  # map from output time to source time, over the duration of the output
+    sources: Float  # (N,) time of the source at every frame, in seconds
+    slopes: Float  # (N,) seconds of the source per second of the output at every frame; negative backwards
 
     def blocks(
         self, size: int = FRAMES_PER_BLOCK, progress: Progress = silent, workers: Executor | None = None
@@ -71,23 +70,23 @@ def plan(
         retiming = Retiming.section(float(first), float(last), speed, reverse)
     elif not (start is None and end is None and speed == 1.0 and not reverse):
         raise SettingsError(
-            "a retiming tells the range, the speed and the direction; leave out start, end, speed and reverse"
+            "a retiming sets the range, the speed and the direction; leave out start, end, speed and reverse"
         )
     rate = model.header.fps if fps is None else exact_rate(float(fps), model.header.fps)
-    times = _frame_times(retiming.start, retiming.end, rate, SLACK / model.header.fps)
-    shown = np.clip(times, retiming.start, retiming.end)
+    times = _frame_times(retiming.start, retiming.end, rate, TIME_TOLERANCE_FRAMES / model.header.fps)
+    retimed = np.clip(times, retiming.start, retiming.end)
     try:
-        sources = model.clip_times(retiming(shown))
+        sources = model.clip_times(retiming(retimed))
     except SettingsError as error:
-        raise SettingsError(f"the retiming asks for more than there is: {error}") from None
-    return Resampling(model, model.header.with_times(times, rate), retiming, sources, retiming.slope(shown))
+        raise SettingsError(f"the retiming goes beyond the source: {error}") from None
+    return Resampling(model, model.header.with_times(times, rate), retiming, sources, retiming.slope(retimed))
 
 
 def _frame_times(start: float, end: float, fps: float, slack: float) -> Float:
     """Return the multiples ``(N,)`` of ``1 / fps`` from `start` to `end`, extended by `slack` seconds on both sides."""
     if not (np.isfinite(fps) and fps > 0):
         raise SettingsError(f"fps is {fps}; a positive number is expected")
-    slack = min(slack, SLACK / fps)
+    slack = min(slack, TIME_TOLERANCE_FRAMES / fps)
     first, last = np.ceil((start - slack) * fps), np.floor((end + slack) * fps)
     if last < first:
         raise SettingsError(

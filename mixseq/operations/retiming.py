@@ -3,11 +3,11 @@ r"""Retiming: maps from output time to source time, and models composed with suc
 .. math:: s = r(o), \qquad y_\text{out}(o) = y(r(o)), \qquad \dot y_\text{out}(o) = r'(o)\, \dot y(r(o))
 
 for frames, and for all signals y of a model. Both times are in seconds. Where the map :math:`r` falls, the source runs
-backwards; where it is level, the source stands still. Its slope :math:`r'` is the speed of the source.
+backwards; where it is constant, the source stands still. Its slope :math:`r'` is the speed of the source.
 
 Where r is linear, a retimed signal is a cubic spline whose knots are the output times at which r passes knots of y.
-Elsewhere it is approximated by a spline through the keys, the times at which r passes knots, and further sites between
-these. Sites are dense next to a kink of r: their distances to it double from one to the next.
+Elsewhere it is approximated by a spline with sites at the keys, where r passes knots, and between these. Sites are
+dense next to a kink of r: their distances to it double from one to the next.
 
 Files of retimings are pairs of output and source times, as CSV or TOML.
 """
@@ -26,7 +26,14 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator, PPoly
 
 from mixseq.errors import FormatError, SettingsError
-from mixseq.operations.sections import SLACK, between, breakpoints, measures_of, sampled, sites_of
+from mixseq.operations.sections import (
+    TIME_TOLERANCE_FRAMES,
+    breakpoints,
+    interpolate_adaptively,
+    merge_sites,
+    signal_norms,
+    strictly_between,
+)
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.public import public
 from mixseq.sequence.header import frame_times
@@ -36,11 +43,11 @@ from mixseq.signals.detail import DeviationNorm
 from mixseq.signals.model import Model
 from mixseq.types import Float
 
-ACCURACY = 2e-6
+SIGNAL_TOLERANCE = 2e-6
 """Largest error of the splines between sites, in diagonals; errors of vertices in joints may be many times larger."""
 
-DOUBLINGS = 10
-"""Number of times that the distance to a kink doubles, up to half the distance to the next key."""
+KINK_SITE_COUNT = 10
+"""Sites on each side of a kink, at distances that double up to half the distance to the next key."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,34 +108,35 @@ class Retiming:
                 f"the output times of a retiming must be {MIN_KNOT_SPACING:g} s apart or more, and no time beyond "
                 f"{1 / MIN_KNOT_SPACING:g} s"
             )
-        lines = np.stack([np.diff(y) / np.diff(x), y[:-1]])
-        return cls(float(x[0]), float(x[-1]), PchipInterpolator(x, y) if smooth else PPoly(lines, x))
+        coefficients = np.stack([np.diff(y) / np.diff(x), y[:-1]])
+        return cls(float(x[0]), float(x[-1]), PchipInterpolator(x, y) if smooth else PPoly(coefficients, x))
 
     @classmethod
     def section(cls, start: float, end: float, speed: float = 1.0, reverse: bool = False) -> Retiming:
-        """Make the map that shows the source from `start` to `end` at a constant speed, forwards or backwards.
+        """Make the map of a section of the source at constant speed, forwards or backwards.
 
-        The output also begins at `start`. SettingsError if the end is before the start, or the speed is not positive.
+        The output also begins at `start`. Raises `SettingsError` if the end is before the start, or the speed is not
+        positive.
         """
         if not (np.isfinite(start) and np.isfinite(end) and start <= end):
             raise SettingsError(f"there is no time between the start, {start:g} s, and the end, {end:g} s")
         if not (np.isfinite(speed) and speed > 0):
             raise SettingsError(f"speed is {speed:g}; a positive number is expected (1 keeps the speed)")
         first, slope = (end, -speed) if reverse else (start, speed)
-        return cls(start, start + (end - start) / speed, _line(first - slope * start, slope))
+        return cls(start, start + (end - start) / speed, _linear_map(first - slope * start, slope))
 
     @classmethod
     def hold(cls, source: float, start: float, end: float) -> Retiming:
-        """Make the map that shows one time of the source from `start` to `end` of the output.
+        """Make the map that holds one time of the source from `start` to `end` of the output.
 
         Raises `SettingsError` if the end is before the start, or a time is not finite.
         """
         if not (np.isfinite([source, start, end]).all() and start <= end):
             raise SettingsError(f"{source:g} s cannot be held from {start:g} to {end:g} s")
-        return cls(start, end, _line(source, 0.0))
+        return cls(start, end, _linear_map(source, 0.0))
 
     def __call__(self, times: ArrayLike) -> Float:
-        """Return source times ``(N,)`` at output times ``(N,)``; SettingsError for times outside the retiming."""
+        """Map output times ``(N,)`` to source times ``(N,)``; raise SettingsError outside the retiming."""
         return np.asarray(self.curve(self._inside(times)), dtype=np.float64)
 
     def slope(self, times: ArrayLike) -> Float:
@@ -136,23 +144,23 @@ class Retiming:
         return np.asarray(self.curve(self._inside(times), nu=1), dtype=np.float64)
 
     def _inside(self, times: ArrayLike) -> Float:
-        wanted = np.atleast_1d(np.asarray(times, dtype=np.float64))
-        outside = ~((wanted >= self.start) & (wanted <= self.end))
-        if outside.any():
+        outputs = np.atleast_1d(np.asarray(times, dtype=np.float64))
+        outside_mask = ~((outputs >= self.start) & (outputs <= self.end))
+        if outside_mask.any():
             raise SettingsError(
-                f"the retiming is from {self.start:g} to {self.end:g} s of the output, and tells nothing of "
-                f"{wanted[outside][0]:g} s"
+                f"{outputs[outside_mask][0]:g} s is outside the retiming, which is from {self.start:g} to "
+                f"{self.end:g} s of the output"
             )
-        return wanted
+        return outputs
 
 
-def _line(origin: float, slope: float) -> PPoly:
-    return PPoly(np.array([[slope], [origin]]), np.array([0.0, 1.0]))  # beyond which it goes on
+def _linear_map(origin: float, slope: float) -> PPoly:
+    return PPoly(np.array([[slope], [origin]]), np.array([0.0, 1.0]))  # extrapolated
 
 
 @public
 def retime(model: Model, keys: ArrayLike, smooth: bool = True) -> Model:
-    """Return the model faster and slower, backwards or standing still, along a map of time.
+    """Retime a model by a map of time: faster, slower, backwards or standing still.
 
     As `mixseq.operations.resample` with a `Retiming`, but the result is a model. The residual layer is retimed with the
     signals.
@@ -162,7 +170,7 @@ def retime(model: Model, keys: ArrayLike, smooth: bool = True) -> Model:
     model : Model
         The source.
     keys : (n, 2) array_like
-        Two or more points of the map: output times, increasing, and the source times shown then, in seconds.
+        Two or more points of the map: output times, increasing, and their source times, in seconds.
     smooth : bool
         Interpolate with a continuous slope, else linearly, see `Retiming.through`.
 
@@ -184,37 +192,39 @@ def retime(model: Model, keys: ArrayLike, smooth: bool = True) -> Model:
     outputs, sources = points.T
     retiming = Retiming.through(outputs, sources, smooth)
     try:
-        model.clip_times(sources)  # between the keys the map is between them, too
+        model.clip_times(sources)  # the map is monotone between its keys
     except SettingsError as error:
-        raise SettingsError(f"the retiming asks for more than there is: {error}") from None
-    frames = frame_times(retiming.start, retiming.end, model.header.fps, SLACK)
-
-    dense = np.zeros(0) if smooth else _near_kinks(outputs, sources)
+        raise SettingsError(f"the retiming goes beyond the source: {error}") from None
+    frames = frame_times(retiming.start, retiming.end, model.header.fps, TIME_TOLERANCE_FRAMES)
+    kink_sites = np.zeros(0) if smooth else _sites_near_kinks(outputs, sources)
     time, placement, correction = (
-        _composed(model, curve, retiming, dense, measure)
-        for curve, measure in zip(model.curves, measures_of(model), strict=True)
+        _compose(model, curve, retiming, kink_sites, norm)
+        for curve, norm in zip(model.curves, signal_norms(model), strict=True)
     )
     layer = model.residual_layer
     retimed = None if layer is None else RetimedLayer(layer, retiming)
     return model.with_motion(time, placement, correction, model.header.with_times(frames), retimed)
 
 
-def _composed(model: Model, curve: Curve, retiming: Retiming, dense: Float, measure: DeviationNorm) -> Curve:
-    """Return a signal of the model composed with the map; `dense` are additional sites ``(m,)``."""
-    keys = retiming.curve.x
-    passed = [retiming.curve.solve(knot, extrapolate=False) for knot in breakpoints(curve)]
-    inner = np.concatenate([dense, *passed])  # with NaN where the source stands still
-    sites = sites_of(keys, between(inner, retiming.start, retiming.end))
-    return sampled(lambda at: curve(model.clip_times(retiming(at))), sites, ACCURACY, measure)
+def _compose(model: Model, curve: Curve, retiming: Retiming, kink_sites: Float, norm: DeviationNorm) -> Curve:
+    """Compose a signal of the model with the map; `kink_sites` are additional sites ``(m,)``."""
+    passes = [retiming.curve.solve(knot, extrapolate=False) for knot in breakpoints(curve)]
+    knots = np.concatenate([kink_sites, *passes])  # with NaN where the source stands still
+    sites = merge_sites(retiming.curve.x, strictly_between(knots, retiming.start, retiming.end))
+
+    def values(times: Float) -> Float:
+        return curve(model.clip_times(retiming(times)))
+
+    return interpolate_adaptively(values, sites, SIGNAL_TOLERANCE, norm)
 
 
-def _near_kinks(outputs: Float, sources: Float) -> Float:
+def _sites_near_kinks(outputs: Float, sources: Float) -> Float:
     """Return times on both sides of the keys where the slope of a piecewise linear map jumps."""
     slopes = np.diff(sources) / np.diff(outputs)
     kinks = 1 + np.flatnonzero(np.abs(np.diff(slopes)) > 1e-9 * np.abs(slopes).max())
-    away = 0.5 ** np.arange(1, DOUBLINGS + 1)
-    before = outputs[kinks, None] + (outputs[kinks - 1] - outputs[kinks])[:, None] * away
-    after = outputs[kinks, None] + (outputs[kinks + 1] - outputs[kinks])[:, None] * away
+    fractions = 0.5 ** np.arange(1, KINK_SITE_COUNT + 1)
+    before = outputs[kinks, None] + (outputs[kinks - 1] - outputs[kinks])[:, None] * fractions
+    after = outputs[kinks, None] + (outputs[kinks + 1] - outputs[kinks])[:, None] * fractions
     return np.concatenate([before, after]).reshape(-1)
 
 
@@ -235,8 +245,8 @@ class RetimedLayer(PickledWithoutCaches):
         return np.asarray(slopes[:, None, None] * self.source.rates(self.retiming(times)))
 
 
-_LARGEST = 2**63
-_DEEPEST = 20
+_INTEGER_LIMIT = 2**63
+_MAX_NESTING_DEPTH = 20
 
 
 def parse_toml(file: Path, text: str) -> dict[str, Any]:
@@ -248,18 +258,18 @@ def parse_toml(file: Path, text: str) -> dict[str, Any]:
     except ValueError as error:  # integers of thousands of digits are one, too
         raise FormatError(f"{file} is not a TOML file: {error}") from None
     level: list[Any] = [parsed]
-    for _ in range(_DEEPEST):
-        inner = [value for each in level for value in (each.values() if isinstance(each, dict) else each)]
-        for value in inner:
-            if isinstance(value, int) and not -_LARGEST <= value < _LARGEST:
+    for _ in range(_MAX_NESTING_DEPTH):
+        values = [value for node in level for value in (node.values() if isinstance(node, dict) else node)]
+        for value in values:
+            if isinstance(value, int) and not -_INTEGER_LIMIT <= value < _INTEGER_LIMIT:
                 raise FormatError(f"{file} is not a TOML file: {str(value)[:20]}... has more than 64 bits")
-        level = [value for value in inner if isinstance(value, dict | list)]
+        level = [value for value in values if isinstance(value, dict | list)]
         if not level:
             return parsed
     raise FormatError(f"{file} is not a TOML file: its tables or lists are nested too deeply")
 
 
-Lines = list[tuple[int, list[str]]]
+CsvLines = list[tuple[int, list[str]]]
 """Lines of a file: line numbers and comma-separated fields."""
 
 Unit = Literal["seconds", "frames"]
@@ -276,10 +286,10 @@ class RetimingKeys(NamedTuple):
         return self.points / [output_fps, source_fps] if (self.unit or unit) == "frames" else self.points
 
 
-class _Key(NamedTuple):
-    """A point of a retiming, and its place in the file."""
+class _FilePoint(NamedTuple):
+    """A point of a retiming, and its location in the file."""
 
-    place: str
+    location: str
     output: float
     source: float
 
@@ -314,7 +324,7 @@ def read_retiming(
     """
     keys = read_retiming_keys(path)
     if source_fps is None and keys.unit == "frames":
-        raise SettingsError(f"{path} speaks in frames; give source_fps, the frames per second of the source")
+        raise SettingsError(f"{path} is in frames; give source_fps, the frames per second of the source")
     rate = source_fps or 1.0
     outputs, sources = keys.in_seconds(output_fps or rate, rate).T
     return Retiming.through(outputs, sources, smooth)
@@ -332,45 +342,47 @@ def read_retiming_keys(path: str | os.PathLike[str]) -> RetimingKeys:
     unit: Unit | None
     if file.suffix.lower() == ".toml":
         data = parse_toml(file, text)
-        unit = checked_unit(data.pop("unit", None), f"{file}")
-        keys = list(_toml_keys(file, data))
+        unit = check_unit(data.pop("unit", None), f"{file}")
+        points = list(_toml_points(file, data))
     else:
         unit, lines = _csv_lines(file, text)
-        keys = list(_csv_keys(file, lines))
-    for before, key in zip([None, *keys], keys, strict=False):
-        if not (np.isfinite(key.output) and np.isfinite(key.source)):
-            raise FormatError(f"{file}, {key.place}: the times {key.output:g}, {key.source:g} are not finite")
-        if before is not None and key.output <= before.output:
+        points = list(_csv_points(file, lines))
+    for before, point in zip([None, *points], points, strict=False):
+        if not (np.isfinite(point.output) and np.isfinite(point.source)):
             raise FormatError(
-                f"{file}, {key.place}: the output time {key.output:g} is not after {before.output:g} of "
-                f"{before.place}; output times must increase"
+                f"{file}, {point.location}: the times {point.output:g}, {point.source:g} are not finite"
             )
-    if len(keys) < 2:
-        raise FormatError(f"{file} has {len(keys)} points; a retiming needs two or more")
-    return RetimingKeys(np.array([[key.output, key.source] for key in keys]), unit)
+        if before is not None and point.output <= before.output:
+            raise FormatError(
+                f"{file}, {point.location}: the output time {point.output:g} is not after {before.output:g} of "
+                f"{before.location}; output times must increase"
+            )
+    if len(points) < 2:
+        raise FormatError(f"{file} has {len(points)} points; a retiming needs two or more")
+    return RetimingKeys(np.array([[point.output, point.source] for point in points]), unit)
 
 
-def checked_unit(unit: object, where: str) -> Unit | None:
-    """Return the unit of a file, or None; SettingsError for unknown units."""
+def check_unit(unit: object, where: str) -> Unit | None:
+    """Validate the unit of a file, None if it has none."""
     if unit not in (None, "seconds", "frames"):
         raise SettingsError(f"{where}: the unit is {unit!r}; 'seconds' or 'frames' is expected")
     return unit
 
 
-def _csv_lines(file: Path, text: str) -> tuple[Unit | None, Lines]:
+def _csv_lines(file: Path, text: str) -> tuple[Unit | None, CsvLines]:
     """Return the unit in the first line, and the other non-empty lines: numbers and fields."""
     lines = [
         (number, [field.strip() for field in line.partition("#")[0].split(",")])
         for number, line in enumerate(text.splitlines(), start=1)
         if line.partition("#")[0].strip()
     ]
-    name, told, unit = lines[0][1][0].partition("=") if lines else ("", "", "")
-    if not told or name.strip().lower() != "unit":
+    name, equals, unit = lines[0][1][0].partition("=") if lines else ("", "", "")
+    if not equals or name.strip().lower() != "unit":
         return None, lines
-    return checked_unit(unit.strip().strip("\"'"), f"{file}, line {lines[0][0]}"), lines[1:]
+    return check_unit(unit.strip().strip("\"'"), f"{file}, line {lines[0][0]}"), lines[1:]
 
 
-def _csv_keys(file: Path, lines: Lines) -> Iterable[_Key]:
+def _csv_points(file: Path, lines: CsvLines) -> Iterable[_FilePoint]:
     names = [name.lower() for name in lines[0][1]] if lines else []
     if sorted(names) == ["output", "source"]:
         del lines[0]
@@ -381,18 +393,18 @@ def _csv_keys(file: Path, lines: Lines) -> Iterable[_Key]:
             times = dict(zip(names, map(float, fields), strict=True))
         except ValueError:
             raise FormatError(
-                f"{file}, line {number}: {','.join(fields)[:40]!r} is no point of a retiming; two times, "
+                f"{file}, line {number}: {','.join(fields)[:40]!r} is not a point of a retiming; two times, "
                 "output,source, are expected"
             ) from None
-        yield _Key(f"line {number}", **times)
+        yield _FilePoint(f"line {number}", **times)
 
 
-def _toml_keys(file: Path, data: dict[str, Any]) -> Iterable[_Key]:
+def _toml_points(file: Path, data: dict[str, Any]) -> Iterable[_FilePoint]:
     tables = data.get("key")
     if data.keys() == {"output", "source"} and all(isinstance(times, list) for times in data.values()):
         if len(data["output"]) != len(data["source"]):
             raise FormatError(
-                f"{file} has {len(data['output'])} output times and {len(data['source'])} source times; give as many"
+                f"{file} has {len(data['output'])} output times and {len(data['source'])} source times, not equal"
             )
         pairs = zip(data["output"], data["source"], strict=True)
         tables = [{"output": output, "source": source} for output, source in pairs]
@@ -406,4 +418,4 @@ def _toml_keys(file: Path, data: dict[str, Any]) -> Iterable[_Key]:
             raise FormatError(f"{file}, key {number}: an output and a source are expected, and nothing else")
         if not all(type(time) in (int, float) for time in table.values()):
             raise FormatError(f"{file}, key {number}: the output or the source is not a time")
-        yield _Key(f"key {number}", float(table["output"]), float(table["source"]))
+        yield _FilePoint(f"key {number}", float(table["output"]), float(table["source"]))

@@ -15,8 +15,8 @@
     duration = 0.25
 
 Operations are functions ``model -> model`` of this package, and the keys of a table are the names of their
-parameters; the value of a key follows from the parameter's annotation. A script that begins with ``unit = "frames"``
-gives times, and how long things last, as numbers of frames of the edited model (`mixseq.sequence.frame_rates`).
+parameters; the type of a value follows from the parameter's annotation. A script that begins with ``unit = "frames"``
+gives times and durations in frames of the edited model (`mixseq.sequence.frame_rates`).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from typing import Any, Literal, NamedTuple, Union, get_args, get_origin, get_ty
 import numpy as np
 
 from mixseq.errors import FormatError, MixseqError, SettingsError
-from mixseq.operations.retiming import RetimingKeys, Unit, checked_unit, parse_toml, read_retiming_keys
+from mixseq.operations.retiming import RetimingKeys, Unit, check_unit, parse_toml, read_retiming_keys
 from mixseq.sequence.frame_rates import time_of
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.curve import Curve
@@ -44,89 +44,88 @@ from mixseq.types import Float
 class Readers(NamedTuple):
     """Readers of files, injected because the core has no file formats."""
 
-    model: Callable[[Path], Model]  # reader of model files
-    mesh: Callable[[Path], MeshSequence]  # reader of mesh files
-    folders: tuple[Path, ...] = ()  # where files may be besides the script's folder and those below
+    model: Callable[[Path], Model]
+    mesh: Callable[[Path], MeshSequence]
+    folders: tuple[Path, ...] = ()  # allowed besides the script's folder, with their subfolders
 
 
-Read = Callable[[Any, Path, Readers], Any]
-InSeconds = Callable[[Any, float, Unit], Any]
+ReadValue = Callable[[Any, Path, Readers], Any]
+ToSeconds = Callable[[Any, float, Unit], Any]
 
 
 class WrongTypeError(Exception):
-    """A value of the wrong type for a key."""
+    """A value has the wrong type for its key."""
 
 
 class Key(NamedTuple):
-    """The meaning of a key of a table."""
+    """A key of a table."""
 
-    parameter: str  # parameter of the operation that its value is for
-    required: bool  # whether there is no default
-    holds: str  # what the value is, for messages
-    # Makes the argument from the value, the folder that paths start from, and readers of files; raises WrongTypeError
-    # if the value is something else.
-    read: Read
-    # For times: makes seconds of what was read, with the frames per second of the model and the script's unit.
-    in_seconds: InSeconds | None = None
+    parameter: str  # parameter of the operation
+    is_required: bool
+    expected: str  # description of its values, for messages
+    # Makes the argument from the value, the folder of relative paths, and readers; raises WrongTypeError.
+    read: ReadValue
+    # For times: converts the argument to seconds by the model's frames per second and the script's unit.
+    to_seconds: ToSeconds | None = None
 
 
-def keys_of(function: Callable[..., Model]) -> dict[str, Key]:
+def script_keys(function: Callable[..., Model]) -> dict[str, Key]:
     """Return the keys of an operation: its parameters that a script can set, without the model."""
-    hints, marked = get_type_hints(function), get_type_hints(function, include_extras=True)
+    hints, annotated = get_type_hints(function), get_type_hints(function, include_extras=True)
     _, *parameters = signature(function).parameters.values()
     keys = {}
     for parameter in parameters:
-        name, required = parameter.name, parameter.default is Parameter.empty
+        name, is_required = parameter.name, parameter.default is Parameter.empty
         if name in PARSED_PARAMETERS:
-            key, holds, read, in_seconds = PARSED_PARAMETERS[name]
-            keys[key] = Key(name, required, holds, read, in_seconds)
-        elif holds := _holds(hints[name]):
-            time = _number_in_seconds if marked[name] != hints[name] else None
-            keys[name] = Key(name, required, holds, partial(_plain, hints[name]), time)
+            key, expected, read, to_seconds = PARSED_PARAMETERS[name]
+            keys[key] = Key(name, is_required, expected, read, to_seconds)
+        elif expected := _describe(hints[name]):
+            to_seconds = _number_in_seconds if annotated[name] != hints[name] else None
+            keys[name] = Key(name, is_required, expected, partial(_read_plain, hints[name]), to_seconds)
     return keys
 
 
-def _plain(hint: Any, value: Any, folder: Path, readers: Readers) -> Any:
-    if not _fits(value, hint):
+def _read_plain(hint: Any, value: Any, folder: Path, readers: Readers) -> Any:
+    if not _matches(value, hint):
         raise WrongTypeError
     return value
 
 
-_NAMES = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
+_TYPE_NAMES = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
 
 
-def _holds(hint: Any) -> str:
-    """Return a description of the values that an annotation allows; empty if TOML has none."""
+def _describe(hint: Any) -> str:
+    """Describe the values of an annotation; empty if TOML has none."""
     origin, choices = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):
-        return " or ".join(filter(None, map(_holds, choices)))
+        return " or ".join(filter(None, map(_describe, choices)))
     if origin is Literal:
         return " or ".join(map(repr, choices))
     if origin in (Sequence, list) and choices == (int,):
         return "a list of whole numbers"
-    return _NAMES.get(hint, "")
+    return _TYPE_NAMES.get(hint, "")
 
 
-def _fits(value: Any, hint: Any) -> bool:
+def _matches(value: Any, hint: Any) -> bool:
     origin, choices = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):
-        return any(_fits(value, choice) for choice in choices)
+        return any(_matches(value, choice) for choice in choices)
     if origin is Literal:
         return value in list(choices)
     if origin in (Sequence, list):
-        return isinstance(value, list) and all(_fits(item, choices[0]) for item in value)
+        return isinstance(value, list) and all(_matches(item, choices[0]) for item in value)
     if hint is float:
         return isinstance(value, int | float) and not isinstance(value, bool)
     return type(value) is hint
 
 
-def _path(value: Any, folder: Path, readers: Readers) -> Path:
-    """Return a file that a script may read: in its folder, `readers.folders`, or below."""
+def _find_file(value: Any, folder: Path, readers: Readers) -> Path:
+    """Return the path of a file in an allowed folder: the script's, `readers.folders`, or below."""
     if not isinstance(value, str) or "\0" in value:
         raise WrongTypeError
     path = folder / value
-    found = path.resolve()  # links count as what they lead to
-    if not any(found.is_relative_to(each.resolve()) for each in (folder, *readers.folders)):
+    target = path.resolve()  # links are allowed by their targets
+    if not any(target.is_relative_to(allowed.resolve()) for allowed in (folder, *readers.folders)):
         raise FormatError(
             f"{value!r} is not in the script's folder, {folder.resolve()}, or below; if you trust the script, name "
             "the folder where the file is: --files-from FOLDER"
@@ -136,26 +135,26 @@ def _path(value: Any, folder: Path, readers: Readers) -> Path:
     return path
 
 
-def _model(value: Any, folder: Path, readers: Readers) -> Model:
-    return readers.model(_path(value, folder, readers))
+def _read_model(value: Any, folder: Path, readers: Readers) -> Model:
+    return readers.model(_find_file(value, folder, readers))
 
 
-def _mesh(value: Any, folder: Path, readers: Readers) -> MeshSequence:
-    path = _path(value, folder, readers)
+def _read_mesh(value: Any, folder: Path, readers: Readers) -> MeshSequence:
+    path = _find_file(value, folder, readers)
     mesh = readers.mesh(path)
     if mesh.frame_count != 1:
         raise SettingsError(f"{path} has {mesh.frame_count} frames; a file with one is expected")
     return mesh
 
 
-def _pairs(value: Any, folder: Path, readers: Readers) -> Float:
+def _read_pairs(value: Any, folder: Path, readers: Readers) -> Float:
     """Return pairs of numbers ``(N, 2)``, from a list of them or a CSV file."""
     if isinstance(value, list):
         pairs = _as_pairs(value)
         if pairs is None:
             raise WrongTypeError
         return pairs
-    return read_pairs(_path(value, folder, readers))
+    return read_pairs(_find_file(value, folder, readers))
 
 
 def read_pairs(path: Path) -> Float:
@@ -171,7 +170,7 @@ def read_pairs(path: Path) -> Float:
     return pairs
 
 
-def _place(value: Any, folder: Path, readers: Readers) -> Float:
+def _read_position(value: Any, folder: Path, readers: Readers) -> Float:
     pairs = _as_pairs([value])
     if pairs is None:
         raise WrongTypeError
@@ -186,17 +185,17 @@ def _as_pairs(rows: list[Any]) -> Float | None:
     return pairs if pairs.ndim == 2 and pairs.shape[1] == 2 else None
 
 
-def _weight(value: Any, folder: Path, readers: Readers) -> float | Curve:
-    if _fits(value, float):
+def _read_weight(value: Any, folder: Path, readers: Readers) -> float | Curve:
+    if _matches(value, float):
         return float(value)
-    pairs = _pairs(value, folder, readers)
+    pairs = _read_pairs(value, folder, readers)
     return Curve(pairs[:, 0], pairs[:, 1:])
 
 
-def _keys(value: Any, folder: Path, readers: Readers) -> RetimingKeys:
+def _read_keys(value: Any, folder: Path, readers: Readers) -> RetimingKeys:
     if isinstance(value, list):
-        return RetimingKeys(_pairs(value, folder, readers), None)
-    return read_retiming_keys(_path(value, folder, readers))
+        return RetimingKeys(_read_pairs(value, folder, readers), None)
+    return read_retiming_keys(_find_file(value, folder, readers))
 
 
 def _number_in_seconds(value: float, fps: float, unit: Unit) -> float:
@@ -209,18 +208,18 @@ def _weight_in_seconds(value: float | Curve, fps: float, unit: Unit) -> float | 
     return value
 
 
-_OF_KEYS = "pairs of output and source times, as a list or a CSV or TOML file,"
-_OF_WEIGHT = "a number, or pairs of time and weight as a list or a CSV file,"
+_KEYS_TEXT = "pairs of output and source times, as a list or a CSV or TOML file,"
+_WEIGHT_TEXT = "a number, or pairs of time and weight as a list or a CSV file,"
 
-PARSED_PARAMETERS: Mapping[str, tuple[str, str, Read, InSeconds | None]] = {
-    "b": ("b", "the file of a model", _model, None),
-    "points": ("mesh", "the file of a mesh", _mesh, None),
-    "curve": ("curve", "pairs of x and y, as a list or a CSV file,", _pairs, None),
-    "to": ("to", "a list of two numbers, x and y,", _place, None),
-    "keys": ("keys", _OF_KEYS, _keys, lambda value, fps, unit: value.in_seconds(fps, fps, unit)),
-    "weight": ("weight", _OF_WEIGHT, _weight, _weight_in_seconds),
+PARSED_PARAMETERS: Mapping[str, tuple[str, str, ReadValue, ToSeconds | None]] = {
+    "b": ("b", "the file of a model", _read_model, None),
+    "points": ("mesh", "the file of a mesh", _read_mesh, None),
+    "curve": ("curve", "pairs of x and y, as a list or a CSV file,", _read_pairs, None),
+    "to": ("to", "a list of two numbers, x and y,", _read_position, None),
+    "keys": ("keys", _KEYS_TEXT, _read_keys, lambda value, fps, unit: value.in_seconds(fps, fps, unit)),
+    "weight": ("weight", _WEIGHT_TEXT, _read_weight, _weight_in_seconds),
 }
-"""Parameters without plain values, in all operations: key in a script, and what `Key` says about it."""
+"""Parameters without plain values, in all operations: key in a script, and the last three fields of `Key`."""
 
 
 OPERATIONS: Mapping[str, str] = {
@@ -244,7 +243,7 @@ OPERATIONS: Mapping[str, str] = {
     "sketch": "sketch:sketch",
     "swap_key": "sculpt:swap_key",
 }
-"""Modules of this package and functions in them, by the names of operations; imported on first use."""
+"""Module and function of every operation by its name; imported on first use."""
 
 RETIMING_OPERATIONS = frozenset(
     {"repeat", "loop", "shift", "speed", "reverse", "retime", "concatenate", "transition"}
@@ -256,20 +255,19 @@ RETIMING_OPERATIONS = frozenset(
 class Edit:
     """An operation and its arguments; call it with a model."""
 
-    number: int  # which table of the script it is, from 1 on
-    operation: str  # its name
-    arguments: Mapping[str, Any]  # arguments by the names of the parameters, files read
-    # Those of them that are times: what makes seconds of them.
-    times: Mapping[str, InSeconds] = field(default_factory=dict)
-    unit: Unit = "seconds"  # what times are in
+    number: int  # number of its table in the script, from 1 on
+    operation: str
+    arguments: Mapping[str, Any]  # values of the parameters, files read
+    time_conversions: Mapping[str, ToSeconds] = field(default_factory=dict)  # by parameter
+    unit: Unit = "seconds"  # unit of the times
 
     def __call__(self, model: Model) -> Model:
         """Return the edited model; errors name the edit."""
-        seconds = {
-            name: made(self.arguments[name], model.header.fps, self.unit) for name, made in self.times.items()
-        }
+        arguments = dict(self.arguments)
+        for name, to_seconds in self.time_conversions.items():
+            arguments[name] = to_seconds(arguments[name], model.header.fps, self.unit)
         try:
-            edited: Model = function_of(self.operation)(model, **{**self.arguments, **seconds})
+            edited: Model = load_operation(self.operation)(model, **arguments)
         except MixseqError as error:
             raise type(error)(f"edit {self.number} ({self.operation}): {error}") from error
         return edited
@@ -284,53 +282,58 @@ def read_script(path: Path, readers: Readers) -> list[Edit]:
     except UnicodeDecodeError as error:
         raise FormatError(f"{path} is not a TOML file: {error}") from error
     script = parse_toml(path, text)
-    unit = checked_unit(script.pop("unit", None), f"{path}") or "seconds"
+    unit = check_unit(script.pop("unit", None), f"{path}") or "seconds"
     tables = script.pop("edit", [])
     if script:
         raise SettingsError(
-            f"{path}: the key {next(iter(script))!r} is outside the tables [[edit]], which hold all"
+            f"{path}: the key {next(iter(script))!r} is outside the tables [[edit]]; move it into one"
         )
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables) or not tables:
         raise SettingsError(
             f"{path} has no edits; write each as a table [[edit]] with operation = and its settings"
         )
-    return [_edit(number, table, path.parent, readers, unit) for number, table in enumerate(tables, start=1)]
+    return [
+        _make_edit(number, table, path.parent, readers, unit) for number, table in enumerate(tables, start=1)
+    ]
 
 
-def function_of(operation: str) -> Callable[..., Model]:
-    """Return the function of an operation."""
+def load_operation(operation: str) -> Callable[..., Model]:
+    """Import the function of an operation."""
     module, name = OPERATIONS[operation].split(":")
     function: Callable[..., Model] = getattr(import_module(f"mixseq.operations.{module}"), name)
     return function
 
 
-def _edit(number: int, table: Mapping[str, Any], folder: Path, readers: Readers, unit: Unit) -> Edit:
+def _make_edit(number: int, table: Mapping[str, Any], folder: Path, readers: Readers, unit: Unit) -> Edit:
     where = f"edit {number}"
     if "operation" not in table:
         raise SettingsError(f"{where} has no key 'operation'; it is one of {', '.join(OPERATIONS)}")
     operation = table["operation"]
     if operation not in list(OPERATIONS):
         raise SettingsError(
-            f"{where}: the operation {operation!r} is not known; known are {', '.join(OPERATIONS)}"
+            f"{where}: there is no operation {operation!r}; use one of {', '.join(OPERATIONS)}"
         )
     where = f"{where} ({operation})"
-    keys = keys_of(function_of(operation))
+    keys = script_keys(load_operation(operation))
     arguments = {}
-    for key, value in table.items():
-        if key == "operation":
+    for name, value in table.items():
+        if name == "operation":
             continue
-        if key not in keys:
+        if name not in keys:
             known = f"its keys are {', '.join(keys)}" if keys else "it has none"
-            raise SettingsError(f"{where}: the key {key!r} is not known; {known}")
+            raise SettingsError(f"{where}: there is no key {name!r}; {known}")
         try:
-            arguments[keys[key].parameter] = keys[key].read(value, folder, readers)
+            arguments[keys[name].parameter] = keys[name].read(value, folder, readers)
         except WrongTypeError:
-            raise SettingsError(f"{where}: {key} is {value!r}; {keys[key].holds} is expected") from None
+            raise SettingsError(f"{where}: {name} is {value!r}; {keys[name].expected} is expected") from None
         except MixseqError as error:
-            raise type(error)(f"{where}: {key}: {error}") from error
-    for key, expected in keys.items():
-        if expected.required and expected.parameter not in arguments:
-            raise SettingsError(f"{where}: the key {key!r} is missing; {expected.holds} is expected")
-    times = {each.parameter: each.in_seconds for each in keys.values() if each.in_seconds is not None}
-    given = {name: made for name, made in times.items() if name in arguments}
-    return Edit(number, operation, arguments, given, unit)
+            raise type(error)(f"{where}: {name}: {error}") from error
+    for name, key in keys.items():
+        if key.is_required and key.parameter not in arguments:
+            raise SettingsError(f"{where}: the key {name!r} is missing; {key.expected} is expected")
+    conversions = {
+        key.parameter: key.to_seconds
+        for key in keys.values()
+        if key.to_seconds is not None and key.parameter in arguments
+    }
+    return Edit(number, operation, arguments, conversions, unit)

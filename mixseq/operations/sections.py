@@ -1,11 +1,12 @@
-r"""Splines over time, and exact concatenation of sections of motions: what operations on models share.
+r"""Splines over time and exact concatenation of motion sections, shared by the operations.
 
 A rotation is interpolated from :math:`R_a` to :math:`R_b` along the turn between them,
 
 .. math:: R_a \exp(w\, \tau), \qquad \exp(\tau) = R_a^T R_b,
 
-which is unwrapped over time, as one motion may turn more than the other by whole turns. Centres are interpolated
-linearly.
+unwrapped over time, as one motion may make more whole turns than the other. Centres are interpolated linearly.
+
+Splines interpolate *sites*: the times between their cubics, and one more in the first and the last interval.
 
 A section of a cubic spline is a cubic spline. At a *seam* value, slope and curvature jump by :math:`d_0, d_1, d_2`. The
 jump is distributed to both sides by C2 offsets, each a cubic spline of three cubics on a window next to the seam:
@@ -27,7 +28,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import SettingsError
-from mixseq.mesh.rotations import continuous_vectors, exponentials, inverse, normalised, product, rotations_of
+from mixseq.mesh.rotations import (
+    continuous_rotvec,
+    normalise_quat,
+    quat_conjugate,
+    quat_multiply,
+    quat_to_matrix,
+    rotvec_to_quat,
+)
 from mixseq.sequence.frame_rates import seconds_meant, span_text
 from mixseq.signals.curve import Curve
 from mixseq.signals.detail import DeviationNorm, max_norm
@@ -39,45 +47,44 @@ from mixseq.types import Float, Index
 
 
 def centre_columns(space: ShapeSpace) -> Index:
-    """Return the indices ``(g, 3)`` of part centres in a placement."""
+    """Return the columns ``(g, 3)`` of body centres in a placement."""
     return np.arange(4 * space.rotation_count, space.placement_dim).reshape(-1, 3)
 
 
-def continued(space: ShapeSpace, curve: Curve, start: float, reference: Float) -> Curve:
-    """Return the placement with quaternion signs that continue a reference ``(P,)`` at `start`: the same motion."""
-    here, before = (space.unpack_placements(each).rotations[0] for each in (curve([start]), reference[None]))
-    signs = np.where(np.einsum("gi,gi->g", here, before) < 0, -1.0, 1.0)
+def align_quaternion_signs(space: ShapeSpace, placement: Curve, time: float, reference: Float) -> Curve:
+    """Flip quaternion signs of a placement so that it continues a reference ``(P,)`` at a time."""
+    after, before = (
+        space.unpack_placements(vectors).rotations[0] for vectors in (placement([time]), reference[None])
+    )
+    signs = np.where(np.einsum("gi,gi->g", after, before) < 0, -1.0, 1.0)
     if (signs > 0).all():
-        return curve
-    turns, centres = space.unpack_placements(curve.values)
-    return Curve(curve.times, space.pack_placements(Poses(turns * signs[:, None], centres)))
+        return placement
+    quaternions, centres = space.unpack_placements(placement.values)
+    return Curve(placement.times, space.pack_placements(Poses(quaternions * signs[:, None], centres)))
 
 
-def mean(one: Float, other: Float, share: Float) -> Float:
-    """Return weighted means ``(N, ...)`` with the weight `share` ``(N, ...)`` of `other`."""
-    return np.asarray((1.0 - share) * one + share * other)
+def lerp(a: Float, b: Float, weight: Float) -> Float:
+    """Interpolate linearly from a to b ``(N, ...)`` with the weight ``(N, ...)`` of b."""
+    return np.asarray((1.0 - weight) * a + weight * b)
 
 
-def mean_placements(space: ShapeSpace, one: Float, other: Float, share: Float) -> Float:
-    """Return means ``(N, P)`` of placements with the weight `share` ``(N, 1)`` of `other`."""
-    first, second = space.unpack_placements(one), space.unpack_placements(other)
-    length, longer = (np.linalg.norm(poses.rotations, axis=2, keepdims=True) for poses in (first, second))
-    a, b = (Poses(normalised(poses.rotations), poses.centres) for poses in (first, second))
-    share = share[:, :, None]
-    # the shorter way at first
-    ways = continuous_vectors(rotations_of(product(inverse(a.rotations), b.rotations)))
-    turns = product(a.rotations, exponentials(share * ways)) * mean(length, longer, share)
-    return space.pack_placements(Poses(turns, mean(a.centres, b.centres, share)))
+def blend_placements(space: ShapeSpace, a: Float, b: Float, weight: Float) -> Float:
+    """Blend placements ``(N, P)`` with the weight ``(N, 1)`` of b."""
+    first, second = space.unpack_placements(a), space.unpack_placements(b)
+    norm_a, norm_b = (np.linalg.norm(poses.rotations, axis=2, keepdims=True) for poses in (first, second))
+    rotation_a, rotation_b = (normalise_quat(poses.rotations) for poses in (first, second))
+    weight = weight[:, :, None]
+    # the shortest turn at the first time, continued from there
+    turns = continuous_rotvec(quat_to_matrix(quat_multiply(quat_conjugate(rotation_a), rotation_b)))
+    rotations = quat_multiply(rotation_a, rotvec_to_quat(weight * turns)) * lerp(norm_a, norm_b, weight)
+    return space.pack_placements(Poses(rotations, lerp(first.centres, second.centres, weight)))
 
 
-ACCURACY = 1e-5
-"""Largest error of signals between sites, in diagonals."""
+MAX_BISECTIONS = 6
+"""Largest number of bisections of an interval between two sites."""
 
-ROUNDS = 6
-"""Largest number of times that an interval between two sites is halved."""
-
-EQUAL = 1e-8
-"""Distance below which knots are equal, as a fraction of their mean distance."""
+MIN_KNOT_SPACING_RATIO = 1e-8
+"""Distance below which knots are merged, as a fraction of their mean distance."""
 
 
 def breakpoints(curve: Curve) -> Float:
@@ -85,69 +92,69 @@ def breakpoints(curve: Curve) -> Float:
     return curve.times[2:-2]
 
 
-def between(times: Float, start: float, end: float) -> Float:
+def strictly_between(times: Float, start: float, end: float) -> Float:
     """Return the times strictly between the start and the end."""
     return times[(times > start) & (times < end)]
 
 
-def sites_of(edges: Float, inner: Float) -> Float:
-    """Return sites: breakpoints `edges` ``(n,)`` and `inner` ``(m,)``, and one more in both end intervals."""
-    inner = np.unique(inner)
-    close = EQUAL * (edges[-1] - edges[0]) / (len(edges) + len(inner))
-    after = np.clip(np.searchsorted(edges, inner), 1, len(edges) - 1)
-    nearest = np.minimum(np.abs(inner - edges[after - 1]), np.abs(inner - edges[after]))
-    inner = inner[nearest > close]
-    inner = inner[np.diff(inner, prepend=-np.inf) > close]
-    breaks = np.sort(np.concatenate([edges, inner]))
+def merge_sites(edges: Float, knots: Float) -> Float:
+    """Return the sites of a spline with breakpoints `edges` ``(n,)``, all kept, and `knots` ``(m,)`` between them."""
+    knots = np.unique(knots)
+    min_distance = MIN_KNOT_SPACING_RATIO * (edges[-1] - edges[0]) / (len(edges) + len(knots))
+    after = np.clip(np.searchsorted(edges, knots), 1, len(edges) - 1)
+    edge_distances = np.minimum(np.abs(knots - edges[after - 1]), np.abs(knots - edges[after]))
+    knots = knots[edge_distances > min_distance]
+    knots = knots[np.diff(knots, prepend=-np.inf) > min_distance]
+    breaks = np.sort(np.concatenate([edges, knots]))
     if len(breaks) == 2:
         return np.linspace(breaks[0], breaks[1], 4)
     return np.sort(np.concatenate([breaks, (breaks[[0, -2]] + breaks[[1, -1]]) / 2]))
 
 
 def sites_between(start: float, end: float, knots: Float) -> Float:
-    """Return sites from `start` to `end`, with those of the knots ``(m,)`` that are between them."""
-    return sites_of(np.array([start, end]), between(knots, start, end))
+    """Return the sites from `start` to `end` with the knots ``(m,)`` between them."""
+    return merge_sites(np.array([start, end]), strictly_between(knots, start, end))
 
 
-def sites_within(model: Model, start: float, end: float, knots: Float | None = None) -> Float:
-    """Return sites from `start` to `end`, with frames of the model, breakpoints of its signals, and knots ``(m,)``."""
+def model_sites(model: Model, start: float, end: float, knots: Float | None = None) -> Float:
+    """Return sites from `start` to `end` at frames of the model, breakpoints of its signals, and knots ``(m,)``."""
     if start == end:
         return np.array([start])
     times = [*(breakpoints(curve) for curve in model.curves), model.times]
     return sites_between(start, end, np.concatenate(times if knots is None else [*times, knots]))
 
 
-def refined(times: Float, parts: int) -> Float:
-    """Return times ``(N,)`` with every interval between them divided into `parts`."""
-    steps = np.arange(parts) / parts
-    between = times[:-1, None] + steps * np.diff(times)[:, None]
-    return np.append(between.reshape(-1), times[-1])
+def subdivide(times: Float, count: int) -> Float:
+    """Divide every interval between times ``(N,)`` into `count` equal ones."""
+    fractions = np.arange(count) / count
+    subdivided = times[:-1, None] + fractions * np.diff(times)[:, None]
+    return np.append(subdivided.reshape(-1), times[-1])
 
 
-def moved(curve: Curve, scale: float, offset: float) -> Curve:
-    """Return the curve with times t mapped to ``scale * t + offset``, reversed where the scale is negative."""
+def map_curve_times(curve: Curve, offset: float, scale: float = 1.0) -> Curve:
+    """Map times t of a curve to ``scale * t + offset``; a negative scale reverses it."""
     times, values = scale * curve.times + offset, curve.values
     return Curve(times, values) if scale > 0 else Curve(times[::-1], values[::-1])
 
 
-def sampled(
-    function: Callable[[Float], Float], sites: Float, tolerance: float, measure: DeviationNorm
+def interpolate_adaptively(
+    function: Callable[[Float], Float], sites: Float, tolerance: float, norm: DeviationNorm
 ) -> Curve:
-    """Return the spline through a function of time, with sites ``(m,)`` refined until the tolerance holds."""
-    for _ in range(ROUNDS):
-        both = np.empty(2 * len(sites) - 1)
-        both[::2], both[1::2] = sites, (sites[:-1] + sites[1:]) / 2
-        values = function(both)
-        curve, middles = Curve(sites, values[::2]), both[1::2]
-        off = measure(curve(middles) - values[1::2]) > tolerance
-        if not off.any():
+    """Interpolate a function of time by a spline; bisect intervals of sites ``(m,)`` that miss the tolerance."""
+    for _ in range(MAX_BISECTIONS):
+        times = np.empty(2 * len(sites) - 1)
+        times[::2], times[1::2] = sites, (sites[:-1] + sites[1:]) / 2
+        values = function(times)
+        curve, middles = Curve(sites, values[::2]), times[1::2]
+        refine_mask = norm(curve(middles) - values[1::2]) > tolerance
+        if not refine_mask.any():
             return curve
-        sites = np.union1d(sites, middles[off])
+        sites = np.union1d(sites, middles[refine_mask])
     return Curve(sites, function(sites))
 
 
-def window(times: Float, rise: tuple[float, float] | None, fall: tuple[float, float] | None) -> Float:
-    """Return the weight ``(N,)`` of a window with a C2 rise and fall, from start to end each, None where it is open."""
+def fade_window(times: Float, rise: tuple[float, float] | None, fall: tuple[float, float] | None) -> Float:
+    """Return the weight ``(N,)`` of a window with a C2 rise and fall over time intervals; None leaves a side open."""
     weight = np.ones(len(times))
     if rise is not None:
         weight *= smoothstep(times, *rise)
@@ -157,48 +164,47 @@ def window(times: Float, rise: tuple[float, float] | None, fall: tuple[float, fl
 
 
 def smoothstep(times: Float, start: float, end: float) -> Float:
-    """Return the C2 step ``(N,)`` from 0 until `start` to 1 from `end` on, of three cubics of equal length."""
+    """Return the C2 step ``(N,)`` from 0 at `start` to 1 at `end`, of three cubics of equal length."""
     x = np.clip((times - start) / (end - start), 0.0, 1.0) * 3.0
     return np.asarray(
         (x**3 - 3.0 * np.maximum(x - 1.0, 0.0) ** 3 + 3.0 * np.maximum(x - 2.0, 0.0) ** 3) / 6.0
     )
 
 
-def shape_measure(model: Model, metric: Float | None = None) -> DeviationNorm:
-    """Return a measure of steps ``(N, k)`` in pose space: RMS over vertices in diagonals, by weights ``(S,)``."""
-    shapes = model.shapes
+def shape_norm(model: Model, metric: Float | None = None) -> DeviationNorm:
+    """Return the norm of pose-space steps ``(N, k)``: RMS over vertices in diagonals, by shape weights ``(S,)``."""
     metric = model.space.shape_weights if metric is None else metric
-    steps = model.pose.matrix @ (shapes - shapes[0]) * metric
-    gram = steps @ steps.T / model.header.vertex_count
-    return lambda changes: np.sqrt(np.maximum(np.einsum("na,ab,nb->n", changes, gram, changes), 0.0))
+    jacobian = model.pose.matrix @ (model.shapes - model.shapes[0]) * metric
+    gram = jacobian @ jacobian.T / model.header.vertex_count
+    return lambda steps: np.sqrt(np.maximum(np.einsum("na,ab,nb->n", steps, gram, steps), 0.0))
 
 
-def placement_measure(model: Model) -> DeviationNorm:
-    """Return the size ``(N,)`` of placement changes ``(N, P)``: the largest component, in diagonals."""
+def placement_norm(model: Model) -> DeviationNorm:
+    """Return the norm of placement changes ``(N, P)``: the largest component, in diagonals."""
     return max_norm(model.space.weights[model.space.shape_dim :][: model.space.placement_dim])
 
 
-def correction_measure(model: Model) -> DeviationNorm:
-    """Return the size ``(N,)`` of correction changes ``(N, C)``: the largest component, in diagonals."""
+def correction_norm(model: Model) -> DeviationNorm:
+    """Return the norm of correction changes ``(N, C)``: the largest component, in diagonals."""
     return max_norm(model.space.weights[model.space.shape_dim + model.space.placement_dim :])
 
 
-def measures_of(model: Model) -> tuple[DeviationNorm, DeviationNorm, DeviationNorm]:
-    """Return the measures of changes of `Model.curves`: time signal, placement and correction."""
-    return shape_measure(model), placement_measure(model), correction_measure(model)
+def signal_norms(model: Model) -> tuple[DeviationNorm, DeviationNorm, DeviationNorm]:
+    """Return the norms of `Model.curves`: time signal, placement and correction."""
+    return shape_norm(model), placement_norm(model), correction_norm(model)
 
 
-REACHES = np.array([1.0, 2.0, 3.0]) / 3.0
+OFFSET_KNOT_RATIOS = np.array([1.0, 2.0, 3.0]) / 3.0
 """Ends of the three cubics of an offset, as fractions of the fade."""
 
-NEAR = 0.02
-"""Distance, as a fraction of the fade, below which ends of offsets move to a knot, as close knots lose digits."""
+KNOT_SNAP_RATIO = 0.02
+"""Distance, as a fraction of the fade, within which ends of offsets snap to a knot, as close knots lose digits."""
 
-SLACK = 1e-3
-"""Fraction of a frame by which times may miss a frame or a knot, as times are typed and printed with a few digits."""
+TIME_TOLERANCE_FRAMES = 1e-3
+"""Tolerance of times against frames and knots, in frames, for times typed and printed with a few digits."""
 
-SHORTEST = 1e-6
-"""Shortest fade, as a fraction of the longest, at which its knots are distinct in float64."""
+MIN_FADE_RATIO = 1e-6
+"""Shortest fade, as a fraction of the longest, with distinct knots in float64."""
 
 
 class CurveSection(NamedTuple):
@@ -212,9 +218,8 @@ class CurveSection(NamedTuple):
 class Seam(NamedTuple):
     """The distribution of the jump between two sections."""
 
-    fade: float  # seconds before and after the seam over which it is, not longer than the sections there
-    # Fraction of the jump that is taken up before the seam: 1 leaves what follows as it is.
-    share: float = 0.5
+    fade: float  # length of the windows before and after the seam, in seconds; at most that of the sections
+    fraction_before: float = 0.5  # part of the jump that is distributed before the seam; 1 keeps what follows
 
 
 class ModelSection(NamedTuple):
@@ -225,31 +230,29 @@ class ModelSection(NamedTuple):
     end: float
 
 
-def join(sections: Sequence[CurveSection], seams: Sequence[Seam]) -> Curve:
+def join_curves(sections: Sequence[CurveSection], seams: Sequence[Seam]) -> Curve:
     """Concatenate consecutive sections of curves."""
     edges = np.array([sections[0].start, *(section.end for section in sections)])
-    offsets: list[list[_Offset]] = [[] for _ in sections]
-    for number, (before, after, seam) in enumerate(zip(sections, sections[1:], seams, strict=False)):
+    offsets: list[list[_SeamOffset]] = [[] for _ in sections]
+    for index, (before, after, seam) in enumerate(zip(sections, sections[1:], seams, strict=False)):
         jump = _jet(after.curve, after.start) - _jet(before.curve, before.end)
-        for section, side, part in ((before, -1, seam.share), (after, 1, seam.share - 1)):
-            if part:
-                offset = _Offset.closing(part * jump, section, edges[number + 1], side, seam.fade)
-                offsets[number + (side > 0)].append(offset)
-    inner = [
-        between(knots, start, end)
+        fraction = seam.fraction_before
+        for section, side, scale in ((before, -1, fraction), (after, 1, fraction - 1)):
+            if scale:
+                offset = _SeamOffset.from_jet(scale * jump, section, edges[index + 1], side, seam.fade)
+                offsets[index + (side > 0)].append(offset)
+    knots = [
+        strictly_between(times, start, end)
         for section, own, start, end in zip(sections, offsets, edges, edges[1:], strict=False)
-        for knots in (breakpoints(section.curve), *(offset.knots for offset in own))
+        for times in (breakpoints(section.curve), *(offset.knots for offset in own))
     ]
-    sites = sites_of(edges, np.concatenate(inner))
-    of_site = np.searchsorted(edges[1:-1], sites, side="left")
-    values = np.concatenate(
-        [
-            section.curve(at) + sum((offset(at) for offset in own), start=np.zeros(()))
-            for number, (section, own) in enumerate(zip(sections, offsets, strict=True))
-            for at in (sites[of_site == number],)
-        ]
-    )
-    return Curve(sites, values)
+    sites = merge_sites(edges, np.concatenate(knots))
+    section_ids = np.searchsorted(edges[1:-1], sites, side="left")
+    values = []
+    for index, (section, own) in enumerate(zip(sections, offsets, strict=True)):
+        times = sites[section_ids == index]
+        values.append(section.curve(times) + sum((offset(times) for offset in own), start=np.zeros(())))
+    return Curve(sites, np.concatenate(values))
 
 
 def _jet(curve: Curve, time: float) -> Float:
@@ -257,24 +260,24 @@ def _jet(curve: Curve, time: float) -> Float:
     return np.concatenate([curve([time]), curve.derivative([time]), curve.derivative([time], 2)])
 
 
-class _Offset(NamedTuple):
-    """A spline of three truncated cubics, coefficients ``(3, k)``, on one side of a seam: -1 before it, 1 after it."""
+class _SeamOffset(NamedTuple):
+    """A spline of three truncated cubics on one side of a seam."""
 
     seam: float
-    side: int
-    reaches: Float
-    coefficients: Float
+    side: int  # -1 before the seam, 1 after it
+    reaches: Float  # (3,) distances from the seam to the ends of the cubics, in seconds
+    coefficients: Float  # (3, k)
 
     @classmethod
-    def closing(cls, jet: Float, section: CurveSection, seam: float, side: int, fade: float) -> _Offset:
-        """Make the offset with given value, slope and curvature ``(3, k)`` at the seam."""
-        knots = between(breakpoints(section.curve), section.start, section.end)
-        reaches = fade * REACHES
-        away = side * (np.concatenate([knots, [section.start, section.end]]) - seam)
-        for number, reach in enumerate(reaches):
-            near = away[np.abs(away - reach) < NEAR * fade]
-            if len(near):
-                reaches[number] = near[np.abs(near - reach).argmin()]
+    def from_jet(cls, jet: Float, section: CurveSection, seam: float, side: int, fade: float) -> _SeamOffset:
+        """Solve for value, slope and curvature ``(3, k)`` at the seam."""
+        knots = strictly_between(breakpoints(section.curve), section.start, section.end)
+        reaches = fade * OFFSET_KNOT_RATIOS
+        distances = side * (np.concatenate([knots, [section.start, section.end]]) - seam)
+        for index, reach in enumerate(reaches):
+            close = distances[np.abs(distances - reach) < KNOT_SNAP_RATIO * fade]
+            if len(close):
+                reaches[index] = close[np.abs(close - reach).argmin()]
         r = reaches / fade
         system = np.stack([r**3, -3.0 * r**2, 6.0 * r])
         scaled = jet * np.array([1.0, side * fade, fade**2])[:, None]
@@ -282,102 +285,96 @@ class _Offset(NamedTuple):
 
     @property
     def knots(self) -> Float:
-        """Ends ``(3,)`` of its cubics, in seconds."""
+        """Times ``(3,)`` of the ends of the cubics."""
         return self.seam + self.side * self.reaches
 
     def __call__(self, times: Float) -> Float:
-        left = np.maximum(self.reaches - self.side * (times - self.seam)[:, None], 0.0)
-        return np.asarray(left**3 @ self.coefficients)
+        ramps = np.maximum(self.reaches - self.side * (times - self.seam)[:, None], 0.0)
+        return np.asarray(ramps**3 @ self.coefficients)
 
 
 # Models ---------------------------------------------------------------------------------------------------
 
 
-def shifted(model: Model, seconds: float) -> Model:
-    """Return the model moved to `seconds` later."""
-    return affine(model, 1.0, seconds)
-
-
-def affine(model: Model, scale: float, offset: float) -> Model:
-    """Return the model with times t mapped to ``scale * t + offset``, reversed where the scale is negative."""
+def map_times(model: Model, offset: float, scale: float = 1.0) -> Model:
+    """Map times t of a model to ``scale * t + offset``; a negative scale reverses it."""
     times = scale * model.times + offset
-    time, placement, correction = (moved(curve, scale, offset) for curve in model.curves)
+    time, placement, correction = (map_curve_times(curve, offset, scale) for curve in model.curves)
     header = model.header.with_times(times if scale > 0 else times[::-1])
     return model.with_motion(time, placement, correction, header)
 
 
-def concatenated(sections: Sequence[ModelSection], seams: Sequence[Seam]) -> Model:
+def join_models(sections: Sequence[ModelSection], seams: Sequence[Seam]) -> Model:
     """Concatenate sections of models that share space, pose and shapes; a seam has the frame of the later section."""
-    sections = going_on(sections)
+    sections = align_part_quaternions(sections)
     first = sections[0].model
     placements = [CurveSection(first.placement, sections[0].start, sections[0].end)]
     for model, start, end in sections[1:]:
         before = placements[-1]
         reference = before.curve([before.end])[0]
-        curve = continued(model.space, model.placement, start, reference)
+        curve = align_quaternion_signs(model.space, model.placement, start, reference)
         placements.append(CurveSection(curve, start, end))
     return first.with_motion(
-        join([CurveSection(model.time, start, end) for model, start, end in sections], seams),
-        join(placements, seams),
-        join([CurveSection(model.correction, start, end) for model, start, end in sections], seams),
-        first.header.with_times(frames_of(sections)),
+        join_curves([CurveSection(model.time, start, end) for model, start, end in sections], seams),
+        join_curves(placements, seams),
+        join_curves([CurveSection(model.correction, start, end) for model, start, end in sections], seams),
+        first.header.with_times(merge_frame_times(sections)),
     )
 
 
-def going_on(sections: Sequence[ModelSection]) -> Sequence[ModelSection]:
-    """Return sections with continuous quaternions of parts, also after whole turns.
+def align_part_quaternions(sections: Sequence[ModelSection]) -> Sequence[ModelSection]:
+    """Make quaternions of parts continuous from section to section, also after whole turns.
 
     Where the signs of quaternions change, all models get additional key shapes of the other signs, and pose coordinates
     for them. The models share space, pose and shapes, before and afterwards.
     """
     first = sections[0].model
-    size, dim = first.space.pose_dim, first.time.dim
-    signs = [np.ones(size)]
+    pose_dim, width = first.space.pose_dim, 1 + first.time.dim
+    signs = [np.ones(pose_dim)]
     for before, (model, start, _) in pairwise(sections):
-        here, there = blended_poses(model, [start])[0], blended_poses(before.model, [before.end])[0]
-        signs.append(model.space.quaternion_signs(here, signs[-1] * there))
-    numbers: dict[bytes, int] = {}
-    kinds = [numbers.setdefault(each.tobytes(), len(numbers)) for each in signs]
-    if len(numbers) == 1:
+        poses, reference = blend_key_poses(model, [start])[0], blend_key_poses(before.model, [before.end])[0]
+        signs.append(model.space.quaternion_signs(poses, signs[-1] * reference))
+    variants: dict[bytes, int] = {}
+    variant_ids = [variants.setdefault(sign.tobytes(), len(variants)) for sign in signs]
+    if len(variants) == 1:
         return sections
-    shapes = np.tile(first.shapes, (len(numbers), 1, 1))
-    for kind, own in zip(kinds, signs, strict=True):
-        shapes[kind, :, shapes.shape[2] - size :] = own * first.shapes[:, shapes.shape[2] - size :]
-    rows, places = _distinct(shapes.reshape(-1, shapes.shape[2]))
-    chosen = np.eye(len(rows))[places].reshape(len(numbers), -1, len(rows))
-    offsets, matrices = first.pose.offset @ chosen, first.pose.matrix @ chosen
-    blocks = [
-        np.vstack([offset - offsets[0], matrix]) for offset, matrix in zip(offsets, matrices, strict=True)
-    ]
-    pose = PoseMap(offsets[0], np.concatenate(blocks)[1:])
+    shapes = np.tile(first.shapes, (len(variants), 1, 1))
+    columns = slice(shapes.shape[2] - pose_dim, None)
+    for variant, sign in zip(variant_ids, signs, strict=True):
+        shapes[variant, :, columns] = sign * first.shapes[:, columns]
+    unique_shapes, shape_ids = _unique_rows(shapes.reshape(-1, shapes.shape[2]))
+    selections = np.eye(len(unique_shapes))[shape_ids].reshape(len(variants), -1, len(unique_shapes))
+    offsets, matrices = first.pose.offset @ selections, first.pose.matrix @ selections
+    blocks = np.concatenate([(offsets - offsets[0])[:, None], matrices], axis=1)
+    pose = PoseMap(offsets[0], blocks.reshape(-1, len(unique_shapes))[1:])
     result = []
-    for kind, (model, start, end) in zip(kinds, sections, strict=True):
-        values = np.zeros((len(model.time.times), len(numbers) * (1 + dim)))
-        values[:, kind * (1 + dim) : (kind + 1) * (1 + dim)] = np.insert(model.time.values, 0, 1.0, axis=1)
+    for variant, (model, start, end) in zip(variant_ids, sections, strict=True):
+        values = np.zeros((len(model.time.times), len(variants) * width))
+        values[:, variant * width : (variant + 1) * width] = np.insert(model.time.values, 0, 1.0, axis=1)
         time = Curve(model.time.times, values[:, 1:])
-        result.append(ModelSection(replace(model, pose=pose, shapes=rows, time=time), start, end))
+        result.append(ModelSection(replace(model, pose=pose, shapes=unique_shapes, time=time), start, end))
     return result
 
 
-def blended_poses(model: Model, times: ArrayLike) -> Float:
-    """Return the pose columns ``(N, pose_dim)`` of the shapes at times ``(N,)``."""
+def blend_key_poses(model: Model, times: ArrayLike) -> Float:
+    """Blend the part poses of key shapes at times ``(N,)``: ``(N, pose_dim)``."""
     columns = model.shapes[:, model.space.shape_dim - model.space.pose_dim :]
     return np.asarray(model.pose.weights(model.time(times)) @ columns)
 
 
-def _distinct(rows: Float) -> tuple[Float, Index]:
-    """Return the distinct rows ``(m, S)``, and the index of each row among them."""
-    numbers: dict[bytes, int] = {}
-    places = np.array([numbers.setdefault(row.tobytes(), len(numbers)) for row in rows], dtype=np.int64)
-    return rows[np.unique(places, return_index=True)[1]], places
+def _unique_rows(rows: Float) -> tuple[Float, Index]:
+    """Return the distinct rows ``(m, S)`` in order of appearance, and the index of each row ``(n, S)`` among them."""
+    ids_of_rows: dict[bytes, int] = {}
+    ids = np.array([ids_of_rows.setdefault(row.tobytes(), len(ids_of_rows)) for row in rows], dtype=np.int64)
+    return rows[np.unique(ids, return_index=True)[1]], ids
 
 
-def frames_of(sections: Sequence[ModelSection]) -> Float:
-    """Return the frame times ``(T,)`` of sections, increasing, or both ends; a frame at a seam is the later one's."""
+def merge_frame_times(sections: Sequence[ModelSection]) -> Float:
+    """Return the frame times ``(T,)`` of sections, or both ends if there are none; a seam has the later frame."""
     slack = 1e-6 / sections[0].model.header.fps
     start, end = sections[0].start, sections[-1].end
-    times = [between(each.model.times, each.start - slack, each.end - slack) for each in sections]
-    times.append(between(sections[-1].model.times, end - slack, end + slack))
+    times = [strictly_between(model.times, start - slack, end - slack) for model, start, end in sections]
+    times.append(strictly_between(sections[-1].model.times, end - slack, end + slack))
     frames = np.clip(np.concatenate(times), start, end)
     return frames if len(frames) else np.array([start, end])
 
@@ -385,33 +382,35 @@ def frames_of(sections: Sequence[ModelSection]) -> Float:
 # Times ----------------------------------------------------------------------------------------------------
 
 
-def snapped(model: Model, time: float, name: str = "time") -> float:
-    """Return the time, or the end, frame or knot nearest to it within rounding."""
-    slack = SLACK / model.header.fps
+def snap_time(model: Model, time: float, name: str = "time") -> float:
+    """Snap a time to the nearest end, frame or knot of a model within rounding."""
+    slack = TIME_TOLERANCE_FRAMES / model.header.fps
     if not model.start - slack <= time <= model.end + slack:
         fps = model.header.fps
         raise SettingsError(
             f"{name} is {time:g} s; the model is from {span_text(model.start, model.end, fps)}, give a time within"
             f"{seconds_meant(time, model.start, model.end, fps)}"
         )
-    known = np.concatenate([[model.start, model.end], model.times, *(curve.times for curve in model.curves)])
-    nearest = float(known[np.abs(known - time).argmin()])
+    targets = np.concatenate(
+        [[model.start, model.end], model.times, *(curve.times for curve in model.curves)]
+    )
+    nearest = float(targets[np.abs(targets - time).argmin()])
     return nearest if abs(nearest - time) <= slack else float(time)
 
 
-def section_of(model: Model, start: float, end: float) -> tuple[float, float]:
-    """Return the ends of a section, snapped as by `snapped`."""
-    first, last = snapped(model, start, "start"), snapped(model, end, "end")
+def snap_section(model: Model, start: float, end: float) -> tuple[float, float]:
+    """Snap the ends of a section, as `snap_time`."""
+    first, last = snap_time(model, start, "start"), snap_time(model, end, "end")
     if not first < last:
         raise SettingsError(f"there is no time between the start, {start:g} s, and the end, {end:g} s")
     return first, last
 
 
-def fade_of(fade: float | None, longest: float) -> float:
-    """Return the length of the windows next to a seam in seconds, by default a quarter of the longest possible."""
+def check_fade(fade: float | None, max_fade: float) -> float:
+    """Validate the length of the windows next to a seam, in seconds; by default a quarter of the longest possible."""
     if fade is None:
-        return longest / 4
-    shortest = SHORTEST * longest
-    if not shortest <= fade <= longest * (1 + 1e-9):
-        raise SettingsError(f"fade is {fade:g} s; {shortest:g} to {longest:g} s are expected")
-    return min(float(fade), longest)
+        return max_fade / 4
+    min_fade = MIN_FADE_RATIO * max_fade
+    if not min_fade <= fade <= max_fade * (1 + 1e-9):
+        raise SettingsError(f"fade is {fade:g} s; give {min_fade:g} to {max_fade:g} s")
+    return min(float(fade), max_fade)

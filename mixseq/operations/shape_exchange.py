@@ -4,7 +4,7 @@ r"""The motion of one body on another: its time and pose signals, with key shape
 
 The weights :math:`\varphi_j(c(t))` are independent of the mesh. With key shapes :math:`P_j` of another body, encoded in
 its own shape space, the same signals move that body. The poses of its key shapes are those of `key_poses`, made by
-transfer or by hand. The body follows the path of the first one, in its own size:
+transfer or by hand. The body follows the path of the first one, scaled to its own size:
 
 .. math:: Q'(t) = Q(t)\, A, \qquad C'(t) = C(t) + \bar d,
 
@@ -17,7 +17,14 @@ import numpy as np
 
 from mixseq.errors import SettingsError
 from mixseq.mesh.rigid import nearest_rotations
-from mixseq.mesh.rotations import continued, inverse, normalised, product, quaternions, rotations_of
+from mixseq.mesh.rotations import (
+    align_quat_signs,
+    matrix_to_quat,
+    normalise_quat,
+    quat_conjugate,
+    quat_multiply,
+    quat_to_matrix,
+)
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import silent
 from mixseq.runtime.public import public
@@ -49,15 +56,15 @@ def key_poses(model: Model) -> MeshSequence:
         K frames, one second apart.
     """
     times = np.arange(len(model.shapes), dtype=np.float64)
-    none = np.zeros((len(times), model.space.correction_dim))
-    vectors = np.concatenate([model.shapes, model.placement(_key_times(model)), none], axis=1)
+    corrections = np.zeros((len(times), model.space.correction_dim))
+    vectors = np.concatenate([model.shapes, model.placement(_key_times(model)), corrections], axis=1)
     with one_blas_thread():
         return MeshSequence.from_header(model.header.with_times(times, 1.0), model.space.decode(vectors))
 
 
 @public
 def with_shapes(model: Model, keys: Frames | Model) -> Model:
-    """Return the motion of a model on another body: same time and pose, other shapes.
+    """Apply the motion of a model to another body: same time and pose signals, other shapes.
 
     The residual layer is left out, and so is the correction, as both belong to the first body.
 
@@ -99,36 +106,38 @@ def with_shapes(model: Model, keys: Frames | Model) -> Model:
                 f"{keys.header.name!r} has key shapes of another pose signal than {model.header.name!r}; give one that "
                 "with_shapes or mixseq transfer --as-model made of this model, or of one edited from it"
             )
-        second, shapes, placed = as_mixed(keys.space), keys.shapes, keys.placement(_key_times(keys))
+        second, shapes, placements = as_mixed(keys.space), keys.shapes, keys.placement(_key_times(keys))
         header = keys.header
     else:
         check_frames(keys)
         count = keys.header.frame_count
         if count != len(model.shapes):
             raise SettingsError(
-                f"{keys.header.name!r} has {count} frames; {len(model.shapes)} are expected, one for every key shape "
-                f"of {model.header.name!r}: key_poses makes the poses to transfer"
+                f"{keys.header.name!r} has {count} frames; {len(model.shapes)} are expected, one per key shape of "
+                f"{model.header.name!r}: transfer the poses that key_poses makes"
             )
         frames = frame_store(keys, silent)
         second = as_mixed(make_space(frames))
         encoded = encode_sequence(frames, second)
-        shapes, placed, header = np.asarray(encoded.shapes[:]), encoded.placement, keys.header
+        shapes, placements, header = np.asarray(encoded.shapes[:]), encoded.placement, keys.header
     if first.rotation_count != second.rotation_count:
         raise SettingsError(
-            f"{model.header.name!r} has {first.rotation_count} bodies, {header.name!r} {second.rotation_count}; each "
-            "of them needs a placement"
+            f"{model.header.name!r} has {first.rotation_count} bodies, {header.name!r} has {second.rotation_count}; "
+            "both need the same number"
         )
     before = first.unpack_placements(model.placement(_key_times(model)))
-    turn, shift = _between(before, second.unpack_placements(placed))
+    rotation, shift = _mean_motion(before, second.unpack_placements(placements))
     poses = first.unpack_placements(model.placement.values)
-    moved = Poses(continued(product(normalised(poses.rotations), turn)), poses.centres + shift)
+    moved_poses = Poses(
+        align_quat_signs(quat_multiply(normalise_quat(poses.rotations), rotation)), poses.centres + shift
+    )
     return Model(
         header.with_times(model.header.times, model.header.fps),
         second,
         model.time,
         model.pose,
         shapes,
-        Curve(model.placement.times, second.pack_placements(moved)),
+        Curve(model.placement.times, second.pack_placements(moved_poses)),
     )
 
 
@@ -138,7 +147,9 @@ def _key_times(model: Model) -> Float:
     return np.where(frames >= 0, model.times[frames], model.times[0])
 
 
-def _between(before: Poses, after: Poses) -> tuple[Float, Float]:
-    """Return mean rotations ``(B, 4)`` and mean shifts ``(B, 3)`` between poses of bodies ``(K, B)``."""
-    turns = rotations_of(product(inverse(normalised(before.rotations)), normalised(after.rotations)))
-    return quaternions(nearest_rotations(turns.sum(axis=0))), (after.centres - before.centres).mean(axis=0)
+def _mean_motion(before: Poses, after: Poses) -> tuple[Float, Float]:
+    """Return the mean rotations ``(B, 4)`` and shifts ``(B, 3)`` between poses of bodies ``(K, B)``."""
+    turns = quat_to_matrix(
+        quat_multiply(quat_conjugate(normalise_quat(before.rotations)), normalise_quat(after.rotations))
+    )
+    return matrix_to_quat(nearest_rotations(turns.sum(axis=0))), (after.centres - before.centres).mean(axis=0)

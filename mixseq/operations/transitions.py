@@ -18,24 +18,24 @@ import numpy as np
 
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.operations.sections import (
-    SLACK,
+    TIME_TOLERANCE_FRAMES,
     ModelSection,
     Seam,
+    align_part_quaternions,
+    align_quaternion_signs,
+    blend_placements,
     breakpoints,
-    concatenated,
-    continued,
-    fade_of,
-    frames_of,
-    going_on,
-    mean,
-    mean_placements,
-    refined,
-    section_of,
-    shifted,
+    check_fade,
+    join_models,
+    lerp,
+    map_times,
+    merge_frame_times,
     sites_between,
-    snapped,
+    snap_section,
+    snap_time,
+    subdivide,
 )
-from mixseq.operations.timeline import carried, drift, place_of
+from mixseq.operations.timeline import ground_drift, ground_position, translate
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.public import public
 from mixseq.sequence.frame_rates import Seconds
@@ -49,11 +49,11 @@ from mixseq.types import Float
 
 @public
 def into(model: Model, space: ShapeSpace) -> Model:
-    """Return a model in another shape space of its mesh.
+    """Convert a model into another shape space of its mesh.
 
-    Its frames are decoded and encoded again, and interpolated by cubic splines in the new space. They are equal as far
-    as the new space represents the shapes exactly. A model in that space already is returned as it is.
-    The residual layer is encoded with the frames, so the result has none.
+    Its frames are decoded and encoded again, and interpolated by cubic splines in the new space. They stay equal where
+    the new space represents the shapes exactly. A model of that space is returned unchanged. The residual layer is
+    encoded with the frames, so the result has none.
 
     Parameters
     ----------
@@ -64,39 +64,39 @@ def into(model: Model, space: ShapeSpace) -> Model:
     """
     if model.space is space:
         return model
-    common, _, carry = space.merge(model.space)
-    if common is space and carry is not None:
-        return replace(model, space=space, shapes=carry(model.shapes))
+    common, _, to_space = space.merge(model.space)
+    if common is space and to_space is not None:
+        return replace(model, space=space, shapes=to_space(model.shapes))
     with one_blas_thread():
         return build_model(encode_sequence(model.sample(), space), Detail())
 
 
-def together(first: Model, second: Model) -> tuple[Model, Model]:
-    """Return two models of one mesh in one space, with the same pose and shape signals.
+def match_spaces(first: Model, second: Model) -> tuple[Model, Model]:
+    """Bring two models of one mesh into one space, with the same pose and shape signals.
 
     The space is that of the first model. A basis space is extended to the shapes of both, or replaced by the second
     space if that is of another kind. Where key shapes differ, both models get all of them, with their weights as pose
     space.
     """
     _check_meshes(first, second)
-    space, *carries = first.space.merge(second.space)
+    space, *maps = first.space.merge(second.space)
     first, second = (
-        into(model, space) if carry is None else replace(model, space=space, shapes=carry(model.shapes))
-        for model, carry in zip((first, second), carries, strict=True)
+        into(model, space) if to_space is None else replace(model, space=space, shapes=to_space(model.shapes))
+        for model, to_space in zip((first, second), maps, strict=True)
     )
     if _same_shapes(first, second):
         return first, replace(second, pose=first.pose, shapes=first.shapes)
     shapes = np.concatenate([first.shapes, second.shapes])
     pose = PoseMap.from_key_count(len(shapes))
     first, second = (
-        replace(model, pose=pose, shapes=shapes, time=_weights_of(model, start, len(shapes)))
+        replace(model, pose=pose, shapes=shapes, time=_key_weight_signal(model, start, len(shapes)))
         for model, start in ((first, 0), (second, len(first.shapes)))
     )
     return first, second
 
 
-def _weights_of(model: Model, start: int, count: int) -> Curve:
-    """Return the weights of all but the first of `count` key shapes; those of the model begin at index `start`."""
+def _key_weight_signal(model: Model, start: int, count: int) -> Curve:
+    """Return the time signal of weights of all but the first of `count` key shapes; the model's begin at `start`."""
     weights = np.zeros((len(model.time.times), count))
     weights[:, start : start + len(model.shapes)] = model.pose.weights(model.time.values)
     return Curve(model.time.times, weights[:, 1:])
@@ -124,15 +124,13 @@ def _check_meshes(first: Model, second: Model) -> None:
         )
 
 
-DENSE = 8
-"""Knots of the approximating spline for each knot of the curve that it replaces."""
-
-Weight = Callable[[Float], Float]
+SITES_PER_BLENDED_KNOT = 8
+"""Sites of an approximating spline per knot of the curve that it replaces."""
 
 
 @public
 def concatenate(a: Model, b: Model, fade: Seconds | None = None, travel: bool = False) -> Model:
-    """Return one model after the other.
+    """Concatenate two models.
 
     The second one starts at the end time of the first. Jumps of value, slope and curvature of the signals are
     distributed to both sides. The residual layer is left out.
@@ -145,7 +143,7 @@ def concatenate(a: Model, b: Model, fade: Seconds | None = None, travel: bool = 
         Seconds before and after the seam, at most the shorter model; by default a quarter of that.
     travel : bool
         Start the second model where the first ends along the ground (`travel_of`); heading and height stay. By default
-        the second model keeps its place, and the body slides there.
+        the second model keeps its position, and the body slides there.
 
     Raises
     ------
@@ -154,19 +152,19 @@ def concatenate(a: Model, b: Model, fade: Seconds | None = None, travel: bool = 
     SettingsError
         If a model has no duration, the fade is out of range, or `travel` is set and the space has no placement.
     """
-    a, b = together(a, b)
-    start, seam = section_of(a, a.start, a.end)
-    first, last = section_of(b, b.start, b.end)
-    seconds = fade_of(fade, min(seam - start, last - first))
+    a, b = match_spaces(a, b)
+    start, seam = snap_section(a, a.start, a.end)
+    first, last = snap_section(b, b.start, b.end)
+    fade = check_fade(fade, min(seam - start, last - first))
     if travel:
-        b = carried(b, (place_of(a)([seam]) - place_of(b)([first]))[0])
-    later = shifted(b, seam - first)
-    return concatenated([ModelSection(a, start, seam), ModelSection(later, seam, later.end)], [Seam(seconds)])
+        b = translate(b, (ground_position(a)([seam]) - ground_position(b)([first]))[0])
+    b = map_times(b, seam - first)
+    return join_models([ModelSection(a, start, seam), ModelSection(b, seam, b.end)], [Seam(fade)])
 
 
 @public
 def transition(a: Model, b: Model, at: Seconds, duration: Seconds, travel: bool = False) -> Model:
-    """Return the first model, which passes over into the second one.
+    """Blend from one model into another.
 
     The residual layer is left out.
 
@@ -180,8 +178,8 @@ def transition(a: Model, b: Model, at: Seconds, duration: Seconds, travel: bool 
     duration : float
         Seconds until the result is `b`; both models cover them.
     travel : bool
-        Continue the second model from the place that the first reaches along the ground; heading and height stay, and
-        the ground speed is blended (`mixseq.operations.timeline`). By default the second model keeps its place.
+        Continue the second model from the position that the first reaches along the ground; heading and height stay,
+        and the ground speed is blended (`mixseq.operations.timeline`). By default the second model keeps its position.
 
     Raises
     ------
@@ -192,44 +190,40 @@ def transition(a: Model, b: Model, at: Seconds, duration: Seconds, travel: bool 
     """
     if not (np.isfinite(duration) and duration > 0):
         raise SettingsError(f"duration is {duration}; a positive number of seconds is expected")
-    a, b = together(a, b)
-    at = snapped(a, at, "at")
-    for which, left in (("first", a.end - at), ("second", b.end - b.start)):
-        if duration > left + SLACK / a.header.fps:
+    a, b = match_spaces(a, b)
+    at = snap_time(a, at, "at")
+    for name, remaining in (("first", a.end - at), ("second", b.end - b.start)):
+        if duration > remaining + TIME_TOLERANCE_FRAMES / a.header.fps:
             raise SettingsError(
-                f"duration is {duration:g} s; the {which} model lasts for {left:g} s from there on"
+                f"duration is {duration:g} s; the {name} model has {remaining:g} s from there on"
             )
-    later = shifted(b, at - b.start)
-    end = min(snapped(later, at + duration), a.end, later.end)
-    if not end - at > SLACK / a.header.fps:
-        raise SettingsError(f"duration is {duration:g} s, next to no time; give more, or concatenate")
+    b = map_times(b, at - b.start)
+    end = min(snap_time(b, at + duration), a.end, b.end)
+    if not end - at > TIME_TOLERANCE_FRAMES / a.header.fps:
+        raise SettingsError(f"duration is {duration:g} s; give a longer one, or concatenate the models")
+    weight, weight_rate = (partial(step, start=at, end=end) for step in (_smooth_step, _smooth_step_rate))
     if travel:
-        later = carried(later, drift(a, later, (at, end), _step_slope(at, end))(np.array([end]))[0])
-    a, later = (
-        each.model for each in going_on([ModelSection(a, a.start, at), ModelSection(later, at, later.end)])
-    )
-    middle = _mix(a, later, (at, end), _step(at, end), parts=DENSE)
+        b = translate(b, ground_drift(a, b, at, end, weight_rate)(np.array([end]))[0])
+    sections = align_part_quaternions([ModelSection(a, a.start, at), ModelSection(b, at, b.end)])
+    a, b = (section.model for section in sections)
+    middle = _blend_interval(a, b, at, end, weight, count=SITES_PER_BLENDED_KNOT)
     if travel:
-        apart = drift(a, later, (at, end), _step_slope(at, end))
-        middle = carried(middle, apart(middle.placement.times))
-    sections = [
-        ModelSection(a, a.start, at),
-        ModelSection(middle, at, end),
-        ModelSection(later, end, later.end),
-    ]
-    # What little the points leave of jumps is taken up next to the ends of the middle, not to touch what is outside.
-    point = (end - at) / (len(middle.time.times) - 1)
-    seams = [Seam(3 * point, share=0.0), Seam(3 * point, share=1.0)]
+        drift = ground_drift(a, b, at, end, weight_rate)
+        middle = translate(middle, drift(middle.placement.times))
+    sections = [ModelSection(a, a.start, at), ModelSection(middle, at, end), ModelSection(b, end, b.end)]
+    # Remaining jumps are distributed at the ends of the middle alone, so that the rest of both models stays exact.
+    site_spacing = (end - at) / (len(middle.time.times) - 1)
+    seams = [Seam(3 * site_spacing, fraction_before=0.0), Seam(3 * site_spacing, fraction_before=1.0)]
     if sections[2].end - end <= 0:
         sections, seams = sections[:2], seams[:1]
     if at - a.start <= 0:
         sections, seams = sections[1:], seams[1:]
-    return concatenated(sections, seams)
+    return join_models(sections, seams)
 
 
 @public
 def blend(a: Model, b: Model, weight: float | Curve) -> Model:
-    """Return the mean of two models over the time that both have.
+    """Blend two models over their common time.
 
     The residual layer is left out.
 
@@ -247,24 +241,24 @@ def blend(a: Model, b: Model, weight: float | Curve) -> Model:
     SettingsError
         If the models share no time, or the weight is not finite or does not cover the shared time.
     """
-    a, b = together(a, b)
+    a, b = match_spaces(a, b)
     start, end = max(a.start, b.start), min(a.end, b.end)
     if not start < end:
         raise SettingsError(
             f"one model is from {a.start:g} to {a.end:g} s, the other from {b.start:g} to {b.end:g} s, with no time "
             "in common; shift one of them"
         )
-    a, b = (each.model for each in going_on([ModelSection(a, a.start, start), ModelSection(b, start, b.end)]))
+    sections = align_part_quaternions([ModelSection(a, a.start, start), ModelSection(b, start, b.end)])
+    a, b = (section.model for section in sections)
     if isinstance(weight, Curve):
-        _check_weight(weight, start, end, SLACK / a.header.fps)
-        inside = np.clip([start, end], weight.start, weight.end)
-        parts = 1 if np.ptp(weight.values) == 0 else DENSE
-        return _mix(
-            a, b, (start, end), lambda times: weight(np.clip(times, *inside)), breakpoints(weight), parts
-        )
+        _check_weight(weight, start, end, TIME_TOLERANCE_FRAMES / a.header.fps)
+        limits = np.clip([start, end], weight.start, weight.end)
+        count = 1 if np.ptp(weight.values) == 0 else SITES_PER_BLENDED_KNOT
+        knots = breakpoints(weight)
+        return _blend_interval(a, b, start, end, lambda times: weight(np.clip(times, *limits)), knots, count)
     if not np.isfinite(weight):
         raise SettingsError(f"weight is {weight}; a number is expected")
-    return _mix(a, b, (start, end), lambda times: np.full((len(times), 1), float(weight)))
+    return _blend_interval(a, b, start, end, lambda times: np.full((len(times), 1), float(weight)))
 
 
 def _check_weight(weight: Curve, start: float, end: float, slack: float) -> None:
@@ -272,54 +266,46 @@ def _check_weight(weight: Curve, start: float, end: float, slack: float) -> None
         raise SettingsError(f"weight is a curve of {weight.dim} coordinates; one is expected")
     if weight.start > start + slack or weight.end < end - slack:
         raise SettingsError(
-            f"weight is known from {weight.start:g} to {weight.end:g} s; {start:g} to {end:g} s are expected"
+            f"weight is a curve from {weight.start:g} to {weight.end:g} s; {start:g} to {end:g} s are expected"
         )
 
 
-def _step(start: float, end: float) -> Weight:
-    """Return the C2 step from 0 to 1, with zero first and second derivatives at both ends."""
-
-    def weight(times: Float) -> Float:
-        x = (times[:, None] - start) / (end - start)
-        return np.asarray(x**3 * (10.0 + x * (6.0 * x - 15.0)))
-
-    return weight
+def _smooth_step(times: Float, start: float, end: float) -> Float:
+    """Return the polynomial step ``(N, 1)`` from 0 to 1, with zero first and second derivatives at both ends."""
+    x = (times[:, None] - start) / (end - start)
+    return np.asarray(x**3 * (10.0 + x * (6.0 * x - 15.0)))
 
 
-def _step_slope(start: float, end: float) -> Weight:
-    """Return the time derivative of `_step`, per second."""
-
-    def slope(times: Float) -> Float:
-        x = (times[:, None] - start) / (end - start)
-        return np.asarray(30.0 * np.square(x * (1.0 - x)) / (end - start))
-
-    return slope
+def _smooth_step_rate(times: Float, start: float, end: float) -> Float:
+    """Return the time derivative ``(N, 1)`` of `_smooth_step`, per second."""
+    x = (times[:, None] - start) / (end - start)
+    return np.asarray(30.0 * np.square(x * (1.0 - x)) / (end - start))
 
 
-def _mix(
+def _blend_interval(
     a: Model,
     b: Model,
-    ends: tuple[float, float],
-    weight: Weight,
+    start: float,
+    end: float,
+    weight: Callable[[Float], Float],
     knots: Float | None = None,
-    parts: int = 1,
+    count: int = 1,
 ) -> Model:
-    """Blend two models of shared shapes over `ends`, with the frames of the first.
+    """Blend two models of shared shapes over an interval, with the frames of the first.
 
-    `weight` maps times ``(N,)`` to ``(N, 1)``; `knots` ``(n,)`` are its breakpoints; `parts` subdivides knot intervals
+    `weight` maps times ``(N,)`` to ``(N, 1)``; `knots` ``(n,)`` are its breakpoints; `count` subdivides knot intervals
     (1 is exact for a constant weight).
     """
-    start, end = ends
-    goes_on = continued(a.space, b.placement, start, a.placement([start])[0])
+    aligned = align_quaternion_signs(a.space, b.placement, start, a.placement([start])[0])
 
-    def mixed(one: Curve, other: Curve, means: Callable[[Float, Float, Float], Float]) -> Curve:
-        inner = [breakpoints(one), breakpoints(other), *([] if knots is None else [knots])]
-        sites = refined(sites_between(start, end, np.concatenate(inner)), parts)
-        return Curve(sites, means(one(sites), other(sites), weight(sites)))
+    def blend_curves(one: Curve, other: Curve, mean: Callable[[Float, Float, Float], Float]) -> Curve:
+        breaks = [breakpoints(one), breakpoints(other), *([] if knots is None else [knots])]
+        sites = subdivide(sites_between(start, end, np.concatenate(breaks)), count)
+        return Curve(sites, mean(one(sites), other(sites), weight(sites)))
 
     return a.with_motion(
-        mixed(a.time, b.time, mean),
-        mixed(a.placement, goes_on, partial(mean_placements, a.space)),
-        mixed(a.correction, b.correction, mean),
-        a.header.with_times(frames_of([ModelSection(a, start, end)])),
+        blend_curves(a.time, b.time, lerp),
+        blend_curves(a.placement, aligned, partial(blend_placements, a.space)),
+        blend_curves(a.correction, b.correction, lerp),
+        a.header.with_times(merge_frame_times([ModelSection(a, start, end)])),
     )

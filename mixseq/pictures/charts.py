@@ -1,15 +1,14 @@
-"""Charts of a model's signals: the embedding, coordinates over time, sizes of modes; and what all charts share.
+"""Charts of a model's signals: the embedding, coordinates over time, singular values; and the style of all charts.
 
-All are in diagonals, as distances in the shape space, without the placement of parts. With :math:`C` the frames
-``(T, k)`` in pose space, centred, and :math:`G = L L^T` the Gram matrix of unit steps along the coordinates of pose
-space in the shape space (the identity for principal components), the *singular values* of a model are those of
-:math:`C L`.
+Values are in diagonals, as distances in the shape space, without the placement of parts. With :math:`C` the centred
+frames ``(T, k)`` in pose space, and :math:`G = L L^T` the Gram matrix of unit steps along the coordinates of pose space
+(the identity for principal components), the *singular values* of a model are those of :math:`C L`.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
@@ -19,7 +18,7 @@ import numpy as np
 
 from mixseq.errors import OutputError, SettingsError
 from mixseq.pictures.colours import INK_COLOUR
-from mixseq.pictures.page import DPI, Target, import_matplotlib
+from mixseq.pictures.page import DOTS_PER_INCH, Target, import_matplotlib
 from mixseq.pictures.scene import Limits
 from mixseq.sequence.frame_rates import frames_between, number_at
 from mixseq.signals.model import Model
@@ -30,58 +29,60 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-POINTS = 72.0  # per inch
-DISTANCE = 12.0
-"""Distance from a dot to the middle of its label, in points."""
+POINTS_PER_INCH = 72.0
+LABEL_DISTANCE_POINTS = 12.0
+"""Distance from a dot to the centre of its label."""
 
-ENOUGH = 5.0
-"""Room around a label, in points, above which outward places are preferred."""
+SUFFICIENT_CLEARANCE_POINTS = 5.0
+"""Clearance of a label above which outward positions are preferred."""
 
-_CHARACTER = np.array([2.6, 5.0])  # half the width of a character and half the height of a line, in points
+_HALF_CHARACTER_POINTS = np.array([2.6, 5.0])
+"""Half the width of a character and half the height of a line."""
 
 
-def free_places(
+def label_offsets(
     dots: Float, texts: Sequence[str], curve: Float, limits: Limits, inch: float
 ) -> list[tuple[float, float]]:
-    """Find free label places beside dots, preferably outward: dots ``(n, 2)``; curve ``(N, 2)``; limits ``(4,)``."""
-    scale = POINTS / inch
+    """Return offsets in points of labels from dots ``(n, 2)``, clear of a curve ``(N, 2)`` and of each other."""
+    scale = POINTS_PER_INCH / inch
     low, high = np.reshape(limits, (2, 2)).T * scale
-    centre = curve.mean(axis=0) * scale
+    curve_centre = curve.mean(axis=0) * scale
     angles = np.arange(16) * np.pi / 8
-    compass = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    taken: list[tuple[Float, Float]] = []  # middles and half sizes
-    places = []
+    directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    placed: list[tuple[Float, Float]] = []  # centres and half sizes of labels
+    best_offsets = []
     for dot, text in zip(dots * scale, texts, strict=True):
-        size = _CHARACTER * [len(text), 1]
-        offsets = compass * [DISTANCE + size[0] - _CHARACTER[0], DISTANCE]
-        middles = dot + offsets
-        room = _gaps(middles, size, curve * scale).min(axis=1)
-        inside = np.minimum(middles - size - low, high - middles - size).min(axis=1)
-        room = np.minimum(room, inside)
-        for other, extent in taken:
-            room = np.minimum(room, _gaps(middles, size + extent, other[None])[:, 0])
-        outward = (compass @ (dot - centre)) / (np.linalg.norm(dot - centre) or 1.0)
-        best = int((np.minimum(room, ENOUGH) + outward).argmax())
-        taken.append((middles[best], size))
-        places.append((float(offsets[best, 0]), float(offsets[best, 1])))
-    return places
+        size = _HALF_CHARACTER_POINTS * [len(text), 1]
+        distance = LABEL_DISTANCE_POINTS
+        offsets = directions * [distance + size[0] - _HALF_CHARACTER_POINTS[0], distance]
+        centres = dot + offsets
+        clearance = _box_distances(centres, size, curve * scale).min(axis=1)
+        to_edge = np.minimum(centres - size - low, high - centres - size).min(axis=1)
+        clearance = np.minimum(clearance, to_edge)
+        for other, other_size in placed:
+            clearance = np.minimum(clearance, _box_distances(centres, size + other_size, other[None])[:, 0])
+        outward = (directions @ (dot - curve_centre)) / (np.linalg.norm(dot - curve_centre) or 1.0)
+        best = int((np.minimum(clearance, SUFFICIENT_CLEARANCE_POINTS) + outward).argmax())
+        placed.append((centres[best], size))
+        best_offsets.append((float(offsets[best, 0]), float(offsets[best, 1])))
+    return best_offsets
 
 
-def _gaps(middles: Float, size: Float, points: Float) -> Float:
-    """Return distances ``(n, N)`` of points from boxes of a half size; negative inside."""
-    apart = np.abs(points[None] - middles[:, None]) - size
-    return np.asarray(apart.max(axis=2))
+def _box_distances(centres: Float, half_size: Float, points: Float) -> Float:
+    """Return distances ``(n, N)`` of points ``(N, 2)`` from boxes around centres ``(n, 2)``; negative inside."""
+    distances = np.abs(points[None] - centres[:, None]) - half_size
+    return np.asarray(distances.max(axis=2))
 
 
 Format = Literal["png", "svg"]
 FORMATS: tuple[Format, ...] = get_args(Format)
 
 LINE_COLOURS = ("#31688e", "#d08c2c", "#4a9d6e", "#8d5fa8", "#8a8a8a")
-"""Colours of lines, different from the red of the joints."""
+"""Colours of lines; none is the red of joints."""
 
 FAINT_COLOUR = "#b9b6b0"
 
-_STYLE = {
+_CHART_STYLE = {
     "axes.axisbelow": True,
     "axes.edgecolor": INK_COLOUR,
     "axes.grid": True,
@@ -98,7 +99,7 @@ _STYLE = {
     "legend.fontsize": 8,
     "legend.frameon": False,
     "legend.labelcolor": INK_COLOUR,
-    "svg.hashsalt": "mixseq",  # names of clip paths and the like, by chance without it
+    "svg.hashsalt": "mixseq",  # fixes the names of clip paths, which are random otherwise
     "text.color": INK_COLOUR,
     "xtick.color": INK_COLOUR,
     "xtick.labelsize": 8,
@@ -109,14 +110,16 @@ _STYLE = {
 
 @contextmanager
 def chart_style() -> Iterator[None]:
-    """Set one style inside the block, independent of the user's matplotlib settings."""
-    with import_matplotlib("style").context(["default", _STYLE]), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)  # names may be in any script
+    """Use the style of charts inside the block, independent of the user's matplotlib settings."""
+    with import_matplotlib("style").context(["default", _CHART_STYLE]), warnings.catch_warnings():
+        warnings.filterwarnings(
+            "ignore", "Glyph .* missing from", UserWarning
+        )  # names of meshes may be in any script
         yield
 
 
 def new_page(width: float, height: float, title: str) -> Figure:
-    """Return an empty page of a size in inches, with automatic layout of panels."""
+    """Return an empty page of a size in inches, with constrained layout."""
     engine = import_matplotlib("layout_engine").ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.1)
     page: Figure = import_matplotlib("figure").Figure(figsize=(width, height), layout=engine)
     page.suptitle(title, x=0.1 / width, ha="left", parse_math=False)
@@ -124,7 +127,7 @@ def new_page(width: float, height: float, title: str) -> Figure:
 
 
 def picture_format(target: Target, chosen: Format | None = None) -> Format:
-    """Return the format of a picture: as given, or by the extension of its file; PNG for files without a name."""
+    """Return the chosen format of a picture, by default that of the file's extension; PNG for files without a name."""
     if chosen is None and not isinstance(target, str | PathLike):
         return "png"
     extension = chosen or Path(str(target)).suffix.lower().removeprefix(".")
@@ -136,59 +139,59 @@ def picture_format(target: Target, chosen: Format | None = None) -> Format:
 
 
 def save_page(page: Figure, target: Target, file_format: Format) -> None:
-    """Write a page, without date and version, so that equal pictures are equal files."""
-    nameless: dict[str, Any] = {"png": {"Software": None}, "svg": {"Date": None, "Creator": None}}
-    page.savefig(target, format=file_format, dpi=DPI, metadata=nameless[file_format])
+    """Write a page without metadata, so that equal pictures are equal files."""
+    no_metadata: dict[str, Any] = {"png": {"Software": None}, "svg": {"Date": None, "Creator": None}}
+    page.savefig(target, format=file_format, dpi=DOTS_PER_INCH, metadata=no_metadata[file_format])
 
 
-def log_axis(ax: Axes, values: Float, least_decades: int = 2) -> None:
-    """Make the y axis logarithmic, in whole decades around positive values, so that ticks have labels."""
+def log_axis(ax: Axes, values: Float, min_decades: int = 2) -> None:
+    """Make the y axis logarithmic, in whole decades around positive values, so that its ticks have labels."""
     low, high = np.floor(np.log10(values.min())), np.ceil(np.log10(values.max()))
-    low = min(low, high - least_decades)
+    low = min(low, high - min_decades)
     ax.set_yscale("log")
     ax.set_ylim(10.0**low, 10.0**high)
 
 
 def time_axis(ax: Axes, start: float, end: float, fps: float | None = None) -> None:
-    """Set the x axis to the time from start to end, with a margin for dots; with frame numbers if a rate is given."""
+    """Label the x axis with time, and with frame numbers if a rate is given; leave a margin for dots."""
     ax.set_xlabel("time (s)" if fps is None else f"time (s), {frames_between(start, end, fps)}")
     if end > start:
         ax.set_xlim(start - 0.01 * (end - start), end + 0.01 * (end - start))
 
 
-def round_frames(count: int, most: int, first: int = 0) -> list[int]:
-    """Choose up to `most` of `count` frames: the first, the last, and those of round numbers, counted from `first`."""
+def round_frames(count: int, max_count: int, first: int = 0) -> list[int]:
+    """Return up to `max_count` of `count` frames: first, last, and those with round numbers counted from `first`."""
     tens = 10 ** np.arange(len(str(count)))
-    step = next(step for step in np.outer(tens, [1, 2, 5, 10]).ravel().tolist() if count <= step * most)
+    step = next(step for step in np.outer(tens, [1, 2, 5, 10]).ravel().tolist() if count <= step * max_count)
     last = count - 1
     inner = range(-first % step or step, last, step)
     return [0, *(frame for frame in inner if frame > step // 2 and last - frame > step // 2), last][-count:]
 
 
-Scale = tuple[Callable[[Any], Any], Callable[[Any], Any]]
-
-MARKED = 10
+MAX_LABELLED_FRAMES = 10
 """Number of frames labelled in the embedding by default."""
 
-SHOWN = 5
-"""Number of coordinates drawn over time, the largest ones."""
+MAX_COORDINATES = 5
+"""Number of coordinates drawn over time, those of largest movement."""
 
-_INCHES = 4.5
-"""Approximate length of the embedding's longer side, in inches."""
+_EMBEDDING_INCHES = 4.5
+"""Approximate length of the embedding's longer side."""
 
-NEGLIGIBLE = 1e-13
-"""Singular values below this fraction of the largest are rounding errors."""
+RANK_TOLERANCE = 1e-13
+"""Singular values below this fraction of the largest count as rounding errors."""
 
 
 def draw_embedding(ax: Axes, model: Model, frames: Sequence[int] | None = None) -> None:
-    """Draw the time signal in the plane that shows most of it (paper, Figure 18)."""
+    """Draw the time signal in the plane of its first two principal directions (paper, Figure 18)."""
     count = len(model.times)
     first = round(number_at(model.times[0], model.header.fps))
-    marked = round_frames(count, MARKED, first) if frames is None else existing_frames(frames, count)
+    labelled = (
+        round_frames(count, MAX_LABELLED_FRAMES, first) if frames is None else check_frames(frames, count)
+    )
     curve, dots = model.embedding(dense_times(model)), model.embedding(model.times)
     x, y = dots.T
     ax.plot(*curve.T, color=FAINT_COLOUR, linewidth=1.2, zorder=2)
-    shown = ax.scatter(
+    scatter = ax.scatter(
         x, y, c=model.times, s=24, cmap="viridis", edgecolors="white", linewidths=0.5, zorder=3
     )
     for frame, marker in ((0, "o"), (count - 1, "s")):
@@ -198,11 +201,13 @@ def draw_embedding(ax: Axes, model: Model, frames: Sequence[int] | None = None) 
     ax.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", anchor="N")
 
     ends = {0: "start", count - 1: "end"} if count > 1 else {}
-    texts = [f"{model.header.frame_number(frame)} {ends.get(frame, '')}".strip() for frame in marked]
-    places = free_places(dots[marked], texts, curve, limits, max(right - left, top - bottom) / _INCHES)
-    for frame, text, place in zip(marked, texts, places, strict=True):
+    texts = [f"{model.header.frame_number(frame)} {ends.get(frame, '')}".strip() for frame in labelled]
+    offsets = label_offsets(
+        dots[labelled], texts, curve, limits, max(right - left, top - bottom) / _EMBEDDING_INCHES
+    )
+    for frame, text, offset in zip(labelled, texts, offsets, strict=True):
         ax.annotate(
-            text, dots[frame], place, textcoords="offset points", ha="center", va="center", fontsize=8
+            text, dots[frame], offset, textcoords="offset points", ha="center", va="center", fontsize=8
         )
     ax.set(
         title="Time signal: MDS embedding, frames numbered",
@@ -210,91 +215,95 @@ def draw_embedding(ax: Axes, model: Model, frames: Sequence[int] | None = None) 
         ylabel="principal direction 2 (diagonals)",
     )
     if count > 1:
-        bar = ax.figure.colorbar(shown, cax=ax.inset_axes((1.03, 0.0, 0.03, 1.0)), label="time (s)")
+        bar = ax.figure.colorbar(scatter, cax=ax.inset_axes((1.03, 0.0, 0.03, 1.0)), label="time (s)")
         bar.outline.set_visible(False)
 
 
 def embedding_limits(model: Model) -> Limits:
-    """Return the rectangle of `draw_embedding`: the curve with space for labels, of moderate aspect."""
+    """Return the rectangle of `draw_embedding`: the curve with space for labels, not too narrow."""
     points = np.concatenate([model.embedding(dense_times(model)), model.embedding(model.times)])
     low, high = points.min(axis=0), points.max(axis=0)
-    half = (high - low) / 2
-    longer = half.max() or 1.0
-    (x, y), (width, height) = (low + high) / 2, np.maximum(half + 0.2 * longer, 0.65 * longer)
+    half_size = (high - low) / 2
+    longest = half_size.max() or 1.0
+    (x, y), (width, height) = (low + high) / 2, np.maximum(half_size + 0.2 * longest, 0.65 * longest)
     return x - width, x + width, y - height, y + height
 
 
 def draw_coefficients(ax: Axes, model: Model) -> None:
-    """Draw the largest coordinates of the time signal over time, its knots as dots."""
+    """Draw the coordinates of the time signal with the largest movement over time, with knots as dots."""
     ax.set(title="Time signal: coefficients, knots as dots", ylabel="coordinate (diagonals)")
     if not model.time.dim:
-        _tell(ax, "the model has no shape modes")
+        _write_note(ax, "the model has no shape modes")
         return
-    chosen, units = largest_coordinates(model)
+    coordinate_ids, units = largest_coordinates(model)
     times = dense_times(model)
     knots = model.time.times[(model.time.times >= model.start) & (model.time.times <= model.end)]
-    lines, dots = model.time(times)[:, chosen] * units, model.time(knots)[:, chosen] * units
+    lines, dots = model.time(times)[:, coordinate_ids] * units, model.time(knots)[:, coordinate_ids] * units
     ax.axhline(0, color=FAINT_COLOUR, linewidth=0.8)
-    for colour, number, line, dot in zip(LINE_COLOURS, chosen, lines.T, dots.T, strict=False):
+    for colour, number, line, dot in zip(LINE_COLOURS, coordinate_ids, lines.T, dots.T, strict=False):
         ax.plot(times, line, color=colour, linewidth=1.4, label=f"coordinate {number + 1}")
         ax.plot(knots, dot, "o", color=colour, markersize=3)
     time_axis(ax, model.start, model.end, model.header.fps)
-    which = "" if len(chosen) == model.time.dim else f"\nthe largest {len(chosen)} of {model.time.dim}"
-    title = f"{len(model.time.times)} knots{which}"
+    selection = (
+        ""
+        if len(coordinate_ids) == model.time.dim
+        else f"\nthe largest {len(coordinate_ids)} of {model.time.dim}"
+    )
+    title = f"{len(model.time.times)} knots{selection}"
     ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), title=title, title_fontsize=8, alignment="left")
 
 
 def draw_singular_values(ax: Axes, model: Model) -> None:
-    """Draw the sizes of modes, and the rest without the later ones; on the right as share of the whole."""
+    """Draw the singular values and the norm of all later ones; the right axis is in percent of the norm of all."""
     ax.set(title="Singular values", xlabel="mode", ylabel="size (diagonals)")
     sizes = singular_values(model)
     if not sizes.size:
-        _tell(ax, "the model has no shape modes")
+        _write_note(ax, "the model has no shape modes")
         return
-    numbers = np.arange(1, len(sizes) + 1)
-    rest = np.sqrt(np.cumsum(np.square(sizes[::-1])))[::-1][1:]  # norm of all later modes
-    ax.plot(numbers, sizes, "o-", color=LINE_COLOURS[0], markersize=3.5, linewidth=0.8, label="the mode")
-    if rest.size:
-        ax.plot(numbers[:-1], rest, color=LINE_COLOURS[1], linewidth=1.4, label="all later modes together")
-    log_axis(ax, np.concatenate([sizes, rest]))
+    modes = np.arange(1, len(sizes) + 1)
+    remainder = np.sqrt(np.cumsum(np.square(sizes[::-1])))[::-1][1:]
+    ax.plot(modes, sizes, "o-", color=LINE_COLOURS[0], markersize=3.5, linewidth=0.8, label="the mode")
+    if remainder.size:
+        ax.plot(modes[:-1], remainder, color=LINE_COLOURS[1], linewidth=1.4, label="all later modes together")
+    log_axis(ax, np.concatenate([sizes, remainder]))
     ax.set_xlim(0.5, max(len(sizes), 2) + 0.5)
     ax.xaxis.set_major_locator(import_matplotlib("ticker").MaxNLocator(integer=True, min_n_ticks=1))
-    whole = float(np.linalg.norm(sizes))
-    scale: Scale = (lambda size: 100 * size / whole, lambda percent: percent * whole / 100)
-    share = ax.secondary_yaxis("right", functions=scale)
-    share.set_ylabel("share of the whole (%)")
-    share.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    total = float(np.linalg.norm(sizes))
+    scale: Any = (lambda size: 100 * size / total, lambda percent: percent * total / 100)
+    percent_axis = ax.secondary_yaxis("right", functions=scale)
+    percent_axis.set_ylabel("share of the whole (%)")
+    percent_axis.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     ax.legend(loc="upper right")
 
 
 def largest_coordinates(model: Model) -> tuple[IntArray, Float]:
-    """Return the time-signal coordinates ``(n,)`` of largest movement, at most `SHOWN`, and their units ``(n,)``."""
+    """Return the coordinates ``(n,)`` of the time signal with the largest movement, and their units ``(n,)``."""
     units = np.sqrt(np.diagonal(_step_gram(model)))
     sizes = units * np.linalg.norm(_centred(model), axis=0)
-    chosen = np.sort(np.argsort(-sizes, kind="stable")[:SHOWN])
-    return chosen, units[chosen]
+    coordinate_ids = np.sort(np.argsort(-sizes, kind="stable")[:MAX_COORDINATES])
+    return coordinate_ids, units[coordinate_ids]
 
 
 def singular_values(model: Model) -> Float:
-    """Return the sizes ``(r,)`` of a model's modes in diagonals, decreasing; see the module."""
+    """Return the singular values ``(r,)`` of a model's modes in diagonals, in descending order."""
     if not model.time.dim:
         return np.zeros(0)
     squares, directions = np.linalg.eigh(_step_gram(model))
     roots = directions * np.sqrt(np.maximum(squares, 0.0))
     sizes = np.linalg.svd(_centred(model) @ roots, compute_uv=False)
-    return np.asarray(sizes[sizes > NEGLIGIBLE * max(sizes.max(initial=0.0), np.finfo(np.float64).tiny)])
+    return np.asarray(sizes[sizes > RANK_TOLERANCE * max(sizes.max(initial=0.0), np.finfo(np.float64).tiny)])
 
 
-def existing_frames(frames: Sequence[int], count: int) -> list[int]:
-    """Return distinct frames in order; SettingsError for those outside the model."""
+def check_frames(frames: Sequence[int], count: int) -> list[int]:
+    """Return distinct frames in order; raise SettingsError for frames outside the model."""
     for frame in frames:
         if not 0 <= frame < count:
-            raise SettingsError(f"there is no frame {frame}; frames are 0 to {count - 1}")
+            raise SettingsError(f"there is no frame {frame}; choose frames from 0 to {count - 1}")
     return sorted(set(frames))
 
 
 def dense_times(model: Model) -> Float:
-    """Return times ``(N,)`` from start to end, dense enough for smooth lines."""
+    """Return times ``(N,)`` from start to end that are dense enough for smooth lines."""
     knots = max(len(model.times), len(model.time.times))
     return np.linspace(model.start, model.end, min(max(400, 20 * knots), 20_000))
 
@@ -305,13 +314,13 @@ def _centred(model: Model) -> Float:
 
 
 def _step_gram(model: Model) -> Float:
-    """Return inner products ``(k, k)`` of unit steps along the coordinates of pose space."""
+    """Return the Gram matrix ``(k, k)`` of unit steps along the coordinates of pose space."""
     shapes, metric = model.shapes, model.space.shape_weights
     steps = model.pose.matrix @ ((shapes - shapes.mean(axis=0)) * metric)
     return np.asarray(steps @ steps.T)
 
 
-def _tell(ax: Axes, text: str) -> None:
-    """Write the reason for an empty chart."""
+def _write_note(ax: Axes, text: str) -> None:
+    """Write a note in an empty chart."""
     ax.text(0.5, 0.5, text, transform=ax.transAxes, ha="center", va="center", fontsize=9)
     ax.set(xticks=[], yticks=[])

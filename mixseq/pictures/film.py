@@ -1,6 +1,6 @@
-"""Films of one or more meshes side by side, from a camera that may turn or follow a body, drawn in software.
+"""Draw films of meshes side by side, with a camera that may turn, or follow a body.
 
-A frame has a panel for each mesh, on a static backdrop of names and the colour bar.
+A frame has a panel for each mesh, on a static backdrop with names and the colour bar.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from scipy.ndimage import gaussian_filter1d
 
 from mixseq.choices import COLOURS, Colour
 from mixseq.errors import SettingsError
-from mixseq.pictures.colours import INK_COLOUR, Bytes, Colouring, make_colouring, two_digits
-from mixseq.pictures.film_encoding import check_film, encode_film, film_format, pillow_module
+from mixseq.pictures.colours import INK_COLOUR, ByteArray, Colouring, format_two_digits, make_colouring
+from mixseq.pictures.film_encoding import check_film, encode_film, film_format, import_pillow
 from mixseq.pictures.page import import_matplotlib
-from mixseq.pictures.raster import Picture, blank, render_mesh
+from mixseq.pictures.raster import Picture, blank_picture, render_mesh
 from mixseq.pictures.scene import (
     Camera,
     DecodedItem,
     Scene,
     SceneItem,
-    check_starts,
+    check_start_times,
+    is_same_mesh,
     nearest_frames,
     resolve_view,
-    same_mesh,
     shared_limits,
     to_y_up,
 )
@@ -45,31 +45,31 @@ if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont
 
 
-_MEANING = {"error": ("diagonals", 1.0), "strain": ("strain", 100.0), "curvature": ("degrees", 1.0)}
-"""Units of colour scales in films, and how many units of `Colouring` each is."""
+_SCALE_UNITS = {"error": ("diagonals", 1.0), "strain": ("strain", 100.0), "curvature": ("degrees", 1.0)}
+"""Units of colour scales in films, and their size in the unit of the `Colouring`."""
 
-SMALLEST_COLOUR_SCALE = 1e-12
-"""Smallest end of the colour scale, above rounding."""
+MIN_COLOUR_SCALE = 1e-12
+"""Smallest end of the colour scale, above rounding errors."""
 
 
 @dataclass(frozen=True)
 class FilmSettings:
-    """The settings of a film."""
+    """Settings of a film."""
 
     size: tuple[int, int] = (1280, 720)  # width and height in pixels
     fps: float | None = None  # frames per second, by default of the first mesh
-    seconds: float | None = None  # duration, by default of the longest sequence; 4 s for still poses
+    seconds: float | None = None  # duration, by default of the longest sequence; 4 s for single poses
     turn: float = 0.0  # rotation of the camera about the meshes during the film, in degrees
-    # Degrees from the front, to the body's left, and above the horizon; by default `three_quarter_view`.
+    # Degrees from the front to the body's left, and above the horizon; by default `three_quarter_view`.
     camera: tuple[float, float] | None = None
     follow: bool = False  # whether the camera follows bodies that travel
-    colour: Colour = "clay"  # the colouring
-    # Error (diagonals), strain or change of angles (degrees) of the last colour, by default the largest of the film.
+    colour: Colour = "clay"  # colouring of the meshes
+    # End of the colour scale: error (diagonals), strain, or degrees; by default the largest value of the film.
     scale: float | None = None
 
     def __post_init__(self) -> None:
         if self.colour not in COLOURS:
-            raise SettingsError(f"the colour is {self.colour!r}; one of {', '.join(COLOURS)} is expected")
+            raise SettingsError(f"the colour is {self.colour!r}; choose one of {', '.join(COLOURS)}")
         for name, value in (("fps", self.fps), ("the duration", self.seconds), ("the scale", self.scale)):
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise SettingsError(f"{name} is {value}; a positive number is expected")
@@ -77,9 +77,9 @@ class FilmSettings:
             raise SettingsError(f"the turn is {self.turn}; a number of degrees is expected")
         if self.camera is not None and not np.all(np.isfinite(self.camera)):
             raise SettingsError(f"the camera is at {self.camera}; two numbers of degrees are expected")
-        if self.scale is not None and self.colour not in _MEANING:
+        if self.scale is not None and self.colour not in _SCALE_UNITS:
             raise SettingsError(
-                "the scale is for the colours error, strain and curvature; leave it out, or choose one of them"
+                "only the colours error, strain and curvature have a scale; choose one of them, or leave the scale out"
             )
 
 
@@ -94,106 +94,107 @@ def film(
     """Make a film of meshes side by side, as .mp4 (by ffmpeg), .gif or .webp; the file is replaced when complete.
 
     Frames are drawn on several threads; the file is the same for any number. `against` is the original for the colour
-    "error"; only its frames are shown then.
+    "error"; then only frames of the original are shown.
     """
-    chosen = settings or FilmSettings()
-    form = film_format(target)
-    check_film(form, chosen.size, chosen.fps)
-    check_shown(shown, chosen, against)
-    work = workers or on_threads()
+    settings = settings or FilmSettings()
+    file_format = film_format(target)
+    check_film(file_format, settings.size, settings.fps)
+    check_shown(shown, settings, against)
+    executor = workers or on_threads()
     items = tuple(item.with_random_access(progress) for item in shown)
-    scene = Scene(items, chosen.fps, chosen.seconds)
+    scene = Scene(items, settings.fps, settings.seconds)
     times, fps = scene.times, scene.fps
-    check_film(form, chosen.size, fps)
+    check_film(file_format, settings.size, fps)
     original = None
     if against is not None:
         original = SceneItem("the original", against).with_random_access(progress)
-        check_starts(items, original.header)
+        check_start_times(items, original.header)
         times = original.elapsed[nearest_frames(original.header, times)]
-    decoded = [item.decode(times, progress, work) for item in items]
-    colourings = _scaled(_colourings(items, decoded, chosen.colour, original), decoded, times, chosen)
-    layout = _layout([item.name for item in items], decoded, colourings, chosen, fps)
+    decoded = [item.decode(times, progress, executor) for item in items]
+    colourings = _colourings(items, decoded, settings.colour, original)
+    colourings = _with_common_scale(colourings, decoded, times, settings)
+    layout = _make_layout([item.name for item in items], decoded, colourings, settings, fps)
 
     def draw(frames: Iterable[int]) -> Iterator[Picture]:
-        shown_then = moments(decoded, colourings, times, frames)
-        for done, picture in enumerate(work(draw_moment, layout, shown_then), 1):
+        film_moments = moments(decoded, colourings, times, frames)
+        for drawn_count, picture in enumerate(executor(draw_moment, layout, film_moments), 1):
             yield picture
-            progress(done, len(times), "drawing frames")
+            progress(drawn_count, len(times), "drawing frames")
 
-    encode_film(Path(target), form, draw, len(times), fps)
+    encode_film(Path(target), file_format, draw, len(times), fps)
 
 
 def check_shown(shown: Sequence[SceneItem], settings: FilmSettings, against: object) -> None:
-    """Raise errors for items that cannot be shown, before the work."""
+    """Raise SettingsError for items that cannot be shown with the settings."""
     if not shown:
-        raise SettingsError("there is nothing to show; give a sequence or a model")
+        raise SettingsError("there is no mesh to show; give a sequence or a model")
     if settings.colour == "error" and against is None:
         raise SettingsError(
-            "the colour error is about errors; give the original that they are measured against"
+            "the colour error needs the original; give the sequence that errors are measured against"
         )
     if settings.colour != "error" and against is not None:
-        raise SettingsError("the original is for the colour error; leave it out, or choose that colour")
+        raise SettingsError("only the colour error needs the original; leave it out, or choose that colour")
     if settings.colour == "parts":
         _parts(shown)
 
 
 def _parts(shown: Sequence[SceneItem]) -> list[Decomposition]:
-    """Return the parts of each mesh: its own, or those of a model of the same triangles."""
+    """Return the parts of each item: its own, or those of another item with the same triangles."""
     known = [(item.header.faces, item.decomposition) for item in shown]
-    found = []
+    result = []
     for item in shown:
-        same = (parts for faces, parts in known if parts and np.array_equal(faces, item.header.faces))
-        parts = item.decomposition or next(same, None)
+        same_faces = (parts for faces, parts in known if parts and np.array_equal(faces, item.header.faces))
+        parts = item.decomposition or next(same_faces, None)
         if parts is None:
             raise SettingsError(
-                f"{item} has no parts; show a model in the mixed space, or choose another colour"
+                f"{item} has no parts; give a model in the mixed space, or choose another colour"
             )
-        found.append(parts)
-    return found
+        result.append(parts)
+    return result
 
 
 def _colourings(
     items: Sequence[SceneItem], decoded: Sequence[DecodedItem], colour: Colour, original: SceneItem | None
 ) -> list[Colouring]:
-    """Return the colouring of each mesh, against its first frame in the film or against the original."""
+    """Return the colouring of each item, relative to its first frame or to the original."""
     parts = _parts(items) if colour == "parts" else [None] * len(items)
     for item in items:
         if colour == "own" and item.header.surface.colours is None:
-            raise SettingsError(f"{item} has no colours of its own; choose another colour")
+            raise SettingsError(f"{item} has no vertex colours; choose another colour")
         if original is not None:
             _check_mesh(item, original.header)
-    before = None if original is None else original.exact_pose
+    reference = None if original is None else original.exact_pose
     return [
-        make_colouring(colour, each.header, each.pose(0), own, before)
-        for each, own in zip(decoded, parts, strict=True)
+        make_colouring(colour, item.header, item.pose(0), item_parts, reference)
+        for item, item_parts in zip(decoded, parts, strict=True)
     ]
 
 
 def _check_mesh(item: SceneItem, original: SequenceHeader) -> None:
     header = item.header
-    if not same_mesh(header, original):
+    if not is_same_mesh(header, original):
         raise SettingsError(
             f"{item} has {len(header.faces)} triangles of {header.vertex_count} vertices, the original "
-            f"{len(original.faces)} of {original.vertex_count}, or in another order; errors need one mesh"
+            f"{len(original.faces)} of {original.vertex_count}, or in another order; errors need the same topology"
         )
 
 
-def _scaled(
+def _with_common_scale(
     colourings: list[Colouring], items: Sequence[DecodedItem], times: Float, settings: FilmSettings
 ) -> list[Colouring]:
-    """Scale all colourings to the given end, by default the largest number of the film."""
-    if settings.colour not in _MEANING:
+    """Return the colourings with the given end of their scales, by default the largest value of the film."""
+    if settings.colour not in _SCALE_UNITS:
         return colourings
-    _, part = _MEANING[settings.colour]
-    top = part * settings.scale if settings.scale else part * SMALLEST_COLOUR_SCALE
+    _, unit = _SCALE_UNITS[settings.colour]
+    top = unit * settings.scale if settings.scale else unit * MIN_COLOUR_SCALE
     if settings.scale is None:
         for item, colouring in zip(items, colourings, strict=True):
-            reached = (colouring.reached(item.pose(frame), float(time)) for frame, time in enumerate(times))
-            top = max(top, *reached)
-    return [colouring.scaled(top) for colouring in colourings]
+            ends = (colouring.scale_end(item.pose(frame), float(time)) for frame, time in enumerate(times))
+            top = max(top, *ends)
+    return [colouring.with_top(top) for colouring in colourings]
 
 
-def _layout(
+def _make_layout(
     names: Sequence[str],
     items: Sequence[DecodedItem],
     colourings: Sequence[Colouring],
@@ -201,232 +202,231 @@ def _layout(
     fps: float,
 ) -> Layout:
     width, height = settings.size
-    meaning, part = _MEANING.get(settings.colour, ("", 1.0))
-    cameras = cameras_of(items, settings, fps)
+    unit, unit_size = _SCALE_UNITS.get(settings.colour, ("", 1.0))
+    cameras = make_cameras(items, settings, fps)
     aspect = float(np.median([camera.aspect for camera in cameras]))
-    places = panels_of(len(items), width, height, aspect, any(names), bool(meaning))
+    rectangles = divide_picture(len(items), width, height, aspect, any(names), bool(unit))
     panels = []
-    for item, colouring, camera, place in zip(items, colourings, cameras, places, strict=True):
-        rows, columns = place
-        fitted = camera.fitted((rows.stop - rows.start) / (columns.stop - columns.start))
-        panels.append(Panel(item.header, colouring.of_faces, fitted, place))
-    if not meaning:
-        return Layout(panels, backdrop_of(width, height, places, names))
+    for item, colouring, camera, rectangle in zip(items, colourings, cameras, rectangles, strict=True):
+        rows, columns = rectangle
+        panel_camera = camera.with_aspect((rows.stop - rows.start) / (columns.stop - columns.start))
+        panels.append(Panel(item.header, colouring.face_colours, panel_camera, rectangle))
+    if not unit:
+        return Layout(panels, draw_backdrop(width, height, rectangles, names))
     scale = import_matplotlib("cm").ScalarMappable(None, "viridis").get_cmap()
     palette = np.asarray(scale(np.arange(256))[:, :3], dtype=np.float64)
-    backdrop = backdrop_of(width, height, places, names, palette, colourings[0].top / part, meaning)
+    backdrop = draw_backdrop(width, height, rectangles, names, palette, colourings[0].top / unit_size, unit)
     return Layout(panels, backdrop, palette)
 
 
-SMOOTHED = 0.25
-"""Time constant in seconds over which a following camera smooths the swing of a body."""
+FOLLOW_SMOOTHING_SECONDS = 0.25
+"""Standard deviation of the filter that smooths the path of a following camera."""
 
 
-def cameras_of(items: Sequence[DecodedItem], settings: FilmSettings, fps: float) -> list[Camera]:
-    """Return the cameras: a common one for meshes with the triangles of the first, one for each other."""
+def make_cameras(items: Sequence[DecodedItem], settings: FilmSettings, fps: float) -> list[Camera]:
+    """Return the camera of each item; items with the faces of the first one share a camera."""
     groups: dict[int, list[DecodedItem]] = {}
     group_of = []
     for number, item in enumerate(items):
-        same = number > 0 and np.array_equal(item.header.faces, items[0].header.faces)
-        group_of.append(0 if same else number)
+        is_same = number > 0 and np.array_equal(item.header.faces, items[0].header.faces)
+        group_of.append(0 if is_same else number)
         groups.setdefault(group_of[-1], []).append(item)
     with one_blas_thread():
-        placed = {number: _camera(group, settings, fps) for number, group in groups.items()}
-    return [placed[number] for number in group_of]
+        cameras = {number: _make_camera(group, settings, fps) for number, group in groups.items()}
+    return [cameras[number] for number in group_of]
 
 
-def _camera(items: Sequence[DecodedItem], settings: FilmSettings, fps: float) -> Camera:
-    first, frames = items[0], len(items[0].pose_of_frame)
-    path = travel_path(first, fps) if settings.follow else np.zeros((frames, 3))
+def _make_camera(items: Sequence[DecodedItem], settings: FilmSettings, fps: float) -> Camera:
+    first_item, frame_count = items[0], len(items[0].pose_of_frame)
+    path = travel_path(first_item, fps) if settings.follow else np.zeros((frame_count, 3))
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for item in items:
-        for frame in range(frames) if settings.follow else item.shown_first.tolist():
+        for frame in range(frame_count) if settings.follow else item.frames_of_new_poses.tolist():
             world = to_y_up(item.pose(frame), item.header.up_axis) - path[frame]
             low, high = np.minimum(low, world.min(axis=0)), np.maximum(high, world.max(axis=0))
     ground = float(low[1])
-    ends = np.stack([first.pose(0), first.pose(frames - 1)])
-    view = resolve_view(ends, first.header.up_axis, settings.camera)
+    ends = np.stack([first_item.pose(0), first_item.pose(frame_count - 1)])
+    view = resolve_view(ends, first_item.header.up_axis, settings.camera)
     camera = Camera(view, settings.turn, path + (low + high) / 2, ground, (0.0, 1.0, 0.0, 1.0))
     limits = []
     for item in items:
-        # while the camera turns or follows, every frame is another picture
-        for frame in range(frames) if settings.turn or settings.follow else item.shown_first.tolist():
+        is_moving = settings.turn or settings.follow
+        for frame in range(frame_count) if is_moving else item.frames_of_new_poses.tolist():
             centre = camera.centres[frame]
             world = to_y_up(item.pose(frame), item.header.up_axis) - centre
-            below = np.array([[0, ground - centre[1], 0]])
-            limits.append(shared_limits(np.concatenate([world, below]), "Y", camera.at(frame)))
+            ground_point = np.array([[0, ground - centre[1], 0]])
+            limits.append(shared_limits(np.concatenate([world, ground_point]), "Y", camera.view_at(frame)))
     left, right, bottom, top = zip(*limits, strict=True)
     return replace(camera, limits=(min(left), max(right), min(bottom), max(top)))
 
 
 def travel_path(item: DecodedItem, fps: float) -> Float:
-    """Return the smoothed path ``(N, 3)`` of a mesh over the ground in a film, Y up, from its first place."""
-    middles = np.stack(
+    """Return the smoothed path ``(N, 3)`` of a mesh over the ground, Y up, relative to its first position."""
+    centroids = np.stack(
         [
             to_y_up(item.pose(frame), item.header.up_axis).mean(axis=0)
             for frame in range(len(item.pose_of_frame))
         ]
     )
-    middles = (middles - middles[0]) * [1, 0, 1]
-    straight = np.linspace(0, 1, len(middles))[:, None] * middles[-1]
-    return np.asarray(straight + gaussian_filter1d(middles - straight, SMOOTHED * fps, axis=0))
+    centroids = (centroids - centroids[0]) * [1, 0, 1]
+    line = np.linspace(0, 1, len(centroids))[:, None] * centroids[-1]
+    return np.asarray(line + gaussian_filter1d(centroids - line, FOLLOW_SMOOTHING_SECONDS * fps, axis=0))
 
 
 Rectangle = tuple[slice, slice]
-"""Rows and columns of a picture."""
+"""Rows and columns of a part of a picture."""
 
-LETTERS = 1 / 32
-"""Height of letters, as a fraction of the picture's."""
+FONT_SIZE_RATIO = 1 / 32
+"""Font size, as a fraction of the picture's height."""
 
-SMALLEST_PANEL = 24
-"""Smallest side of a panel, in pixels."""
+MIN_PANEL_PIXELS = 24
+"""Smallest side of a panel."""
 
-STRIP = 2.0
-"""Height of a line with its margins, in letters."""
+LINE_HEIGHT_RATIO = 2.0
+"""Height of a line of text with its margins, in font sizes."""
 
 
-def panels_of(
-    count: int, width: int, height: int, aspect: float, named: bool, barred: bool
+def divide_picture(
+    count: int, width: int, height: int, aspect: float, has_names: bool, has_colour_bar: bool
 ) -> list[Rectangle]:
-    """Divide a picture into equal panels, with as many columns as make meshes of an aspect largest."""
-    strip = line_height(height)
-    free = height - strip * barred
+    """Divide a picture into equal panels, with the number of columns that draws meshes of an aspect largest."""
+    line = line_height(height)
+    panels_height = height - line * has_colour_bar
 
-    def room(columns: int) -> float:
+    def mesh_width(columns: int) -> float:
         rows = -(-count // columns)
-        return min(width / columns, (free / rows - strip * named) / aspect)
+        return min(width / columns, (panels_height / rows - line * has_names) / aspect)
 
-    columns = max(range(1, count + 1), key=room)
+    columns = max(range(1, count + 1), key=mesh_width)
     rows = -(-count // columns)
-    if min(width // columns, free // rows - strip * named) < SMALLEST_PANEL:
-        raise SettingsError(
-            f"{count} panels are too many for a picture of {width}x{height} pixels; give a larger size"
-        )
+    if min(width // columns, panels_height // rows - line * has_names) < MIN_PANEL_PIXELS:
+        raise SettingsError(f"{count} panels do not fit in {width}x{height} pixels; give a larger size")
     panels = []
     for row, column in (divmod(number, columns) for number in range(count)):
         left, right = column * width // columns, (column + 1) * width // columns
-        upper, lower = row * free // rows + strip * named, (row + 1) * free // rows
+        upper, lower = row * panels_height // rows + line * has_names, (row + 1) * panels_height // rows
         panels.append((slice(upper, lower), slice(left, right)))
     return panels
 
 
 def line_height(height: int) -> int:
-    """Return the height of a line of text in pixels, for a picture of some height."""
-    return round(STRIP * _letters(height))
+    """Return the height of a line of text in pixels, for the height of a picture."""
+    return round(LINE_HEIGHT_RATIO * _font_size(height))
 
 
-def _letters(height: int) -> int:
-    return max(9, round(LETTERS * height))
+def _font_size(height: int) -> int:
+    return max(9, round(FONT_SIZE_RATIO * height))
 
 
-def backdrop_of(
+def draw_backdrop(
     width: int,
     height: int,
     panels: Sequence[Rectangle],
     names: Sequence[str],
     palette: Float | None = None,
     top: float = 0.0,
-    meaning: str = "",
+    unit: str = "",
 ) -> Picture:
-    """Draw names above the panels, and with a palette ``(n, 3)`` the colour bar from 0 to `top` below them."""
-    image = pillow_module("Image").fromarray(blank(width, height))
-    draw = pillow_module("ImageDraw").Draw(image)
-    font, strip = _font(_letters(height)), line_height(height)
+    """Draw names above the panels, and a colour bar of a palette ``(n, 3)`` from 0 to `top` below them."""
+    image = import_pillow("Image").fromarray(blank_picture(width, height))
+    draw = import_pillow("ImageDraw").Draw(image)
+    font, line = _font(_font_size(height)), line_height(height)
     for (rows, columns), name in zip(panels, names, strict=True):
         if name:
-            room = columns.stop - columns.start - strip
-            middle = (columns.start + columns.stop) / 2
-            draw.text((middle, rows.start - strip / 2), _shortened(name, font, room), INK_COLOUR, font, "mm")
+            text = _shorten(name, font, columns.stop - columns.start - line)
+            centre = (columns.start + columns.stop) / 2
+            draw.text((centre, rows.start - line / 2), text, INK_COLOUR, font, "mm")
     if palette is not None:
-        _draw_bar(image, draw, font, palette, top, meaning)
+        _draw_colour_bar(image, draw, font, palette, top, unit)
     return np.array(image)
 
 
-def _draw_bar(
-    image: Any, draw: ImageDraw, font: FreeTypeFont, palette: Float, top: float, meaning: str
+def _draw_colour_bar(
+    image: Any, draw: ImageDraw, font: FreeTypeFont, palette: Float, top: float, unit: str
 ) -> None:
     width, height = image.size
-    strip, letters = line_height(height), _letters(height)
-    long, thick = width // 4, max(4, letters // 2)
-    middle, left = height - strip / 2, (width - long) // 2
-    bar = palette[np.arange(long) * len(palette) // long]
-    rows = np.broadcast_to(np.rint(255 * bar).astype(np.uint8), (thick, long, 3))
-    upper = round(middle - thick / 2)
-    image.paste(pillow_module("Image").fromarray(np.ascontiguousarray(rows)), (left, upper))
-    draw.text((left - letters / 2, middle), "0", INK_COLOUR, font, "rm")
-    draw.text((left + long + letters / 2, middle), f"{two_digits(top)} {meaning}", INK_COLOUR, font, "lm")
+    line, font_size = line_height(height), _font_size(height)
+    bar_width, bar_height = width // 4, max(4, font_size // 2)
+    centre, left = height - line / 2, (width - bar_width) // 2
+    bar = palette[np.arange(bar_width) * len(palette) // bar_width]
+    pixels = np.broadcast_to(np.rint(255 * bar).astype(np.uint8), (bar_height, bar_width, 3))
+    upper = round(centre - bar_height / 2)
+    image.paste(import_pillow("Image").fromarray(np.ascontiguousarray(pixels)), (left, upper))
+    draw.text((left - font_size / 2, centre), "0", INK_COLOUR, font, "rm")
+    end, label = left + bar_width + font_size / 2, f"{format_two_digits(top)} {unit}"
+    draw.text((end, centre), label, INK_COLOUR, font, "lm")
 
 
 def _font(size: int) -> FreeTypeFont:
-    """Return the font of the charts, from matplotlib, with equal layout on all machines."""
+    """Return matplotlib's font, with the same layout on all machines."""
     folder = Path(import_matplotlib("_api").__file__).parents[1] / "mpl-data" / "fonts" / "ttf"
-    fonts = pillow_module("ImageFont")
+    fonts = import_pillow("ImageFont")
     font: FreeTypeFont = fonts.truetype(folder / "DejaVuSans.ttf", size, layout_engine=fonts.Layout.BASIC)
     return font
 
 
-def _shortened(text: str, font: FreeTypeFont, room: float) -> str:
-    """Return a text with its middle left out if it is too long."""
-    kept = len(text)
-    short = text
-    while kept > 2 and font.getlength(short) > room:
-        kept -= 1
-        short = f"{text[: kept - kept // 2]}…{text[len(text) - kept // 2 :]}"
-    return short
+def _shorten(text: str, font: FreeTypeFont, max_width: float) -> str:
+    """Replace the middle of a text by an ellipsis if it is wider than a number of pixels."""
+    length = len(text)
+    shortened = text
+    while length > 2 and font.getlength(shortened) > max_width:
+        length -= 1
+        shortened = f"{text[: length - length // 2]}…{text[len(text) - length // 2 :]}"
+    return shortened
 
 
 HEAT_CONTRAST = 0.25
-"""Strength of the shading under measured colours, as on paper."""
+"""Strength of the shading of measured colours, weak enough to read them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Panel:
     """One panel of a film."""
 
-    header: SequenceHeader  # the mesh
-    colours: ArrayLike  # (3,) RGB in 0..1 of the mesh or of each face, where nothing is measured
-    camera: Camera  # from where, in the proportions of the panel
-    place: Rectangle  # where it is in the picture
+    header: SequenceHeader  # header of the mesh
+    colours: ArrayLike  # (3,) or (F, 3) RGB in 0..1 of mesh or faces, if constant
+    camera: Camera  # camera with the aspect of the panel
+    rectangle: Rectangle  # position in the picture
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """The static data of all frames of a film."""
+    """Static data of all frames of a film."""
 
-    panels: Sequence[Panel]  # from left to right, and down
-    backdrop: Picture  # (H, W, 3) what does not change: names and the colour bar
-    palette: Float | None = None  # (256, 3) colours of what is measured, RGB in 0..1
+    panels: Sequence[Panel]  # by rows, from left to right
+    backdrop: Picture  # (H, W, 3) names and colour bar
+    palette: Float | None = None  # (256, 3) RGB in 0..1 of measured colours
 
 
-Moment = tuple[int, list[tuple[Float, Bytes | None]]]
-"""A frame number, and for each mesh its points ``(V, 3)`` and, if measured, palette entries ``(V,)``."""
+Moment = tuple[int, list[tuple[Float, ByteArray | None]]]
+"""Frame number, and points ``(V, 3)`` and palette entries ``(V,)``, if measured, of each mesh."""
 
 
 def moments(
     items: Sequence[DecodedItem], colourings: Sequence[Colouring], times: Float, frames: Iterable[int]
 ) -> Iterator[Moment]:
-    """Yield the data of film frames at times ``(N,)``."""
+    """Yield the data of frames of a film with frame times ``(N,)``."""
     for frame in frames:
-        seen: list[tuple[Float, Bytes | None]] = []
+        meshes: list[tuple[Float, ByteArray | None]] = []
         for item, colouring in zip(items, colourings, strict=True):
             points = item.pose(frame)
-            entries = None if colouring.constant else colouring.indices(points, float(times[frame]))
-            seen.append((points, entries))
-        yield frame, seen
+            entries = None if colouring.is_constant else colouring.entries(points, float(times[frame]))
+            meshes.append((points, entries))
+        yield frame, meshes
 
 
 def draw_moment(layout: Layout, moment: Moment) -> Picture:
     """Draw a frame of a film ``(H, W, 3)``."""
-    frame, seen = moment
+    frame, meshes = moment
     picture = layout.backdrop.copy()
-    for panel, (points, entries) in zip(layout.panels, seen, strict=True):
+    for panel, (points, entries) in zip(layout.panels, meshes, strict=True):
         faces, camera = panel.header.faces, panel.camera
         colours, contrast = panel.colours, 1.0
         if entries is not None and layout.palette is not None:
             colours, contrast = layout.palette[entries[faces]], HEAT_CONTRAST
         centre = camera.centres[frame]
         world = to_y_up(points, panel.header.up_axis) - centre
-        view = camera.at(frame)
+        view = camera.view_at(frame)
         ground = float(camera.ground - centre[1])
-        render_mesh(picture[panel.place], world, faces, view, camera.limits, colours, ground, contrast)
+        render_mesh(picture[panel.rectangle], world, faces, view, camera.limits, colours, ground, contrast)
     return picture

@@ -1,7 +1,7 @@
-"""Encoding of films: WebP and GIF by Pillow, H.264 in MP4 by the program ffmpeg, with raw frames through a pipe.
+"""Encode films: WebP and GIF by Pillow, H.264 in MP4 by the program ffmpeg, with raw frames through a pipe.
 
-Frames are drawn while they are encoded. Pillow keeps the encoded WebP, and one byte per pixel of all GIF frames, in
-memory. Encoders run on one thread and write no metadata, so that equal films are equal files on any number of cores.
+Frames are drawn while they are encoded. In memory, Pillow holds the encoded WebP, or all GIF frames with one byte per
+pixel. Encoders run on one thread and write no metadata, so that equal films are equal files on any machine.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ from typing import IO, Any, Literal, get_args
 import numpy as np
 
 from mixseq.errors import MissingExtraError, OutputError, SettingsError
-from mixseq.pictures.raster import PAPER, Picture
+from mixseq.pictures.raster import BACKGROUND_GREY, Picture
 
 FilmFormat = Literal["mp4", "gif", "webp"]
 FILM_FORMATS: tuple[FilmFormat, ...] = get_args(FilmFormat)
 
 Draw = Callable[[Iterable[int]], Iterator[Picture]]
-"""From frame numbers to pictures ``(H, W, 3)`` in their order."""
+"""Function from frame numbers to pictures ``(H, W, 3)`` in the same order."""
 
-SMALLEST, LARGEST = 64, 8192
-"""Sides of a film, in pixels."""
+MIN_SIDE, MAX_SIDE = 64, 8192
+"""Limits of the width and height of a film, in pixels."""
 
-FASTEST_GIF = 50.0
-"""Largest GIF frame rate, in 1/s: delays are in hundredths of seconds, and players slow down delays below two."""
+MAX_GIF_FPS = 50.0
+"""Largest frame rate of GIF: delays are in hundredths of a second, and players slow down delays below two."""
 
-LONGEST_GIF = 655.0
-"""Longest duration of one GIF picture, which may cover all frames, in seconds."""
+MAX_GIF_SECONDS = 655.0
+"""Longest delay of a GIF frame, which covers the whole film if nothing moves."""
 
 
 def film_format(target: str | PathLike[str]) -> FilmFormat:
-    """Return a film's format from its file's extension."""
+    """Return the format of a film by the extension of its file."""
     extension = Path(target).suffix.lower().removeprefix(".")
     for known in FILM_FORMATS:
         if extension == known:
@@ -47,41 +47,41 @@ def film_format(target: str | PathLike[str]) -> FilmFormat:
     raise OutputError(f"{target}: films are MP4, GIF or WebP files; end the name in .mp4, .gif or .webp")
 
 
-def check_film(form: FilmFormat, size: tuple[int, int], fps: float | None = None) -> None:
-    """Raise errors for limits of a format or of this machine, before the work."""
+def check_film(file_format: FilmFormat, size: tuple[int, int], fps: float | None = None) -> None:
+    """Raise errors for a size or rate that a format forbids, and for missing encoders."""
     for side in size:
-        if not SMALLEST <= side <= LARGEST:
+        if not MIN_SIDE <= side <= MAX_SIDE:
             raise SettingsError(
-                f"the size is {size[0]}x{size[1]}; films have {SMALLEST} to {LARGEST} pixels on each side"
+                f"the size is {size[0]}x{size[1]}; films have {MIN_SIDE} to {MAX_SIDE} pixels on each side"
             )
-        if form == "mp4" and side % 2:
+        if file_format == "mp4" and side % 2:
             raise SettingsError(
                 f"the size is {size[0]}x{size[1]}; MP4 needs even numbers, {side} could be {side + 1}"
             )
-    if form == "gif" and fps is not None and fps > FASTEST_GIF:
+    if file_format == "gif" and fps is not None and fps > MAX_GIF_FPS:
         raise SettingsError(
-            f"{fps:g} frames per second are too many for GIF, which has at most {FASTEST_GIF:g}; give a lower rate, "
+            f"{fps:g} frames per second are too many for GIF, which has at most {MAX_GIF_FPS:g}; give a lower rate, "
             "or write .mp4 or .webp"
         )
-    modules = pillow_module("features").get_supported_modules()
-    if form == "webp" and "webp" not in modules:
+    modules = import_pillow("features").get_supported_modules()
+    if file_format == "webp" and "webp" not in modules:
         raise MissingExtraError(
-            "Pillow is installed without its WebP encoder; get one with: pip install 'pillow>=11.3', or write a .gif"
+            "Pillow is installed without WebP; get it with: pip install 'pillow>=11.3', or write a .gif"
         )
-    if form == "mp4":
+    if file_format == "mp4":
         find_ffmpeg()
 
 
-def encode_film(target: Path, form: FilmFormat, draw: Draw, count: int, fps: float) -> None:
-    """Write frames as they are drawn; the file is replaced when all are written."""
+def encode_film(target: Path, file_format: FilmFormat, draw: Draw, count: int, fps: float) -> None:
+    """Draw and write all frames of a film; the file is replaced when it is complete."""
     target = target.resolve()  # a symbolic link is followed, not replaced
     with TemporaryDirectory(prefix=target.name, dir=target.parent) as folder:
         temporary = Path(folder, target.name)
-        if form == "mp4":
+        if file_format == "mp4":
             write_mp4(temporary, draw(range(count)), fps)
         else:
             with temporary.open("wb") as file:
-                if form == "webp":
+                if file_format == "webp":
                     _write_webp(file, draw(range(count)), count, fps)
                 else:
                     _write_gif(file, draw, count, fps)
@@ -92,31 +92,29 @@ CONSTANT_RATE_FACTOR = 18
 """Quality of H.264, from 0 (lossless) to 51; 18 looks like the original."""
 
 KEYFRAME_SECONDS = 2.0
-"""Largest distance of keyframes, to which players can jump, in seconds."""
+"""Largest distance of keyframes, to which players can seek."""
 
-_COLOURS = ("-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709", "-color_range", "tv")
-
-_CURE = (
-    "install one with libx264 (apt, brew or winget install ffmpeg), or write .webp or .gif, which need none"
-)
+_FFMPEG_CURE = "install it with libx264 (apt, brew or winget install ffmpeg), or write .webp or .gif instead"
 
 
 def find_ffmpeg() -> str:
     """Return the path of an ffmpeg that encodes H.264."""
     program = shutil.which("ffmpeg")
     if program is None:
-        raise MissingExtraError(f"MP4 needs ffmpeg, and there is none on the PATH; {_CURE}")
+        raise MissingExtraError(f"MP4 needs ffmpeg, which is not on the PATH; {_FFMPEG_CURE}")
     try:
         encoders = subprocess.run([program, "-hide_banner", "-encoders"], capture_output=True, timeout=30)
     except (OSError, subprocess.SubprocessError) as error:
-        raise MissingExtraError(f"MP4 needs ffmpeg, and {program} does not run: {error}; {_CURE}") from error
+        raise MissingExtraError(
+            f"MP4 needs ffmpeg, and {program} does not run: {error}; {_FFMPEG_CURE}"
+        ) from error
     if b" libx264 " not in encoders.stdout:
-        raise MissingExtraError(f"MP4 needs the encoder libx264, and {program} has none; {_CURE}")
+        raise MissingExtraError(f"MP4 needs the encoder libx264, and {program} has none; {_FFMPEG_CURE}")
     return program
 
 
 def write_mp4(target: Path, pictures: Iterator[Picture], fps: float) -> None:
-    """Write frames as an MP4 that plays while it is loaded."""
+    """Write frames as an MP4 that players can start before it is loaded."""
     program = find_ffmpeg()
     first = next(pictures)
     height, width = first.shape[:2]
@@ -126,7 +124,8 @@ def write_mp4(target: Path, pictures: Iterator[Picture], fps: float) -> None:
         program, "-v", "error", "-xerror", "-y",
         "-f", "rawvideo", "-pix_fmt", "rgb24", "-video_size", f"{width}x{height}", "-framerate", str(rate),
         "-i", "pipe:0",
-        "-vf", "scale=out_color_matrix=bt709:out_range=tv", "-pix_fmt", "yuv420p", *_COLOURS,
+        "-vf", "scale=out_color_matrix=bt709:out_range=tv", "-pix_fmt", "yuv420p", "-colorspace", "bt709",
+        "-color_primaries", "bt709", "-color_trc", "bt709", "-color_range", "tv",
         "-c:v", "libx264", "-crf", str(CONSTANT_RATE_FACTOR), "-threads", "1",
         "-g", str(max(1, round(KEYFRAME_SECONDS * rate))),
         "-map_metadata", "-1", "-fflags", "+bitexact", "-flags:v", "+bitexact", "-movflags", "+faststart",
@@ -143,14 +142,14 @@ def write_mp4(target: Path, pictures: Iterator[Picture], fps: float) -> None:
                 encoder.stdin.close()
             except BaseException as error:
                 encoder.kill()
-                if not isinstance(error, BrokenPipeError):  # else it ended by itself, and its log says why
+                if not isinstance(error, BrokenPipeError):  # a broken pipe has its reason in the log
                     raise
             finally:
                 with suppress(BrokenPipeError):
                     encoder.stdin.close()
         if encoder.returncode:
             log.seek(0)
-            lines = log.read().decode(errors="replace").strip().splitlines() or ["no reason given"]
+            lines = log.read().decode(errors="replace").strip().splitlines() or ["it gave no reason"]
             raise OutputError(f"ffmpeg cannot write the film: {lines[0]}")
 
 
@@ -160,79 +159,79 @@ def frame_rate(fps: float) -> Fraction:
 
 
 WEBP_QUALITY = 80
-"""WebP quality, of 100."""
+"""Quality of WebP, from 0 to 100."""
 
 WEBP_EFFORT = 3
-"""WebP effort, from 0 (fast) to 6 (small)."""
+"""Effort of WebP, from 0 (fast) to 6 (small)."""
 
 WEBP_KEYFRAME_DISTANCES = 24, 48
-"""Smallest and largest number of frames from one keyframe to the next."""
+"""Smallest and largest number of frames between keyframes."""
 
 GIF_PALETTE_FRAMES = 6
-"""Number of frames, evenly spaced, whose colours make the palette of a GIF."""
+"""Number of evenly spaced frames from whose colours the palette of a GIF is chosen."""
 
 
 def _write_webp(file: IO[bytes], pictures: Iterator[Picture], count: int, fps: float) -> None:
-    frames = map(pillow_module("Image").fromarray, pictures)
-    least, most = WEBP_KEYFRAME_DISTANCES
+    frames = map(import_pillow("Image").fromarray, pictures)
+    min_distance, max_distance = WEBP_KEYFRAME_DISTANCES
     next(frames).save(
         file,
         "WEBP",
         save_all=True,
-        append_images=[_Reel(frames, count - 1)],
+        append_images=[_LazyFrames(frames, count - 1)],
         duration=1000 / fps,
         loop=0,
         quality=WEBP_QUALITY,
         method=WEBP_EFFORT,
-        kmin=least,
-        kmax=most,
+        kmin=min_distance,
+        kmax=max_distance,
     )
 
 
-class _Reel:
-    """An animation for Pillow whose frames are drawn when they are sought, to save memory."""
+class _LazyFrames:
+    """A multi-frame image for Pillow that draws each frame when it is sought, to save memory."""
 
     def __init__(self, frames: Iterator[Any], count: int) -> None:
         self.n_frames = count
         self._frames = frames
-        self._shown: Any = None
+        self._current: Any = None
 
     def seek(self, frame: int) -> None:
-        self._shown = next(self._frames)
+        self._current = next(self._frames)
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(self._shown, name)
+        return getattr(self._current, name)
 
 
 def _write_gif(file: IO[bytes], draw: Draw, count: int, fps: float) -> None:
-    """Write frames as an endless GIF with one palette, without dithering, which would flicker."""
-    if count > LONGEST_GIF * fps:
+    """Write frames as a looping GIF with one palette, without dithering, which flickers."""
+    if count > MAX_GIF_SECONDS * fps:
         raise SettingsError(
-            f"the film takes {count / fps:g} s; GIF has at most {LONGEST_GIF:g} s, write .mp4 or .webp"
+            f"the film takes {count / fps:g} s, a GIF at most {MAX_GIF_SECONDS:g} s; write .mp4 or .webp"
         )
-    image = pillow_module("Image")
-    sampled = sorted({number * count // GIF_PALETTE_FRAMES for number in range(GIF_PALETTE_FRAMES)})
-    pixels = np.concatenate([picture.reshape(-1, 3) for picture in draw(sampled)])
+    image = import_pillow("Image")
+    sample_frames = sorted({number * count // GIF_PALETTE_FRAMES for number in range(GIF_PALETTE_FRAMES)})
+    pixels = np.concatenate([picture.reshape(-1, 3) for picture in draw(sample_frames)])
     counts, colours = zip(*image.fromarray(pixels[None]).getcolors(len(pixels)), strict=True)
-    # weighted by the root of their counts: neither small parts nor soft shadows lose their colours
+    # weighted by the roots of their counts, so that small parts and soft shadows keep their colours
     weighted = np.repeat(np.array(colours, np.uint8), np.ceil(np.sqrt(counts)).astype(np.int64), axis=0)
-    chosen = image.fromarray(weighted[None]).quantize(255).getpalette()
+    palette_colours = image.fromarray(weighted[None]).quantize(255).getpalette()
     palette = image.new("P", (1, 1))
-    palette.putpalette([*chosen, PAPER, PAPER, PAPER])
+    palette.putpalette([*palette_colours, BACKGROUND_GREY, BACKGROUND_GREY, BACKGROUND_GREY])
 
-    def quantized(picture: Picture) -> Any:
+    def quantize(picture: Picture) -> Any:
         frame = image.fromarray(picture).quantize(palette=palette, dither=image.Dither.NONE)
-        # the nearest colour is approximate, but paper stays white
-        frame.paste(len(chosen) // 3, mask=image.fromarray((picture == PAPER).all(axis=2)))
+        # Pillow's nearest colours are approximate; the background stays white
+        frame.paste(len(palette_colours) // 3, mask=image.fromarray((picture == BACKGROUND_GREY).all(axis=2)))
         return frame
 
-    frames = map(quantized, draw(range(count)))
+    frames = map(quantize, draw(range(count)))
     ends = [10 * round(100 * frame / fps) for frame in range(count + 1)]
     durations = np.diff(ends).tolist()
     next(frames).save(file, "GIF", save_all=True, append_images=frames, duration=durations, loop=0)
 
 
-def pillow_module(name: str) -> Any:
+def import_pillow(name: str) -> Any:
     """Import a module of Pillow on first use."""
     try:
         return import_module(f"PIL.{name}")

@@ -1,4 +1,4 @@
-"""Drawing with matplotlib: pages of equal panels, and a shaded mesh in one of them, from back to front."""
+"""Draw shaded meshes with matplotlib, sorted from back to front, on pages of equal panels."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 
 Target = str | PathLike[str] | IO[bytes]
 
-DPI = 150
-WIDTH = 12.0  # inches, as are all lengths here
-GAP = 0.15
-BOTTOM = 0.1
+DOTS_PER_INCH = 150
+PAGE_WIDTH = 12.0  # inches, as are all lengths here
+ROW_GAP = 0.15
+BOTTOM_MARGIN = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,31 +35,32 @@ class Sheet:
     """A page with rows of equal panels."""
 
     figure: Figure  # the page
-    panels: list[list[Axes]]  # the panels, row by row, without frames
+    panels: list[list[Axes]]  # panels without frames, row by row
 
     @classmethod
     def from_grid(
         cls, rows: int, columns: int, aspect: float, title: str, left: float = 0.1, right: float = 0.1
     ) -> Sheet:
-        """Lay out a page of panels with a height per width, moderated; margins left and right in inches."""
+        """Lay out panels of an aspect, clamped to 0.3..2.5; margins left and right in inches."""
         top = 0.65 if title else 0.3
-        width = (WIDTH - left - right) / columns
+        width = (PAGE_WIDTH - left - right) / columns
         height = width * float(np.clip(aspect, 0.3, 2.5))
-        page = top + rows * (height + GAP) - GAP + BOTTOM
+        page_height = top + rows * (height + ROW_GAP) - ROW_GAP + BOTTOM_MARGIN
 
-        figure: Figure = import_matplotlib("figure").Figure(figsize=(WIDTH, page), facecolor="white")
-        figure.text(0.1 / WIDTH, 1 - 0.1 / page, title, fontsize=13, color=INK_COLOUR, va="top")
+        size = PAGE_WIDTH, page_height
+        figure: Figure = import_matplotlib("figure").Figure(figsize=size, facecolor="white")
+        figure.text(0.1 / PAGE_WIDTH, 1 - 0.1 / page_height, title, fontsize=13, color=INK_COLOUR, va="top")
 
         def panel(row: int, column: int) -> Axes:
-            x, y = left + column * width, BOTTOM + (rows - 1 - row) * (height + GAP)
-            ax = figure.add_axes((x / WIDTH, y / page, width / WIDTH, height / page))
+            x, y = left + column * width, BOTTOM_MARGIN + (rows - 1 - row) * (height + ROW_GAP)
+            ax = figure.add_axes((x / PAGE_WIDTH, y / page_height, width / PAGE_WIDTH, height / page_height))
             ax.set_axis_off()
             return ax
 
         return cls(figure, [[panel(row, column) for column in range(columns)] for row in range(rows)])
 
     def label_row(self, row: int, text: str) -> None:
-        """Label a row on its left."""
+        """Label a row on the left."""
         self.panels[row][0].annotate(
             text,
             (0, 0.5),
@@ -76,16 +77,17 @@ class Sheet:
         """Add a colour bar in scientific notation to the right of the last row."""
         ticker = import_matplotlib("ticker")
         box = self.panels[-1][-1].get_position(original=True)
-        place = box.x1 + 0.08 / WIDTH, box.y0 + 0.1 * box.height, 0.12 / WIDTH, 0.8 * box.height
-        bar = self.figure.colorbar(mappable, cax=self.figure.add_axes(place), ticks=ticker.LinearLocator(3))
+        x, width = box.x1 + 0.08 / PAGE_WIDTH, 0.12 / PAGE_WIDTH
+        cax = self.figure.add_axes((x, box.y0 + 0.1 * box.height, width, 0.8 * box.height))
+        bar = self.figure.colorbar(mappable, cax=cax, ticks=ticker.LinearLocator(3))
         bar.ax.yaxis.set_major_formatter(lambda value, _: f"{value:.1e}" if value else "0")
         bar.ax.tick_params(labelsize=7, colors=INK_COLOUR, length=2)
         bar.outline.set_visible(False)
         bar.set_label(label, fontsize=7, color=INK_COLOUR)
 
     def save(self, target: Target) -> None:
-        """Write the PNG without date and version, so that equal pictures are equal files."""
-        self.figure.savefig(target, format="png", dpi=DPI, metadata={"Software": None})
+        """Write the page as a PNG without metadata, so that equal pictures are equal files."""
+        self.figure.savefig(target, format="png", dpi=DOTS_PER_INCH, metadata={"Software": None})
 
 
 def import_matplotlib(name: str) -> Any:
@@ -99,7 +101,7 @@ def import_matplotlib(name: str) -> Any:
 
 
 def error_map(top: float) -> Any:
-    """Return the colours of errors from 0 to `top`, a matplotlib ScalarMappable."""
+    """Return matplotlib's colour map of errors from 0 to `top`, a ScalarMappable."""
     return import_matplotlib("cm").ScalarMappable(import_matplotlib("colors").Normalize(0, top), "viridis")
 
 
@@ -159,13 +161,13 @@ def draw_mesh(
 
 
 def _back_to_front(screen: Float, faces: IntArray, normals: Float) -> Index:
-    """Sort faces for painting; back faces of a closed mesh are left out."""
+    """Return the faces to draw, sorted from back to front, without the back faces of closed meshes."""
     corners = screen[faces]
-    inside_out = np.sum((corners[:, 0] - screen.mean(axis=0)) * normals) < 0
-    hidden = (normals[:, 2] >= 0) if inside_out else (normals[:, 2] <= 0)
-    # at the outline of an open mesh, front faces go above the back faces next to them
-    depth = corners[..., 2].mean(axis=1) - 0.03 * np.ptp(screen[:, 2]) * hidden
+    is_inside_out = np.sum((corners[:, 0] - screen.mean(axis=0)) * normals) < 0
+    is_back_face = (normals[:, 2] >= 0) if is_inside_out else (normals[:, 2] <= 0)
+    # back faces are moved back a little, behind the front faces next to them at the outline of an open mesh
+    depth = corners[..., 2].mean(axis=1) - 0.03 * np.ptp(screen[:, 2]) * is_back_face
     order = np.argsort(depth, kind="stable")
     topology = Topology(faces, len(screen))
-    loose = topology.boundary_edges, topology.non_manifold_edges, topology.inconsistent_edges
-    return order if any(edges.size for edges in loose) else order[~hidden[order]]
+    open_edges = topology.boundary_edges, topology.non_manifold_edges, topology.inconsistent_edges
+    return order if any(edges.size for edges in open_edges) else order[~is_back_face[order]]

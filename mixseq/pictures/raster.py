@@ -1,12 +1,10 @@
-"""Rasterization of one mesh: triangles in a depth buffer, under a key light and a soft fill, above their shadow.
+"""Software rasterization of a mesh with a key light, a soft fill light and a shadow on the ground.
 
-Triangles are drawn with a depth test [1]_. Corners are rounded to 1/256 of a sample and coverage is decided in integers
-[2]_: adjacent triangles leave no gaps, and all machines draw the same samples. A pixel is the mean of 2 x 2 samples.
-Compiled loops release the interpreter's lock and draw faces in order, so that frames have the same pixels on any number
-of threads.
-
-Renderers of libraries need a graphics card or OpenGL, and draw other pixels on each; matplotlib takes 2.6 times as long
-(0.13 s for the fox of 5,600 vertices in 1280 x 720, instead of 0.05 s) and sorts faces instead of pixels.
+Triangles are drawn with a depth buffer [1]_. Corners are rounded to 1/256 of a sample and coverage is decided in
+integers [2]_: adjacent triangles leave no gaps, and all machines draw the same samples. A pixel is the mean of 2 x 2
+samples. Compiled loops release the interpreter's lock and draw faces in order, so that frames have the same pixels on
+any number of threads. Graphics cards draw different pixels on each machine; matplotlib takes 2.6 times as long (0.13 s
+instead of 0.05 s for a fox of 5,600 vertices in 1280 x 720) and sorts faces instead of pixels.
 
 References
 ----------
@@ -20,47 +18,47 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
-from mixseq.pictures.colours import CLAY_COLOUR, Bytes
+from mixseq.pictures.colours import CLAY_COLOUR, ByteArray
 from mixseq.pictures.scene import Limits, View
 from mixseq.runtime.jit import compiled
 from mixseq.sequence.sequence import bounding_diagonal
 from mixseq.types import Float, Index, IntArray, Single
 
-Picture = Bytes
+Picture = ByteArray
 
-SUBPIXELS = 256
-"""Steps per pixel of corner positions."""
+SUBPIXEL_STEPS = 256
+"""Resolution of corner positions, in steps per sample."""
 
 
 @compiled
 def fill_triangles(
-    places: Index, heights: Single, faces: Index, colours: Single, nearest: Single, samples: Bytes
+    positions: Index, heights: Single, faces: Index, colours: Single, depth: Single, samples: ByteArray
 ) -> None:
-    """Draw triangles into samples with a depth test.
+    """Draw triangles into samples with a depth buffer.
 
-    `places` (V, 2) are columns and rows in `SUBPIXELS`, `heights` (V,) grow towards the camera, `colours` (F, 3, 3) are
-    those of the corners in 0..255; `nearest` (H, W) and `samples` (H, W, 3) are changed.
+    `positions` (V, 2) are columns and rows in `SUBPIXEL_STEPS`, `heights` (V,) increase towards the camera, `colours`
+    (F, 3, 3) are those of the corners in 0..255. `depth` (H, W) and `samples` (H, W, 3) are modified.
     """
-    height, width = nearest.shape
-    half = SUBPIXELS // 2
+    height, width = depth.shape
+    half = SUBPIXEL_STEPS // 2
     for f in range(len(faces)):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        ax, ay = places[a, 0], places[a, 1]
-        bx, by = places[b, 0], places[b, 1]
-        cx, cy = places[c, 0], places[c, 1]
+        ax, ay = positions[a, 0], positions[a, 1]
+        bx, by = positions[b, 0], positions[b, 1]
+        cx, cy = positions[c, 0], positions[c, 1]
         area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
         if area == 0:
             continue
         sign = 1 if area > 0 else -1
-        first, last = max(min(ax, bx, cx), 0), min(max(ax, bx, cx), width * SUBPIXELS - 1)
-        top, bottom = max(min(ay, by, cy), 0), min(max(ay, by, cy), height * SUBPIXELS - 1)
-        left, right = (first + half - 1) // SUBPIXELS, (last - half) // SUBPIXELS
-        upper, lower = (top + half - 1) // SUBPIXELS, (bottom - half) // SUBPIXELS
-        # Weights of the corners, times the area, are whole numbers: neighbours leave no gaps between them.
+        first, last = max(min(ax, bx, cx), 0), min(max(ax, bx, cx), width * SUBPIXEL_STEPS - 1)
+        top, bottom = max(min(ay, by, cy), 0), min(max(ay, by, cy), height * SUBPIXEL_STEPS - 1)
+        left, right = (first + half - 1) // SUBPIXEL_STEPS, (last - half) // SUBPIXEL_STEPS
+        upper, lower = (top + half - 1) // SUBPIXEL_STEPS, (bottom - half) // SUBPIXEL_STEPS
+        # Barycentric weights times the area are integers: adjacent triangles leave no gaps.
         step_a, step_b, step_c = sign * (by - cy), sign * (cy - ay), sign * (ay - by)
         scale = 1.0 / (sign * area)
         for j in range(upper, lower + 1):
-            y, x = j * SUBPIXELS + half, left * SUBPIXELS + half
+            y, x = j * SUBPIXEL_STEPS + half, left * SUBPIXEL_STEPS + half
             wa = sign * ((bx - x) * (cy - y) - (cx - x) * (by - y))
             wb = sign * ((cx - x) * (ay - y) - (ax - x) * (cy - y))
             wc = sign * ((ax - x) * (by - y) - (bx - x) * (ay - y))
@@ -68,19 +66,19 @@ def fill_triangles(
                 if wa >= 0 and wb >= 0 and wc >= 0:
                     u, v, w = wa * scale, wb * scale, wc * scale
                     z = np.float32(u * heights[a] + v * heights[b] + w * heights[c])
-                    if z > nearest[j, i]:
-                        nearest[j, i] = z
+                    if z > depth[j, i]:
+                        depth[j, i] = z
                         for k in range(3):
                             value = u * colours[f, 0, k] + v * colours[f, 1, k] + w * colours[f, 2, k]
                             samples[j, i, k] = np.uint8(value + 0.5)
-                wa += step_a * SUBPIXELS
-                wb += step_b * SUBPIXELS
-                wc += step_c * SUBPIXELS
+                wa += step_a * SUBPIXEL_STEPS
+                wb += step_b * SUBPIXEL_STEPS
+                wc += step_c * SUBPIXEL_STEPS
 
 
 @compiled
-def average(nearest: Single, samples: Bytes, side: int, picture: Bytes) -> None:
-    """Write means of `side` x `side` samples to a picture (H, W, 3), blended over its contents."""
+def downsample(depth: Single, samples: ByteArray, side: int, picture: ByteArray) -> None:
+    """Write the means of `side` x `side` samples to a picture (H, W, 3), blended over its contents."""
     height, width = picture.shape[:2]
     count = side * side
     for j in range(height):
@@ -88,21 +86,21 @@ def average(nearest: Single, samples: Bytes, side: int, picture: Bytes) -> None:
             covered = red = green = blue = 0
             for q in range(side * j, side * j + side):
                 for p in range(side * i, side * i + side):
-                    if nearest[q, p] > -np.inf:
+                    if depth[q, p] > -np.inf:
                         covered += 1
                         red += samples[q, p, 0]
                         green += samples[q, p, 1]
                         blue += samples[q, p, 2]
             if covered > 0:
-                open_ = count - covered
-                picture[j, i, 0] = (red + open_ * picture[j, i, 0] + count // 2) // count
-                picture[j, i, 1] = (green + open_ * picture[j, i, 1] + count // 2) // count
-                picture[j, i, 2] = (blue + open_ * picture[j, i, 2] + count // 2) // count
+                uncovered = count - covered
+                picture[j, i, 0] = (red + uncovered * picture[j, i, 0] + count // 2) // count
+                picture[j, i, 1] = (green + uncovered * picture[j, i, 1] + count // 2) // count
+                picture[j, i, 2] = (blue + uncovered * picture[j, i, 2] + count // 2) // count
 
 
 @compiled
-def lay_shadow(alpha: Float, colour: Float, picture: Bytes) -> None:
-    """Darken a picture (H, W, 3) by a shadow (h, w), the lowest row first, stretched over it (bilinear)."""
+def blend_shadow(alpha: Float, colour: Float, picture: ByteArray) -> None:
+    """Blend a shadow (h, w), lowest row first, bilinearly over a picture (H, W, 3)."""
     height, width = picture.shape[:2]
     rows, columns = alpha.shape
     for j in range(height):
@@ -115,16 +113,16 @@ def lay_shadow(alpha: Float, colour: Float, picture: Bytes) -> None:
             over = x - left
             low = (1.0 - over) * alpha[below, left] + over * alpha[below, left + 1]
             high = (1.0 - over) * alpha[below + 1, left] + over * alpha[below + 1, left + 1]
-            share = (1.0 - up) * low + up * high
-            if share > 0.0:
+            opacity = (1.0 - up) * low + up * high
+            if opacity > 0.0:
                 for k in range(3):
-                    mixed = (1.0 - share) * picture[j, i, k] + share * colour[k]
-                    picture[j, i, k] = np.uint8(mixed + 0.5)
+                    blended = (1.0 - opacity) * picture[j, i, k] + opacity * colour[k]
+                    picture[j, i, k] = np.uint8(blended + 0.5)
 
 
 KEY_LIGHT = np.array([-0.45, 0.62, 0.64])
-COOL = np.array([1.0, 0.6, 0.0])
-"""Fading of red, green and blue in the shade."""
+SHADE_TINT = np.array([1.0, 0.6, 0.0])
+"""Loss of red, green and blue in the shade, as under an open sky."""
 
 
 def area_normals(points: Float, faces: IntArray) -> Float:
@@ -134,77 +132,83 @@ def area_normals(points: Float, faces: IntArray) -> Float:
 
 
 def smooth_normals(normals: Float, faces: IntArray, vertex_count: int) -> Float:
-    """Return unit normals ``(F, 3)``: the mean of the vertex normals, which hides the facets."""
-    return _unit(vertex_normals(normals, faces, vertex_count)[faces].mean(axis=1))
+    """Return unit face normals ``(F, 3)``, the means of the vertex normals, for smooth shading."""
+    return _normalize(vertex_normals(normals, faces, vertex_count)[faces].mean(axis=1))
 
 
 def vertex_normals(normals: Float, faces: IntArray, vertex_count: int) -> Float:
-    """Return unit normals ``(V, 3)`` of the vertices: the mean of the faces around them, by area."""
+    """Return unit vertex normals ``(V, 3)``, the area-weighted means of the face normals ``(F, 3)``."""
     sums = [np.bincount(faces.ravel(), np.repeat(column, 3), vertex_count) for column in normals.T]
-    return _unit(np.stack(sums, axis=1, dtype=np.float64))
+    return _normalize(np.stack(sums, axis=1, dtype=np.float64))
 
 
 def shade(rgb: Float, normals: Float, contrast: float) -> Float:
-    """Light colours ``(F, 3)`` from the upper left, with a soft fill from above."""
+    """Light colours ``(F, 3)`` by a key light from the upper left and a soft fill from above."""
     light = 0.50 + 0.14 * normals[:, 1] + 0.52 * np.maximum(normals @ KEY_LIGHT, 0) + 0.06 * normals[:, 2]
     light = 1 + contrast * (light[:, None] - 1)
-    tint = 1 - 0.10 * contrast * np.clip(1 - light, 0, 1) * COOL  # as under an open sky
+    tint = 1 - 0.10 * contrast * np.clip(1 - light, 0, 1) * SHADE_TINT
     return np.asarray(np.clip(rgb * light * tint, 0, 1))
 
 
-def _unit(vectors: Float) -> Float:
-    """Scale vectors ``(N, 3)`` to length one; zero stays zero."""
+def _normalize(vectors: Float) -> Float:
+    """Scale vectors ``(N, 3)`` to unit length; zero stays zero."""
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300))
 
 
-PIXELS = 240
-"""Pixels along the longer side of the picture."""
+SHADOW_PIXELS = 240
+"""Resolution of shadows along the longer side of the picture."""
 
-FEATHER = 10
-"""Pixels over which a shadow fades out at the frame, within the usual margin."""
+FEATHER_PIXELS = 10
+"""Width over which shadows fade out at the edge of the picture."""
 
-SHADOW = (0.25, 0.24, 0.28)
+SHADOW_COLOUR = (0.25, 0.24, 0.28)
 
 
 def ground_shadow(world: Float, faces: IntArray, floor: float, view: View, limits: Limits) -> Float:
-    """Paint the shadow ``(rows, columns, 4)`` of a mesh on the ground, darker close to the mesh: world ``(V, 3)``."""
+    """Return the shadow RGBA ``(rows, columns, 4)`` of a mesh ``(V, 3)`` on the ground, darker close to the mesh."""
     left, right, bottom, top = limits
-    sides = np.array([top - bottom, right - left])
-    shape = np.ceil(PIXELS * sides / sides.max()).astype(int)
-    pixel = sides / shape
+    extent = np.array([top - bottom, right - left])
+    shape = np.ceil(SHADOW_PIXELS * extent / extent.max()).astype(int)
+    pixel = extent / shape
 
     size = bounding_diagonal(world) or 1.0
     centre = world[faces].mean(axis=1)
-    dark = 0.25 + np.exp((floor - centre[:, 1]) / (0.05 * size))
-    area = np.abs(area_normals(world, faces)[:, 1]) / 4  # half of it faces down
-    spot = (centre * [1, 0, 1] + [0, floor, 0]) @ view.rotation.T
+    darkness = 0.25 + np.exp((floor - centre[:, 1]) / (0.05 * size))
+    area = (
+        np.abs(area_normals(world, faces)[:, 1]) / 4
+    )  # of the horizontal projection, for the half that faces down
+    projected = (centre * [1, 0, 1] + [0, floor, 0]) @ view.rotation.T
     cover = np.histogram2d(
-        spot[:, 1], spot[:, 0], bins=shape, range=[[bottom, top], [left, right]], weights=area * dark
+        projected[:, 1],
+        projected[:, 0],
+        bins=shape,
+        range=[[bottom, top], [left, right]],
+        weights=area * darkness,
     )[0]
 
-    squash = max(np.sin(np.radians(view.elevation)), 0.05)  # the ground is seen at a slant
-    blur = 0.019 * size / pixel * [squash, 1]
-    cover = gaussian_filter(cover / (pixel.prod() * squash), np.maximum(blur, 1))
+    foreshortening = max(np.sin(np.radians(view.elevation)), 0.05)  # of the ground on the screen
+    blur = 0.019 * size / pixel * [foreshortening, 1]
+    cover = gaussian_filter(cover / (pixel.prod() * foreshortening), np.maximum(blur, 1))
     alpha = 0.42 * (1 - np.exp(-0.9 * cover)) * np.outer(*map(_feather, shape))
-    return np.concatenate([np.broadcast_to(SHADOW, (*shape, 3)), alpha[..., None]], axis=2)
+    return np.concatenate([np.broadcast_to(SHADOW_COLOUR, (*shape, 3)), alpha[..., None]], axis=2)
 
 
 def _feather(count: int) -> Float:
-    """Return a rise from 0 to 1 and a fall to 0, for soft edges of shadows."""
+    """Return a ramp ``(count,)`` from 0 to 1 and back to 0."""
     index = np.arange(count)
-    return np.clip(np.minimum(index, index[::-1]) / FEATHER, 0, 1)
+    return np.clip(np.minimum(index, index[::-1]) / FEATHER_PIXELS, 0, 1)
 
 
-SIDE = 2
-"""Samples per pixel, in each direction."""
+SAMPLES_PER_SIDE = 2
+"""Samples per pixel in each direction."""
 
-PAPER = 255
-"""Grey of an empty picture."""
+BACKGROUND_GREY = 255
+"""Grey value of an empty picture."""
 
 
-def blank(width: int, height: int) -> Picture:
+def blank_picture(width: int, height: int) -> Picture:
     """Return an empty picture ``(height, width, 3)``."""
-    return np.full((height, width, 3), PAPER, dtype=np.uint8)
+    return np.full((height, width, 3), BACKGROUND_GREY, dtype=np.uint8)
 
 
 def render_mesh(
@@ -217,36 +221,36 @@ def render_mesh(
     ground: float | None = None,
     contrast: float = 1.0,
 ) -> None:
-    """Draw a mesh and its shadow on a picture ``(rows, columns, 3)`` uint8, as `draw_mesh` on paper.
+    """Draw a mesh and its shadow on a picture ``(rows, columns, 3)`` uint8, like `draw_mesh`.
 
-    `world` ``(V, 3)`` are points, Y up; faces ``(F, 3)`` are seen from both sides; `limits` ``(4,)`` is the screen
-    rectangle of the picture, of its proportions; `colours` ``(3,)``, ``(F, 3)`` or ``(F, 3, 3)`` are RGB in 0..1 of
-    mesh, faces or corners; `ground` is by default the lowest vertex.
+    `world` ``(V, 3)`` are points, Y up; faces ``(F, 3)`` are two-sided. `limits` is the picture's screen rectangle, of
+    the same aspect; `colours` ``(3,)``, ``(F, 3)`` or ``(F, 3, 3)`` are RGB in 0..1 of mesh, faces or corners. The
+    ground is by default at the lowest vertex.
     """
     rows, columns = picture.shape[:2]
     floor = float(world[:, 1].min()) if ground is None else ground
     shadow = ground_shadow(world, faces, floor, view, limits)
-    lay_shadow(np.ascontiguousarray(shadow[..., 3]), 255 * shadow[0, 0, :3], picture)
+    blend_shadow(np.ascontiguousarray(shadow[..., 3]), 255 * shadow[0, 0, :3], picture)
 
     x, y, z = world.T
-    # summed in a fixed order
+    # summed in a fixed order, for the same result on every machine
     screen = np.stack([x * row[0] + y * row[1] + z * row[2] for row in view.rotation], axis=1)
     left, right, bottom, top = limits
-    scale = SIDE * SUBPIXELS * np.array([columns / (right - left), -rows / (top - bottom)])
-    places = np.rint((screen[:, :2] - [left, top]) * scale).astype(np.int64)
-    corners = np.ascontiguousarray(faces, dtype=np.int64)
-    lit = _corner_colours(screen, corners, colours, contrast)
+    scale = SAMPLES_PER_SIDE * SUBPIXEL_STEPS * np.array([columns / (right - left), -rows / (top - bottom)])
+    positions = np.rint((screen[:, :2] - [left, top]) * scale).astype(np.int64)
+    triangles = np.ascontiguousarray(faces, dtype=np.int64)
+    lit = _corner_colours(screen, triangles, colours, contrast)
 
-    nearest = np.full((SIDE * rows, SIDE * columns), -np.inf, dtype=np.float32)
-    samples = np.empty((*nearest.shape, 3), dtype=np.uint8)
-    fill_triangles(places, screen[:, 2].astype(np.float32), corners, lit, nearest, samples)
-    average(nearest, samples, SIDE, picture)
+    depth = np.full((SAMPLES_PER_SIDE * rows, SAMPLES_PER_SIDE * columns), -np.inf, dtype=np.float32)
+    samples = np.empty((*depth.shape, 3), dtype=np.uint8)
+    fill_triangles(positions, screen[:, 2].astype(np.float32), triangles, lit, depth, samples)
+    downsample(depth, samples, SAMPLES_PER_SIDE, picture)
 
 
 def _corner_colours(
     screen: Float, faces: NDArray[np.int64], colours: ArrayLike, contrast: float
 ) -> NDArray[np.float32]:
-    """Return lit colours of corners ``(F, 3, 3)`` in 0..255."""
+    """Return lit corner colours ``(F, 3, 3)`` in 0..255: screen ``(V, 3)``; faces ``(F, 3)``."""
     flat = area_normals(screen, faces)
     to_camera = np.where(flat[:, 2:] < 0, -1.0, 1.0)
     normals = vertex_normals(flat, faces, len(screen))[faces] * to_camera[:, None]

@@ -1,4 +1,4 @@
-"""Contact sheets: the segmentation of a pose, source and target of a transfer, original and reconstruction by frame."""
+"""Contact sheets: segmentations, sources and targets of transfers, originals and reconstructions."""
 
 from __future__ import annotations
 
@@ -41,34 +41,34 @@ def draw_segmentation(
 ) -> None:
     """Draw parts and joints ``(F,)`` of a pose ``(V, 3)`` from two opposite sides, as a PNG."""
     colours = segmentation_colours(part_of_face, joint_of_face)
-    sides = opposite_views(points[None], up_axis)
-    sheet = Sheet.from_grid(1, 2, views_aspect(sides), title or "")
-    for ax, (view, limits) in zip(sheet.panels[0], sides[0], strict=True):
+    views = opposite_views(points[None], up_axis)
+    sheet = Sheet.from_grid(1, 2, views_aspect(views), title or "")
+    for ax, (view, limits) in zip(sheet.panels[0], views[0], strict=True):
         draw_mesh(ax, points, faces, colours, up_axis, view, limits)
     sheet.save(target)
 
 
 def opposite_views(
-    poses: FloatArray, up_axis: str = "Y", near: View | None = None
+    poses: FloatArray, up_axis: str = "Y", view: View | None = None
 ) -> list[list[tuple[View, Limits]]]:
-    """Return the cameras and screen rectangles of two opposite views of poses ``(n, V, 3)``."""
-    near = near or three_quarter_view(poses[0], up_axis)
-    views = near, View(near.azimuth + 180, near.elevation)
-    boxes = [[shared_limits(pose, up_axis, view) for view in views] for pose in poses]
+    """Return two opposite views of each pose ``(n, V, 3)``, with screen rectangles of one size."""
+    view = view or three_quarter_view(poses[0], up_axis)
+    views = view, View(view.azimuth + 180, view.elevation)
+    boxes = [[shared_limits(pose, up_axis, side) for side in views] for pose in poses]
     corners = np.array(boxes).reshape(len(poses), 2, 2, 2)
     width, height = np.ptp(corners, axis=3).max(axis=(0, 1)) / 2
     return [
         [
-            (view, (x - width, x + width, y - height, y + height))
-            for view, (x, y) in zip(views, pair, strict=True)
+            (side, (x - width, x + width, y - height, y + height))
+            for side, (x, y) in zip(views, centres, strict=True)
         ]
-        for pair in corners.mean(axis=3)
+        for centres in corners.mean(axis=3)
     ]
 
 
-def views_aspect(sides: list[list[tuple[View, Limits]]]) -> float:
+def views_aspect(views: list[list[tuple[View, Limits]]]) -> float:
     """Return the height per width of the rectangles of `opposite_views`."""
-    return aspect_ratio(sides[0][0][1])
+    return aspect_ratio(views[0][0][1])
 
 
 def transfer_sheet(
@@ -78,49 +78,45 @@ def transfer_sheet(
     points: FloatArray,
     title: str | None = None,
 ) -> None:
-    """Draw source and target one above the other, as a PNG: points of the target ``(n, V', 3)``.
+    """Draw frames of the source above those of the target ``(n, V', 3)``, as a PNG, with rest poses on the left.
 
-    Both have the same view, each at its own scale, with the pose at rest in the first column and common part colours.
+    Both are drawn from the same side, each at its own scale, with common part colours.
     """
-    headers = here, there = transfer.source.header, transfer.header
-    if points.shape != (len(frames), there.vertex_count, 3):
+    headers = source_header, target_header = transfer.source.header, transfer.header
+    if points.shape != (expected := (len(frames), target_header.vertex_count, 3)):
         raise SettingsError(
-            f"points have shape {points.shape}; {(len(frames), there.vertex_count, 3)} is expected, a pose of the "
-            "target for every frame"
+            f"points have the shape {points.shape}; give a pose of the target for each frame, {expected}"
         )
-    moving = transfer.source.points[np.asarray(frames, dtype=np.int64)]
-    at_rest = transfer.source.rest, transfer.target
-    poses = [np.concatenate([x[None], y]) for x, y in zip(at_rest, (moving, points), strict=True)]
-    labels = parts_of_both(transfer)
+    source_points = transfer.source.points[np.asarray(frames, dtype=np.int64)]
+    rest_poses = transfer.source.rest, transfer.target
+    poses = [np.concatenate([x[None], y]) for x, y in zip(rest_poses, (source_points, points), strict=True)]
+    labels = common_parts(transfer)
     palette = part_colours(int(labels[0].max()) + 1)
 
-    near = three_quarter_view(transfer.source.rest, here.up_axis)
-    views = near, View(near.azimuth + heading(transfer), near.elevation)
+    view = three_quarter_view(transfer.source.rest, source_header.up_axis)
+    views = view, View(view.azimuth + heading_degrees(transfer), view.elevation)
     limits = [
-        shared_limits(x, header.up_axis, view) for x, header, view in zip(poses, headers, views, strict=True)
+        shared_limits(x, header.up_axis, side) for x, header, side in zip(poses, headers, views, strict=True)
     ]
     aspect = max(map(aspect_ratio, limits))
-    names = title or f"{here.name}: its motion on {there.name}"
+    names = title or f"{source_header.name}: its motion on {target_header.name}"
     sheet = Sheet.from_grid(2, 1 + len(frames), aspect, names, left=1.25)
-    for row, (what, header) in enumerate(zip(("source", "target"), headers, strict=True)):
-        sheet.label_row(row, f"{what}\n{header.vertex_count:,}\nvertices")
+    for row, (label, header) in enumerate(zip(("source", "target"), headers, strict=True)):
+        sheet.label_row(row, f"{label}\n{header.vertex_count:,}\nvertices")
         ground = float(to_y_up(poses[row], header.up_axis)[..., 1].min())
-        look = header.up_axis, views[row], widen_to_aspect(limits[row], aspect), ground
+        options = header.up_axis, views[row], widen_to_aspect(limits[row], aspect), ground
         for ax, x in zip(sheet.panels[row], poses[row], strict=True):
-            draw_mesh(ax, x, header.faces, palette[labels[row]], *look)
-    columns = [
-        "at rest",
-        *(f"frame {here.frame_number(frame)}, {here.times[frame]:.3f} s" for frame in frames),
-    ]
-    for ax, text in zip(sheet.panels[0], columns, strict=True):
+            draw_mesh(ax, x, header.faces, palette[labels[row]], *options)
+    titles = [f"frame {source_header.frame_number(k)}, {source_header.times[k]:.3f} s" for k in frames]
+    for ax, text in zip(sheet.panels[0], ["at rest", *titles], strict=True):
         ax.set_title(text, fontsize=9, color=INK_COLOUR, pad=2)
     sheet.save(target)
 
 
-def parts_of_both(transfer: Transfer) -> tuple[Index, Index]:
-    """Return the parts of source triangles ``(F,)``, and of the target triangles ``(F',)`` that they move.
+def common_parts(transfer: Transfer) -> tuple[Index, Index]:
+    """Return parts of source triangles ``(F,)``, and corresponding parts of target triangles ``(F',)``.
 
-    For transfers by gradients the parts of the source are found from its motion and mapped to the target.
+    For transfers by gradients, the source is segmented by its motion and the parts are mapped to the target.
     """
     from mixseq.retargeting.parts import transfer_labels
 
@@ -131,16 +127,16 @@ def parts_of_both(transfer: Transfer) -> tuple[Index, Index]:
     return labels, transfer_labels(labels, transfer.correspondence, transfer.header.faces)
 
 
-def heading(transfer: Transfer) -> float:
-    """Return the best-fit turn of the target at rest from the source about the up axis, in degrees, 0 if unknown."""
+def heading_degrees(transfer: Transfer) -> float:
+    """Return the best-fit rotation from source to target at rest about the up axis, in degrees; 0 if undefined."""
     matched = transfer.correspondence.matched
     source = to_y_up(
         transfer.correspondence.interpolate(transfer.source.rest)[matched], transfer.source.header.up_axis
     )
     target = to_y_up(transfer.target[matched], transfer.header.up_axis)
     a, b = ((x - x.mean(axis=0))[:, [0, 2]] for x in (source, target))
-    along, across = float((a * b).sum()), float((a[:, 1] * b[:, 0] - a[:, 0] * b[:, 1]).sum())
-    return float(np.degrees(np.arctan2(across, along)))
+    cosine, sine = float((a * b).sum()), float((a[:, 1] * b[:, 0] - a[:, 0] * b[:, 1]).sum())
+    return float(np.degrees(np.arctan2(sine, cosine)))
 
 
 def contact_sheet(
@@ -154,46 +150,44 @@ def contact_sheet(
 ) -> None:
     """Draw original, parts, reconstruction and error one below the other, as a PNG.
 
-    Columns are frames that both sequences have. If `decoded` has frames half-way to the next original one, another row
-    shows those.
+    Columns are frames of both sequences. Another row shows frames of `decoded` half-way between those of the original,
+    if there are any.
 
     Parameters
     ----------
     target : path or binary file
-        Where the PNG goes.
+        File to write.
     original, decoded : MeshSequence
-        The same mesh; times may differ.
+        Sequences of the same mesh; times may differ.
     part_of_face, joint_of_face : (F,) int
         As for `segmentation_colours`.
     frames : int
         Number of columns.
     title : str, optional
-        Heading, by default the name of `original`.
+        Title of the sheet, by default the name of `original`.
 
     Raises
     ------
     SettingsError
-        If the meshes differ, or the sequences have no time in common.
+        If the faces differ, or the sequences have no time in common.
     """
     if not np.array_equal(original.faces, decoded.faces):
-        raise SettingsError(
-            "original and decoded have different faces; a sheet compares one mesh with itself"
-        )
-    here, there = common_frames(original, decoded, frames)
-    between = frames_between(original, decoded, here)
-    heat_map, heat = _error_colours(original, decoded, here, there)
-    at_here, at_there = dict(enumerate(here)), dict(enumerate(there))
-    clay = [CLAY_COLOUR] * len(here)
-    parts = [segmentation_colours(part_of_face, joint_of_face)] * len(here)
+        raise SettingsError("original and decoded have different faces; give two sequences of the same mesh")
+    original_frames, decoded_frames = common_frames(original, decoded, frames)
+    between = frames_halfway(original, decoded, original_frames)
+    colour_map, error_colours = _error_colours(original, decoded, original_frames, decoded_frames)
+    original_columns, decoded_columns = dict(enumerate(original_frames)), dict(enumerate(decoded_frames))
+    clay = [CLAY_COLOUR] * len(original_frames)
+    parts = [segmentation_colours(part_of_face, joint_of_face)] * len(original_frames)
     rows = [
-        _Row("original", original, at_here, clay, show_times=True),
-        _Row("parts and\njoints", original, at_here, parts),
-        _Row("reconstruction", decoded, at_there, clay),
+        _Row("original", original, original_columns, clay, show_times=True),
+        _Row("parts and\njoints", original, original_columns, parts),
+        _Row("reconstruction", decoded, decoded_columns, clay),
         _Row("in between\n(new frames)", decoded, between, clay, show_times=True),
-        _Row("vertex error", decoded, at_there, heat, contrast=0.25),
+        _Row("vertex error", decoded, decoded_columns, error_colours, contrast=0.25),
     ]
     sheet = _draw_rows([row for row in rows if row.frames], title or original.name)
-    sheet.add_colour_bar(heat_map, "vertex error / diagonal")
+    sheet.add_colour_bar(colour_map, "vertex error / diagonal")
     sheet.save(target)
 
 
@@ -201,69 +195,69 @@ def contact_sheet(
 class _Row:
     """A row of a contact sheet."""
 
-    label: str  # what the row shows
-    sequence: MeshSequence  # what is drawn
-    frames: dict[int, int]  # its frame in every column that has one
-    colours: Sequence[ArrayLike]  # rGB in every column
+    label: str  # text on the left
+    sequence: MeshSequence  # sequence that is drawn
+    frames: dict[int, int]  # frame by column, for columns that have one
+    colours: Sequence[ArrayLike]  # RGB of mesh or faces by column
     contrast: float = 1.0  # strength of the shading
-    show_times: bool = False  # whether times stand above the panels
+    show_times: bool = False  # whether panels are titled with their times
 
 
 def _error_colours(
-    original: MeshSequence, decoded: MeshSequence, here: list[int], there: list[int]
+    original: MeshSequence, decoded: MeshSequence, original_frames: list[int], decoded_frames: list[int]
 ) -> tuple[Any, list[Float]]:
-    """Return a matplotlib colour map of vertex errors, and the colours ``(F, 3)`` of every pair of frames."""
-    offsets = decoded.points[there].astype(np.float64) - original.points[here]
+    """Return the colour map of vertex errors, and the face colours ``(F, 3)`` of each pair of frames."""
+    offsets = decoded.points[decoded_frames].astype(np.float64) - original.points[original_frames]
     errors = np.linalg.norm(offsets, axis=2) / (original.diagonal or 1.0)
-    heat_map = error_map(max(errors.max(), np.finfo(np.float64).eps))
-    return heat_map, [heat_map.to_rgba(error[original.faces].mean(axis=1))[:, :3] for error in errors]
+    colour_map = error_map(max(errors.max(), np.finfo(np.float64).eps))
+    return colour_map, [colour_map.to_rgba(error[original.faces].mean(axis=1))[:, :3] for error in errors]
 
 
 def _draw_rows(rows: list[_Row], title: str) -> Sheet:
-    """Draw all rows with one camera, one set of limits and one ground."""
+    """Draw all rows with the same view, limits and ground."""
     first = rows[0].sequence
-    shown = np.concatenate([row.sequence.points[list(row.frames.values())] for row in rows])
+    poses = np.concatenate([row.sequence.points[list(row.frames.values())] for row in rows])
     view = three_quarter_view(first.points[[0, -1]], first.up_axis)
-    limits = shared_limits(shown, first.up_axis, view)
-    ground = float(to_y_up(shown, first.up_axis)[..., 1].min())
+    limits = shared_limits(poses, first.up_axis, view)
+    ground = float(to_y_up(poses, first.up_axis)[..., 1].min())
 
     sheet = Sheet.from_grid(len(rows), len(rows[0].frames), aspect_ratio(limits), title, left=1.25, right=1.0)
     for number, row in enumerate(rows):
         sheet.label_row(number, row.label)
         for column, frame in row.frames.items():
             ax, points = sheet.panels[number][column], row.sequence.points[frame]
-            look = row.colours[column], first.up_axis, view, limits, ground, row.contrast
-            draw_mesh(ax, points, first.faces, *look)
+            options = row.colours[column], first.up_axis, view, limits, ground, row.contrast
+            draw_mesh(ax, points, first.faces, *options)
             if row.show_times:
                 time = float(row.sequence.times[frame])
-                when = f"frame {frame_text(time, first.fps)}, {time:.3f} s"
-                ax.set_title(when, fontsize=9, color=INK_COLOUR, pad=2)
+                title_text = f"frame {frame_text(time, first.fps)}, {time:.3f} s"
+                ax.set_title(title_text, fontsize=9, color=INK_COLOUR, pad=2)
     return sheet
 
 
 def common_frames(
     original: SequenceHeader, decoded: SequenceHeader, count: int
 ) -> tuple[list[int], list[int]]:
-    """Return up to `count` evenly spaced frames of the original, and the decoded ones at the same times."""
+    """Return up to `count` evenly spaced frames of the original, and the decoded frames at the same times."""
     nearest = np.abs(decoded.times[None] - original.times[:, None]).argmin(axis=1)
-    gap = np.abs(decoded.times[nearest] - original.times)
-    common = np.flatnonzero(gap < 1e-3 / max(original.fps, decoded.fps))
+    time_difference = np.abs(decoded.times[nearest] - original.times)
+    common = np.flatnonzero(time_difference < 1e-3 / max(original.fps, decoded.fps))
     if not common.size:
         raise SettingsError(
-            "original and decoded have no frame at the same time; decode at the original's times"
+            "original and decoded have no frame at the same time; decode the model at the original's times"
         )
     count = min(count, len(common))
-    chosen = common[np.arange(count) * len(common) // count]  # as of a loop: without the last one
+    chosen = common[np.arange(count) * len(common) // count]  # without the last one, as of a loop
     return chosen.tolist(), nearest[chosen].tolist()
 
 
-def frames_between(original: SequenceHeader, decoded: SequenceHeader, frames: list[int]) -> dict[int, int]:
-    """Return the decoded frames about half-way from original frames to the next ones."""
+def frames_halfway(original: SequenceHeader, decoded: SequenceHeader, frames: list[int]) -> dict[int, int]:
+    """Return the decoded frames about half-way between original frames and the next ones, by position in `frames`."""
     result = {}
     for position, frame in enumerate(frames):
         start, *later = original.times[frame : frame + 2]
         for end in later:
-            away = np.abs(decoded.times - (start + end) / 2)
-            if away.min() < 0.3 * (end - start):
-                result[position] = int(away.argmin())
+            distance = np.abs(decoded.times - (start + end) / 2)
+            if distance.min() < 0.3 * (end - start):
+                result[position] = int(distance.argmin())
     return result

@@ -1,38 +1,38 @@
-r"""Check markers: refuse invalid ones, and warn of those that seem wrong; refuse meshes that are inside out.
+r"""Check markers and meshes: raise errors for invalid markers and inverted meshes, warn of suspicious markers.
 
 *Inside out?* Triangles of source and target must have the same orientation. A closed component encloses the volume
 :math:`\frac16 \sum_t a_t \cdot (b_t \times c_t)`, negative if its triangles run clockwise seen from outside. With holes
 it depends on the origin, by the sum of the vector areas: the sign of a component counts if it is the same for all
-origins in its bounding sphere. More open surfaces are checked after registration, by the normals of closest points.
+origins in its bounding sphere. Other open surfaces are checked after registration, by the normals of closest points.
 
-*Mirrored?* With centred sources X and targets Y and singular values :math:`\sigma` of :math:`X^T Y`, the share of Y
-that the best similarity leaves is :math:`1 - (\sigma_1 + \sigma_2 \pm \sigma_3)^2 / (\|X\|^2 \|Y\|^2)`, with one sign
+*Mirrored?* With centred sources X and targets Y and singular values :math:`\sigma` of :math:`X^T Y`, the relative
+residual of the best similarity is :math:`1 - (\sigma_1 + \sigma_2 \pm \sigma_3)^2 / (\|X\|^2 \|Y\|^2)`, with one sign
 for rotations, the other for reflections (Umeyama 1991).
 
 *Exchanged?* Two markers are left out, and predicted by a thin-plate spline through the others. They are exchanged if
-that fits far better the other way round. The best pair is exchanged, and the search repeated. Then groups of markers
-are compared alike: exchanging the left leg for the right one exchanges all its markers. No two of them then look wrong
-among the others, but leaving both groups out predicts the side of either centre. *Wrong?* The same with one marker.
+their exchanged targets fit far better. The best pair is exchanged, and the search repeated. Then groups of markers are
+compared in the same way: if the left leg is marked as the right one, no two of its markers look wrong among the others,
+but with both legs left out their centres are predicted correctly. *Wrong?* The same with one marker.
 
-Sources and targets are normalised: centred, with a root mean square distance of 1. The smoothest map of space that
-takes sources :math:`x_i` to targets :math:`y_i`, up to a little slack :math:`\lambda`, has the bending energy (Duchon
-1977; in three dimensions the kernel is :math:`-\|x\|`)
+Sources and targets are normalised: centred, with a root mean square distance of 1. The smoothest map of space from
+sources :math:`x_i` to targets :math:`y_i`, with a small slack :math:`\lambda`, has the bending energy (Duchon 1977; in
+three dimensions the kernel is :math:`-\|x\|`)
 
 .. math::
     E = \operatorname{tr} Y^T B\, Y, \qquad B = Z (Z^T K Z)^{-1} Z^T, \qquad
     K_{ij} = -\|x_i - x_j\| + \lambda \delta_{ij},
 
-where the columns of Z are orthogonal to all affine functions of the :math:`x_i`. Without the markers of a set S, it
-takes these to where the energy is least,
+where the columns of Z are orthogonal to all affine functions of the :math:`x_i`. The markers of a set S are predicted
+from the others where the energy is least,
 
 .. math:: \hat y_S = y_S - (B_{SS})^{-1} (B Y)_S,
 
-so that leaving out needs no other solution (Wahba 1990, chapter 4).
+without another solve (Wahba 1990, chapter 4).
 
-On the markers of horse and camel (107, 124 and 17 pairs) and of cat and lion (55), which are right, no exchange of two
-markers brings them closer than 0.57 times their distance, none of two groups closer than 1.08, and no marker is further
-than 0.35 from its prediction. Of two markers of a left and a right leg, exchanged, 99 % are named, and nothing else; of
-three such pairs at a time, 95 % (fewer among 17 markers).
+Correct markers of horse and camel (107, 124 and 17 pairs) and of cat and lion (55): no exchange of two markers brings
+them closer than 0.57 times their distance, none of two groups closer than 1.08, and no marker is further than 0.35 from
+its prediction. Exchanged markers of a left and a right leg: 99 % are found, without false alarms; of three such pairs
+at a time, 95 % (fewer among 17 markers).
 """
 
 from __future__ import annotations
@@ -51,49 +51,48 @@ from mixseq.retargeting.markers import Markers
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float, FloatArray, Index, IntArray
 
-NO_VOLUME = 1e-9
-"""Volume relative to a component's cubed diagonal below which it is rounding."""
+MIN_VOLUME_RATIO = 1e-9
+"""Smallest volume of a component relative to its cubed diagonal; smaller volumes are rounding."""
 
 MAX_NAMED_COMPONENTS = 4
 """Largest number of components named in a message."""
 
-_CURE = "turn its triangles over (faces[:, ::-1]; in a modelling program: flip the normals)"
+_FLIP_ADVICE = "turn its triangles over (faces[:, ::-1]; in a modelling program: flip the normals)"
 
 
 @dataclass(frozen=True, eq=False)
 class Orientation:
-    """Orientation of components."""
+    """Orientation of the components of a mesh."""
 
-    faces: Index  # (c,) a triangle of every component
-    areas: Float  # (c,) their areas
-    # (c,) 1 if the triangles are counter-clockwise seen from outside, -1 if clockwise, 0 if there is no outside.
-    signs: Index
+    faces: Index  # (c,) first triangle of every component
+    areas: Float  # (c,) areas of the components
+    signs: Index  # (c,) 1 if triangles are counter-clockwise seen from outside, -1 if clockwise, 0 if open
 
     @property
     def sign(self) -> int:
-        """Orientation of most of the area that has an outside."""
+        """Orientation of most of the closed components, by area."""
         return int(np.sign(self.areas @ self.signs))
 
 
-def orientation(points: FloatArray, faces: IntArray) -> Orientation:
+def find_orientation(points: FloatArray, faces: IntArray) -> Orientation:
     """Find the orientation of the components of points ``(V, 3)`` and triangles ``(F, 3)``."""
     mesh = TriangleMesh(np.asarray(points, np.float64), Topology(faces, len(points)))
-    component = mesh.topology.component_of_face
-    count = int(component.max(initial=-1)) + 1
+    component_of_face = mesh.topology.component_of_face
+    count = int(component_of_face.max(initial=-1)) + 1
     corners = mesh.points[mesh.faces]
-    lowest, highest = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
-    np.minimum.at(lowest, component, corners.min(axis=1))
-    np.maximum.at(highest, component, corners.max(axis=1))
-    # About the centre of its box the volume of a component is rounded least.
-    a, b, c = np.moveaxis(corners - ((lowest + highest) / 2)[component, None], 1, 0)
-    volumes = np.bincount(component, np.einsum("fi,fi->f", a, np.cross(b, c)) / 6, count)
-    open_area = [np.bincount(component, mesh.vectors[:, axis], count) for axis in range(3)]
-    diagonals = np.linalg.norm(highest - lowest, axis=1)
-    doubt = np.linalg.norm(open_area, axis=0) * diagonals / 6 + NO_VOLUME * diagonals**3
-    signs = np.where(np.abs(volumes) > doubt, np.sign(volumes), 0).astype(np.int64)
-    first = np.unique(component, return_index=True)[1]
-    areas = np.bincount(component, mesh.face_areas, count).astype(np.float64)
-    return Orientation(first, areas, signs)
+    lower_bounds, upper_bounds = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(lower_bounds, component_of_face, corners.min(axis=1))
+    np.maximum.at(upper_bounds, component_of_face, corners.max(axis=1))
+    # Volumes are taken about the centres of the bounding boxes, against rounding.
+    a, b, c = np.moveaxis(corners - ((lower_bounds + upper_bounds) / 2)[component_of_face, None], 1, 0)
+    volumes = np.bincount(component_of_face, np.einsum("fi,fi->f", a, np.cross(b, c)) / 6, count)
+    vector_areas = [np.bincount(component_of_face, mesh.vectors[:, axis], count) for axis in range(3)]
+    diagonals = np.linalg.norm(upper_bounds - lower_bounds, axis=1)
+    uncertainty = np.linalg.norm(vector_areas, axis=0) * diagonals / 6 + MIN_VOLUME_RATIO * diagonals**3
+    signs = np.where(np.abs(volumes) > uncertainty, np.sign(volumes), 0).astype(np.int64)
+    first_faces = np.unique(component_of_face, return_index=True)[1]
+    areas = np.bincount(component_of_face, mesh.face_areas, count).astype(np.float64)
+    return Orientation(first_faces, areas, signs)
 
 
 def check_orientation(
@@ -102,20 +101,24 @@ def check_orientation(
     target_points: FloatArray,
     target_faces: IntArray,
 ) -> None:
-    """Raise if one of two meshes is inside out, where both have an outside: points ``(V, 3)``; faces ``(F, 3)``."""
-    source, target = orientation(source_points, source_faces), orientation(target_points, target_faces)
+    """Raise if one of two closed meshes is inside out: points ``(V, 3)``; faces ``(F, 3)``."""
+    source, target = (
+        find_orientation(source_points, source_faces),
+        find_orientation(target_points, target_faces),
+    )
     if source.sign * target.sign == -1:
-        which = "target" if target.sign < 0 else "source"
-        raise SettingsError(f"the {which} is inside out, its volume is negative; {_CURE}")
-    turned = np.flatnonzero(target.signs * target.sign == -1)
-    if turned.size:
-        named = ", ".join(
-            f"that of triangle {target.faces[number]}" for number in turned[:MAX_NAMED_COMPONENTS]
+        side = "target" if target.sign < 0 else "source"
+        raise SettingsError(f"the {side} is inside out, its volume is negative; {_FLIP_ADVICE}")
+    inverted = np.flatnonzero(target.signs * target.sign == -1)
+    if inverted.size:
+        names = ", ".join(
+            f"that of triangle {face}" for face in target.faces[inverted[:MAX_NAMED_COMPONENTS]]
         )
-        more = f" and {len(turned) - MAX_NAMED_COMPONENTS} more" if len(turned) > MAX_NAMED_COMPONENTS else ""
+        more = len(inverted) - MAX_NAMED_COMPONENTS
+        suffix = f" and {more} more" if more > 0 else ""
         warnings.warn(
-            f"{len(turned)} of {len(target.faces)} components of the target are inside out ({named}{more}); "
-            "turn their triangles over if they are no cavities",
+            f"{len(inverted)} of {len(target.faces)} components of the target are inside out ({names}{suffix}); "
+            "flip their normals, unless they are cavities",
             MixseqWarning,
             stacklevel=2,
         )
@@ -124,194 +127,205 @@ def check_orientation(
 def check_facing(
     registered: FloatArray, source_faces: IntArray, target_points: FloatArray, target_faces: IntArray
 ) -> None:
-    """Raise if a target ``(V', 3)`` faces away from the source ``(V, 3)`` fitted to it, where one has no outside."""
-    if orientation(registered, source_faces).sign * orientation(target_points, target_faces).sign != 0:
+    """Raise if a target ``(V', 3)`` faces away from the source ``(V, 3)`` fitted to it, and one of them is open."""
+    source, target = find_orientation(registered, source_faces), find_orientation(target_points, target_faces)
+    if source.sign * target.sign != 0:
         return  # `check_orientation` decides
-    share = _against(registered, source_faces, target_points, target_faces)
+    share = _opposite_area_share(registered, source_faces, target_points, target_faces)
     if share > 0.5:
         raise SettingsError(
             f"{100 * share:.0f} % of the target's area faces away from the source that was fitted to it: one of them "
-            f"is inside out; of the target, {_CURE}"
+            f"is inside out; of the target, {_FLIP_ADVICE}"
         )
 
 
-def _against(
+def _opposite_area_share(
     registered: FloatArray, source_faces: IntArray, target_points: FloatArray, target_faces: IntArray
 ) -> float:
     """Return the share of a target's area with normals opposite to those of the closest source triangles."""
-    from mixseq.mesh.nearest import Nearest
+    from mixseq.mesh.nearest import ClosestPointQuery
 
     fitted = TriangleMesh(np.asarray(registered, np.float64), Topology(source_faces, len(registered)))
     target = TriangleMesh(np.asarray(target_points, np.float64), Topology(target_faces, len(target_points)))
-    found = Nearest.of(fitted.points, fitted.faces).query(target.centroids)
-    opposite = np.einsum("fi,fi->f", fitted.face_normals[found.faces], target.face_normals) < 0
-    return float(target.face_areas[opposite].sum() / max(target.face_areas.sum(), np.finfo(float).tiny))
+    closest = ClosestPointQuery.from_mesh(fitted.points, fitted.faces).query(target.centroids)
+    is_opposite = np.einsum("fi,fi->f", fitted.face_normals[closest.faces], target.face_normals) < 0
+    return float(target.face_areas[is_opposite].sum() / max(target.face_areas.sum(), np.finfo(float).tiny))
 
 
-SLACK = 0.05
-"""Slack of the splines, in root mean square distances from the centre; it hardly matters from 0 to 0.2."""
+SPLINE_SLACK = 0.05
+"""Slack of the splines, in root mean square distances from the centre; results hardly depend on it from 0 to 0.2."""
 
-_NO_SUPPORT = 1e-9
-"""Entries of B, relative to its mean diagonal, below which the other markers do not support a prediction."""
+_MIN_SUPPORT_RATIO = 1e-9
+"""Smallest diagonal entry of B, relative to their mean, for a prediction by the other markers."""
 
-FEWEST_COMPARED = 8
-"""Least number of markers for a comparison."""
+MIN_COMPARED_MARKERS = 8
+"""Smallest number of markers that are compared with each other."""
 
-EXCHANGED = 0.5
-"""Ratio of distances, exchanged to unchanged, below which two markers are exchanged."""
+MAX_EXCHANGED_DISTANCE_RATIO = 0.5
+"""Largest distance of exchanged markers from their predictions, relative to that before the exchange."""
 
-STRIKING = 2.5
-"""Least distance of exchanged markers, in median distances of markers left out."""
+MIN_EXCHANGED_DISTANCE_MEDIANS = 2.5
+"""Smallest distance of markers before an exchange, in medians of all markers."""
 
-FAR, SURPRISING = 0.5, 5.0
-"""Distance of a wrong marker in root mean square distances from the centre, and surprise in medians of all."""
+MIN_WRONG_MARKER_DISTANCE, MIN_WRONG_MARKER_SURPRISE = 0.5, 5.0
+"""Smallest distance of a wrong marker, in root mean square distances from the centre, and surprise, in medians."""
 
-MOST_FOUND = 20
-"""Largest number of exchanges, and of wrong markers."""
+MAX_REPORTED_MARKERS = 20
+"""Largest number of reported exchanges, and of reported wrong markers."""
 
-NOTHING = 1e-6
-"""Distance below which it is rounding."""
+ROUNDING_DISTANCE = 1e-6
+"""Largest distance that counts as rounding, in root mean square distances from the centre."""
 
-LARGEST_SHARE = 0.25
-"""Largest share of all markers in a group."""
+MAX_GROUP_MARKER_SHARE = 0.25
+"""Largest number of markers in a group, relative to all markers."""
 
-ALIKE = 2.5
+MAX_GROUP_SIZE_RATIO = 2.5
 """Largest ratio of the sizes of two exchanged groups."""
 
 
 @dataclass(frozen=True, eq=False)
-class Bending:
-    """The bending energy of thin-plate splines through fixed sources."""
+class BendingEnergy:
+    """Bending energy of thin-plate splines through fixed sources."""
 
     matrix: Float  # (n, n) the matrix B above
 
     @classmethod
-    def of(cls, sources: Float, slack: float = SLACK) -> Self:
-        """Prepare the energy of maps of more than four sources ``(n, 3)``."""
+    def from_points(cls, sources: Float, slack: float = SPLINE_SLACK) -> Self:
+        """Prepare the energy of maps of sources ``(n, 3)``, of which there are more than four."""
         kernel = -np.linalg.norm(sources[:, None] - sources, axis=2) + slack * np.eye(len(sources))
         affine = np.column_stack([np.ones(len(sources)), sources])
-        free = np.linalg.qr(affine, mode="complete")[0][:, 4:]
-        return cls(np.asarray(free @ np.linalg.solve(free.T @ kernel @ free, free.T)))
+        complement = np.linalg.qr(affine, mode="complete")[0][:, 4:]
+        return cls(np.asarray(complement @ np.linalg.solve(complement.T @ kernel @ complement, complement.T)))
 
-    def left_out(self, targets: Float) -> tuple[Float, Float]:
-        """Leave out every marker in turn, with targets ``(n, 3)``; return distances ``(n,)`` and surprises ``(n,)``."""
-        force = np.linalg.norm(self.matrix @ targets, axis=1)
-        own = np.diag(self.matrix)
-        known = own > _NO_SUPPORT * own.mean()
-        own = np.where(known, own, 1.0)
-        return np.where(known, force / own, 0.0), np.where(known, force / np.sqrt(own), 0.0)
+    def leave_one_out(self, targets: Float) -> tuple[Float, Float]:
+        """Return distances ``(n,)`` and surprises ``(n,)`` of targets ``(n, 3)``, each predicted from the others."""
+        forces = np.linalg.norm(self.matrix @ targets, axis=1)
+        diagonal = np.diag(self.matrix)
+        is_supported = diagonal > _MIN_SUPPORT_RATIO * diagonal.mean()
+        diagonal = np.where(is_supported, diagonal, 1.0)
+        distances = np.where(is_supported, forces / diagonal, 0.0)
+        return distances, np.where(is_supported, forces / np.sqrt(diagonal), 0.0)
 
-    def exchanges(self, targets: Float) -> tuple[Index, Index, Float, Float]:
-        """Leave out all pairs of markers in turn, and exchange their targets ``(n, 3)``.
+    def leave_pairs_out(self, targets: Float) -> tuple[Index, Index, Float, Float]:
+        """Predict the targets ``(n, 3)`` of all pairs of markers from the others.
 
-        Return both markers of every pair ``(m,)``, and their root mean square distances ``(m,)`` from the predictions
-        by the others, unchanged and with their targets exchanged.
+        Return both markers of every pair ``(m,)``, and their root mean square distances ``(m,)`` from the predictions,
+        unchanged and exchanged.
         """
-        force, own = self.matrix @ targets, np.diag(self.matrix)
+        forces, diagonal = self.matrix @ targets, np.diag(self.matrix)
         i, j = np.triu_indices(len(targets), 1)
-        both = self.matrix[i, j]
-        determinant = own[i] * own[j] - both**2
-        known = determinant > (_NO_SUPPORT * own.mean()) ** 2
-        i, j, both, determinant = i[known], j[known], both[known, None], determinant[known, None]
-        at_i = (own[j, None] * force[i] - both * force[j]) / determinant
-        at_j = (own[i, None] * force[j] - both * force[i]) / determinant
-        apart = targets[j] - targets[i]
-        return i, j, _mean_size(at_i, at_j), _mean_size(at_i + apart, at_j - apart)
+        off_diagonal = self.matrix[i, j]
+        determinant = diagonal[i] * diagonal[j] - off_diagonal**2
+        is_supported = determinant > (_MIN_SUPPORT_RATIO * diagonal.mean()) ** 2
+        i, j = i[is_supported], j[is_supported]
+        off_diagonal, determinant = off_diagonal[is_supported, None], determinant[is_supported, None]
+        error_i = (diagonal[j, None] * forces[i] - off_diagonal * forces[j]) / determinant
+        error_j = (diagonal[i, None] * forces[j] - off_diagonal * forces[i]) / determinant
+        exchange = targets[j] - targets[i]
+        return i, j, _rms_distance(error_i, error_j), _rms_distance(error_i + exchange, error_j - exchange)
 
 
-def _mean_size(a: Float, b: Float) -> Float:
+def _rms_distance(a: Float, b: Float) -> Float:
     return np.asarray(np.sqrt(((a**2).sum(axis=1) + (b**2).sum(axis=1)) / 2))
 
 
-def exchanged_pairs(bending: Bending, target: Float) -> list[tuple[int, int, float, float]]:
-    """Find markers whose targets ``(n, 3)`` seem exchanged, the most striking first."""
-    target, found = target.copy(), []
-    for _ in range(min(len(target) // 4, MOST_FOUND)):
-        first, second, straight, exchanged = bending.exchanges(target)
-        typical = np.median(bending.left_out(target)[0])
-        better = (exchanged < EXCHANGED * straight) & (straight > max(STRIKING * typical, NOTHING))
-        if not better.any():
+def _min_exchanged_distance(bending: BendingEnergy, target: Float) -> float:
+    """Return the smallest distance from predictions of markers that count as exchanged."""
+    median_distance = float(np.median(bending.leave_one_out(target)[0]))
+    return max(MIN_EXCHANGED_DISTANCE_MEDIANS * median_distance, ROUNDING_DISTANCE)
+
+
+def find_exchanged_pairs(bending: BendingEnergy, target: Float) -> list[tuple[int, int, float, float]]:
+    """Find pairs of exchanged targets ``(n, 3)``, the clearest first, with their distances before and after."""
+    target, pairs = target.copy(), []
+    for _ in range(min(len(target) // 4, MAX_REPORTED_MARKERS)):
+        first, second, unchanged, exchanged = bending.leave_pairs_out(target)
+        is_exchanged = exchanged < MAX_EXCHANGED_DISTANCE_RATIO * unchanged
+        is_exchanged &= unchanged > _min_exchanged_distance(bending, target)
+        if not is_exchanged.any():
             break
-        ratio = exchanged / np.where(better, straight, np.inf)
-        best = int(np.argmin(np.where(better, ratio, np.inf)))
+        ratios = exchanged / np.where(is_exchanged, unchanged, np.inf)
+        best = int(np.argmin(np.where(is_exchanged, ratios, np.inf)))
         i, j = int(first[best]), int(second[best])
-        found.append((i, j, float(straight[best]), float(exchanged[best])))
+        pairs.append((i, j, float(unchanged[best]), float(exchanged[best])))
         target[[i, j]] = target[[j, i]]
-    return found
+    return pairs
 
 
-def wrong_markers(source: Float, target: Float) -> list[tuple[int, float, float]]:
-    """Find markers far from their predictions, the most striking first: source, target ``(n, 3)``."""
-    kept, found = np.arange(len(source)), []
-    for _ in range(min(len(source) // 4, MOST_FOUND)):
-        if len(kept) < FEWEST_COMPARED:
+def find_wrong_markers(source: Float, target: Float) -> list[tuple[int, float, float]]:
+    """Find markers far from their predictions, by decreasing surprise: source, target ``(n, 3)``."""
+    remaining, wrong_ids = np.arange(len(source)), []
+    for _ in range(min(len(source) // 4, MAX_REPORTED_MARKERS)):
+        if len(remaining) < MIN_COMPARED_MARKERS:
             break
-        distances, surprises = Bending.of(source[kept]).left_out(target[kept])
+        distances, surprises = BendingEnergy.from_points(source[remaining]).leave_one_out(target[remaining])
         surprises = surprises / max(float(np.median(surprises)), np.finfo(float).tiny)
-        wrong = (distances > FAR) & (surprises > SURPRISING)
-        if not wrong.any():
+        is_wrong = (distances > MIN_WRONG_MARKER_DISTANCE) & (surprises > MIN_WRONG_MARKER_SURPRISE)
+        if not is_wrong.any():
             break
-        worst = int(np.argmax(np.where(wrong, surprises, 0)))
-        found.append((int(kept[worst]), float(distances[worst]), float(surprises[worst])))
-        kept = np.delete(kept, worst)
-    return found
+        worst = int(np.argmax(np.where(is_wrong, surprises, 0)))
+        wrong_ids.append((int(remaining[worst]), float(distances[worst]), float(surprises[worst])))
+        remaining = np.delete(remaining, worst)
+    return wrong_ids
 
 
-def groups(points: Float) -> list[Index]:
-    """Return the clusters of two or more points ``(n, 3)``, of all sizes, nested (Ward 1963)."""
+def cluster_markers(points: Float) -> list[Index]:
+    """Return the nested clusters of two or more points ``(n, 3)``, up to the largest size (Ward 1963)."""
     from scipy.cluster.hierarchy import linkage
 
-    found = [np.array([point]) for point in range(len(points))]
+    clusters = [np.array([point]) for point in range(len(points))]
     for first, second in linkage(points, "ward")[:, :2].astype(int):
-        found.append(np.union1d(found[first], found[second]))
-    return [group for group in found if 2 <= len(group) <= LARGEST_SHARE * len(points)]
+        clusters.append(np.union1d(clusters[first], clusters[second]))
+    return [group for group in clusters if 2 <= len(group) <= MAX_GROUP_MARKER_SHARE * len(points)]
 
 
-def exchanged_groups(bending: Bending, source: Float, target: Float) -> tuple[Index, Index, float, float]:
-    """Find the two groups whose exchange brings them closest to their predictions: source, target ``(n, 3)``."""
-    matrix, force = bending.matrix, bending.matrix @ target
+def find_exchanged_groups(
+    bending: BendingEnergy, source: Float, target: Float
+) -> tuple[Index, Index, float, float]:
+    """Find the two groups that an exchange brings closest to their predictions: source, target ``(n, 3)``."""
+    matrix, forces = bending.matrix, bending.matrix @ target
     best = np.zeros(0, np.int64), np.zeros(0, np.int64), 1.0, 1.0
-    clusters = groups(source)
-    inside = np.zeros((len(clusters), len(source)))
-    for number, group in enumerate(clusters):
-        inside[number, group] = 1
-    apart_from = inside @ inside.T == 0
-    for number, second in enumerate(clusters):
-        for first in (clusters[other] for other in np.flatnonzero(apart_from[number, :number])):
-            if max(len(first), len(second)) > ALIKE * min(len(first), len(second)):
+    clusters = cluster_markers(source)
+    membership = np.zeros((len(clusters), len(source)))
+    for index, group in enumerate(clusters):
+        membership[index, group] = 1
+    is_disjoint = membership @ membership.T == 0
+    for index, second in enumerate(clusters):
+        for first in (clusters[other] for other in np.flatnonzero(is_disjoint[index, :index])):
+            if max(len(first), len(second)) > MAX_GROUP_SIZE_RATIO * min(len(first), len(second)):
                 continue
-            both = np.concatenate([first, second])
+            marker_ids = np.concatenate([first, second])
             try:
-                off = np.linalg.solve(matrix[np.ix_(both, both)], force[both])
-            except np.linalg.LinAlgError:  # the others are in a plane, and predict nothing
+                errors = np.linalg.solve(matrix[np.ix_(marker_ids, marker_ids)], forces[marker_ids])
+            except np.linalg.LinAlgError:  # the other markers are in a plane
                 continue
-            one, two = off[: len(first)].mean(axis=0), off[len(first) :].mean(axis=0)
-            apart = target[second].mean(axis=0) - target[first].mean(axis=0)
-            straight = float(np.sqrt((one @ one + two @ two) / 2))
-            one, two = one + apart, two - apart
-            exchanged = float(np.sqrt((one @ one + two @ two) / 2))
-            if exchanged * best[2] < best[3] * straight:
-                best = first, second, straight, exchanged
+            first_error, second_error = errors[: len(first)].mean(axis=0), errors[len(first) :].mean(axis=0)
+            exchange = target[second].mean(axis=0) - target[first].mean(axis=0)
+            unchanged = float(np.sqrt((first_error @ first_error + second_error @ second_error) / 2))
+            first_error, second_error = first_error + exchange, second_error - exchange
+            exchanged = float(np.sqrt((first_error @ first_error + second_error @ second_error) / 2))
+            if exchanged * best[2] < best[3] * unchanged:
+                best = first, second, unchanged, exchanged
     return best
 
 
-FEWEST = 4
-"""Number of markers that determine an affine map."""
+MIN_MARKERS = 4
+"""Smallest number of markers: four determine an affine map."""
 
-THIN = 0.01
-"""Ratio of extents below which markers lie on a line or a plane."""
+FLAT_EXTENT_RATIO = 0.01
+"""Largest ratio of extents of markers on a line or a plane."""
 
-MIRRORED = 0.5
-"""Ratio of residuals of the best reflection to the best rotation below which markers are mirrored."""
+MAX_MIRRORED_RESIDUAL_RATIO = 0.5
+"""Largest residual of the best reflection of mirrored markers, relative to that of the best rotation."""
 
-SIMILAR = 0.01
-"""Residual of a rotation below which markers are too flat to detect a reflection."""
+MIN_ROTATION_RESIDUAL = 0.01
+"""Smallest residual of the best rotation of mirrored markers; flat markers have less."""
 
-MOST_COMPARED = 1000
+MAX_COMPARED_MARKERS = 1000
 """Largest number of markers that are compared with each other."""
 
-GROUPS_EXCHANGED, MOST_GROUPED = 0.7, 200
-"""Ratio of distances, exchanged to unchanged, of two exchanged groups; largest number of markers that are grouped."""
+MAX_EXCHANGED_GROUP_DISTANCE_RATIO, MAX_GROUPED_MARKERS = 0.7, 200
+"""As `MAX_EXCHANGED_DISTANCE_RATIO`, for two groups; largest number of markers that are grouped."""
 
 MAX_NAMED_MARKERS = 6
 """Largest number of markers named in a message."""
@@ -322,7 +336,7 @@ class Suspicion:
     """Markers that do not fit the others."""
 
     marker_ids: Index  # (k,) the markers
-    message: str  # the problem, and its cure
+    message: str  # problem and cure
 
 
 def check_markers(
@@ -332,12 +346,12 @@ def check_markers(
     source_topology: Topology | None = None,
     target_topology: Topology | None = None,
 ) -> None:
-    """Raise `SettingsError` for invalid markers, and warn of suspicious ones: points ``(V, 3)`` and ``(V', 3)``."""
-    once = np.sort(np.unique(np.stack([markers.source, markers.target]), axis=1, return_index=True)[1])
-    if len(once) < FEWEST:
-        repeated = f" that differ, of {len(markers)}" if len(once) < len(markers) else ""
+    """Raise for invalid markers, and warn of suspicious ones: points ``(V, 3)`` and ``(V', 3)``."""
+    distinct_count = len(_distinct_markers(markers))
+    if distinct_count < MIN_MARKERS:
+        suffix = f" that differ, of {len(markers)}" if distinct_count < len(markers) else ""
         raise SettingsError(
-            f"there are {len(once)} markers{repeated}; at least {FEWEST} that are on no plane are needed"
+            f"there are {distinct_count} markers{suffix}; at least {MIN_MARKERS} that are on no plane are needed"
         )
     for side, vertices, points, topology in (
         ("source", markers.source, source_points, source_topology),
@@ -345,18 +359,19 @@ def check_markers(
     ):
         _check_vertices(markers, side, vertices, len(points), topology)
     _check_pairs(markers)
-    own, other = _used(source_points, source_topology), _used(target_points, target_topology)
     source = np.asarray(source_points[markers.source], np.float64)
     target = np.asarray(target_points[markers.target], np.float64)
-    for side, chosen, points in (("source", source, own), ("target", target, other)):
-        _check_spread(side, chosen, points)
-    _check_hand(_normalised(source), _normalised(target))
-    for each in suspicions(markers, source, target, float(np.linalg.norm(np.ptp(other, axis=0)))):
-        _warn(each.message)
+    used_target_points = _used_points(target_points, target_topology)
+    _check_spread("source", source, _used_points(source_points, source_topology))
+    _check_spread("target", target, used_target_points)
+    _check_hand(_normalise_points(source), _normalise_points(target))
+    diagonal = float(np.linalg.norm(np.ptp(used_target_points, axis=0)))
+    for suspicion in find_suspicious_markers(markers, source, target, diagonal):
+        _warn(suspicion.message)
 
 
-def check_rest(source: MeshSequence, rest: int) -> None:
-    """Raise `SettingsError` if a source does not have the frame of the rest pose."""
+def check_rest_frame(source: MeshSequence, rest: int) -> None:
+    """Raise if a source does not have the frame of the rest pose."""
     if not -source.frame_count <= rest < source.frame_count:
         raise SettingsError(
             f"the source has no frame {rest}; the rest pose is one of 0 ... {source.frame_count - 1}"
@@ -364,29 +379,38 @@ def check_rest(source: MeshSequence, rest: int) -> None:
 
 
 def check_marker_vertices(markers: Markers, source: Topology, target: Topology) -> None:
-    """Raise `SettingsError` for markers on missing vertices, or on vertices without triangles."""
+    """Raise for markers on missing vertices, or on vertices without triangles."""
     for side, vertices, topology in (("source", markers.source, source), ("target", markers.target, target)):
         _check_vertices(markers, side, vertices, topology.vertex_count, topology)
 
 
-def suspicions(markers: Markers, source: Float, target: Float, diagonal: float) -> list[Suspicion]:
+def find_suspicious_markers(
+    markers: Markers, source: Float, target: Float, diagonal: float
+) -> list[Suspicion]:
     """Find pairs, groups and single markers that seem exchanged or wrong: source, target ``(n, 3)``."""
-    once = np.sort(np.unique(np.stack([markers.source, markers.target]), axis=1, return_index=True)[1])
-    if not FEWEST_COMPARED <= len(once) <= MOST_COMPARED:
+    distinct = _distinct_markers(markers)
+    if not MIN_COMPARED_MARKERS <= len(distinct) <= MAX_COMPARED_MARKERS:
         return []
-    unit = _size(target[once]) / diagonal
-    return list(_compared(markers, once, _normalised(source[once]), _normalised(target[once]), unit))
+    unit = _rms_radius(target[distinct]) / diagonal
+    source, target = _normalise_points(source[distinct]), _normalise_points(target[distinct])
+    return list(_compare_markers(markers, distinct, source, target, unit))
+
+
+def _distinct_markers(markers: Markers) -> Index:
+    """Return the ids ``(m,)`` of markers, without repeated pairs."""
+    pairs = np.stack([markers.source, markers.target])
+    return np.sort(np.unique(pairs, axis=1, return_index=True)[1])
 
 
 def _check_vertices(
     markers: Markers, side: str, vertices: Index, count: int, topology: Topology | None
 ) -> None:
-    """Raise for vertices that do not exist, or that no triangle uses."""
+    """Raise for missing vertices, and for vertices without triangles."""
     outside = np.flatnonzero((vertices < 0) | (vertices >= count))
     if outside.size:
         message = (
-            f"{_listed(markers, outside)}: the {side} has {count} vertices, 0 to {count - 1}; choose others, "
-            "or see that source and target are not exchanged"
+            f"{_marker_list(markers, outside)}: the {side} has {count} vertices, 0 to {count - 1}; choose others, "
+            "or check that source and target are not exchanged"
         )
         if vertices.max() == count and vertices.min() > 0:
             message += ", or subtract 1 from all: the file may count from 1"
@@ -394,106 +418,112 @@ def _check_vertices(
     unused = np.flatnonzero(np.isin(vertices, () if topology is None else topology.unused_vertices))
     if unused.size:
         raise SettingsError(
-            f"{_listed(markers, unused)}: no triangle of the {side} uses the vertex; choose others nearby"
+            f"{_marker_list(markers, unused)}: no triangle of the {side} uses the vertex; choose others nearby"
         )
 
 
 def _check_pairs(markers: Markers) -> None:
     """Raise if a vertex has two partners; repeated pairs are allowed."""
-    for side, other, one, two in (
+    for side, other_side, vertices, partners in (
         ("source", "targets", markers.source, markers.target),
         ("target", "sources", markers.target, markers.source),
     ):
-        order = np.lexsort((two, one))
-        clash = np.flatnonzero((np.diff(one[order]) == 0) & (np.diff(two[order]) != 0))
-        if clash.size:
-            pair = np.sort(order[clash[0] : clash[0] + 2])
+        order = np.lexsort((partners, vertices))
+        conflicts = np.flatnonzero((np.diff(vertices[order]) == 0) & (np.diff(partners[order]) != 0))
+        if conflicts.size:
+            rows = np.sort(order[conflicts[0] : conflicts[0] + 2])
             raise SettingsError(
-                f"{_listed(markers, pair)} give vertex {one[pair[0]]} of the {side} two {other}; leave one out"
+                f"{_marker_list(markers, rows)} give vertex {vertices[rows[0]]} of the {side} two {other_side}; "
+                "leave one out"
             )
 
 
-def _check_spread(side: str, chosen: Float, points: Float) -> None:
+def _check_spread(side: str, marked: Float, points: Float) -> None:
     """Raise if markers do not extend in three directions, as the mesh does."""
-    centre = chosen.mean(axis=0)
-    _, extents, axes = np.linalg.svd(chosen - centre, full_matrices=False)
-    if extents[1] <= THIN * extents[0]:
+    centre = marked.mean(axis=0)
+    _, extents, axes = np.linalg.svd(marked - centre, full_matrices=False)
+    if extents[1] <= FLAT_EXTENT_RATIO * extents[0]:
         raise SettingsError(
             f"all markers of the {side} are on one line, which leaves the turn about it open; add some beside it"
         )
-    across = np.abs((points - centre) @ axes[2]).max()
-    if extents[2] <= THIN * extents[0] and across > THIN * np.ptp(points, axis=0).max():
+    depth = np.abs((points - centre) @ axes[2]).max()
+    if (
+        extents[2] <= FLAT_EXTENT_RATIO * extents[0]
+        and depth > FLAT_EXTENT_RATIO * np.ptp(points, axis=0).max()
+    ):
         _warn(
-            f"all markers of the {side} are on one plane, so that nothing tells its two sides apart; add some beside it"
+            f"all markers of the {side} are on one plane, which leaves its two sides open; add some beside it"
         )
 
 
 def _check_hand(source: Float, target: Float) -> None:
+    """Raise if normalised markers ``(n, 3)`` fit a reflection far better than a rotation."""
     s = np.linalg.svd(source.T @ target, compute_uv=False) / len(source)
-    sign = np.sign(np.linalg.det(source.T @ target))
-    rotated, reflected = (1 - (s[0] + s[1] + hand * s[2]) ** 2 for hand in (sign, -sign))
-    if rotated > SIMILAR and reflected < MIRRORED * rotated:
+    rotation_sign = np.sign(np.linalg.det(source.T @ target))
+    rotated, reflected = (1 - (s[0] + s[1] + sign * s[2]) ** 2 for sign in (rotation_sign, -rotation_sign))
+    if rotated > MIN_ROTATION_RESIDUAL and reflected < MAX_MIRRORED_RESIDUAL_RATIO * rotated:
         raise SettingsError(
             f"left and right are exchanged in all markers, or one mesh is mirrored: the best rotation leaves "
-            f"{100 * rotated:.0f} % of what the markers tell, the best reflection {100 * reflected:.0f} %; "
-            "exchange left and right, or mirror one mesh (and turn its triangles over)"
+            f"{100 * rotated:.0f} % of the squared distances, the best reflection {100 * reflected:.0f} %; "
+            "exchange left and right, or mirror one mesh (and flip its normals)"
         )
 
 
-def _compared(
-    markers: Markers, rows: Index, source: Float, target: Float, unit: float
+def _compare_markers(
+    markers: Markers, marker_ids: Index, source: Float, target: Float, unit: float
 ) -> Iterator[Suspicion]:
     """Yield suspicions; `unit` is the size of normalised targets in diagonals."""
-    bending = Bending.of(source)
-    for i, j, straight, exchanged in exchanged_pairs(bending, target):
+    bending = BendingEnergy.from_points(source)
+    for i, j, unchanged, exchanged in find_exchanged_pairs(bending, target):
         target[[i, j]] = target[[j, i]]
         yield Suspicion(
-            rows[[i, j]],
-            f"{_listed(markers, rows[[i, j]])} seem exchanged: the others say that their targets should be "
-            f"{100 * unit * straight:.1f} % of the diagonal away, exchanged {100 * unit * exchanged:.1f} %; if they "
-            "are, exchange the two targets",
+            marker_ids[[i, j]],
+            f"{_marker_list(markers, marker_ids[[i, j]])} seem exchanged: their targets are "
+            f"{100 * unit * unchanged:.1f} % of the diagonal away from where the other markers predict them, and "
+            f"{100 * unit * exchanged:.1f} % if they are exchanged; exchange the two targets if they are wrong",
         )
-    if len(source) <= MOST_GROUPED:
-        first, second, straight, exchanged = exchanged_groups(bending, source, target)
-        typical = float(np.median(bending.left_out(target)[0]))
-        if exchanged < GROUPS_EXCHANGED * straight and straight > max(STRIKING * typical, NOTHING):
+    if len(source) <= MAX_GROUPED_MARKERS:
+        first, second, unchanged, exchanged = find_exchanged_groups(bending, source, target)
+        is_exchanged = exchanged < MAX_EXCHANGED_GROUP_DISTANCE_RATIO * unchanged
+        if is_exchanged and unchanged > _min_exchanged_distance(bending, target):
             yield Suspicion(
-                rows[np.concatenate([first, second])],
-                f"{_listed(markers, rows[first])} seem exchanged with {_listed(markers, rows[second])}, left for "
-                f"right: the others say that the centres of their targets should be {100 * unit * straight:.0f} % of "
-                f"the diagonal away, exchanged {100 * unit * exchanged:.0f} %; look at all markers there",
+                marker_ids[np.concatenate([first, second])],
+                f"{_marker_list(markers, marker_ids[first])} seem exchanged with "
+                f"{_marker_list(markers, marker_ids[second])}, left for right: the centres of their targets are "
+                f"{100 * unit * unchanged:.0f} % of the diagonal away from where the other markers predict them, and "
+                f"{100 * unit * exchanged:.0f} % if they are exchanged; check all markers there",
             )
             return
-    for i, distance, surprise in wrong_markers(source, target):
+    for i, distance, surprise in find_wrong_markers(source, target):
         yield Suspicion(
-            rows[[i]],
-            f"{_listed(markers, rows[[i]])} seems wrong: the others say that its target should be "
-            f"{100 * unit * distance:.0f} % of the diagonal away ({surprise:.0f} times as striking as their median); "
-            "look at it, or leave it out",
+            marker_ids[[i]],
+            f"{_marker_list(markers, marker_ids[[i]])} seems wrong: its target is {100 * unit * distance:.0f} % of the "
+            f"diagonal away from where the other markers predict it ({surprise:.0f} times the median surprise); "
+            "check it, or leave it out",
         )
 
 
-def _used(points: FloatArray, topology: Topology | None) -> Float:
-    """Return the points of triangles, or all if these are unknown."""
-    used = points if topology is None else np.delete(points, topology.unused_vertices, axis=0)
-    return np.asarray(used, np.float64)
+def _used_points(points: FloatArray, topology: Topology | None) -> Float:
+    """Return the points of triangles; all points without a topology."""
+    used_points = points if topology is None else np.delete(points, topology.unused_vertices, axis=0)
+    return np.asarray(used_points, np.float64)
 
 
-def _normalised(points: Float) -> Float:
-    return np.asarray((points - points.mean(axis=0)) / _size(points))
+def _normalise_points(points: Float) -> Float:
+    return np.asarray((points - points.mean(axis=0)) / _rms_radius(points))
 
 
-def _size(points: Float) -> float:
+def _rms_radius(points: Float) -> float:
     """Return the root mean square distance from the centre."""
     centred = points - points.mean(axis=0)
     return max(float(np.sqrt((centred**2).sum(axis=1).mean())), np.finfo(float).tiny)
 
 
-def _listed(markers: Markers, numbers: Index) -> str:
-    names = [markers.name(int(number)) for number in numbers[:MAX_NAMED_MARKERS]]
-    more = f" and {len(numbers) - MAX_NAMED_MARKERS} more" if len(numbers) > MAX_NAMED_MARKERS else ""
-    joined = " and ".join(names) if len(names) == 2 and not more else ", ".join(names)
-    return f"marker{'s' if len(numbers) > 1 else ''} {joined}{more}"
+def _marker_list(markers: Markers, marker_ids: Index) -> str:
+    names = [markers.name(int(marker)) for marker in marker_ids[:MAX_NAMED_MARKERS]]
+    suffix = f" and {len(marker_ids) - MAX_NAMED_MARKERS} more" if len(marker_ids) > MAX_NAMED_MARKERS else ""
+    listed = " and ".join(names) if len(names) == 2 and not suffix else ", ".join(names)
+    return f"marker{'s' if len(marker_ids) > 1 else ''} {listed}{suffix}"
 
 
 def _warn(message: str) -> None:

@@ -1,36 +1,35 @@
-r"""Keep named vertices of the target from sliding: contacts of the target rest where those of the source rest.
+r"""Footskate cleanup: contacts of the target are fixed while those of the source rest on the ground.
 
-The scheme (constraints found in the motion, the root first, then the limbs, blends in between) is that of Kovar,
-Schreiner and Gleicher 2002, "Footskate cleanup for motion capture editing".
+The scheme is that of Kovar, Schreiner and Gleicher 2002, "Footskate cleanup for motion capture editing": constraints
+from the motion, first on the root, then on the limbs, with blends in between.
 
-*Stances*: when the feet of the source are on the ground. From frame to frame every point of a contact moves at a speed
-v, the mean over its points. A *step* between two frames is at rest if both its speed and its height z above the lowest
-are small,
+*Stances* are the times when the feet of the source are on the ground. A *step* between two frames has the mean speed v
+of the contact's points. It is at rest if both its speed and its height z above the lowest are small,
 
 .. math:: v < \max(a\, v_{95},\ a_0\, d), \qquad z - z_0 < \max(b\, (z_1 - z_0),\ b_0\, d),
 
-where :math:`v_{95}` is the speed that 95 % of the steps stay below, :math:`z_0` and :math:`z_1` are the lowest and the
-highest height, and d is the size of the body. So the thresholds follow the motion, and contacts that hardly move rest.
-A run of steps is a stance if all of them are at rest by the wide thresholds and one of them by the narrow ones
-(hysteresis: Canny 1986 does so along edges). It joins at least two frames.
+where :math:`v_{95}` is the 95th percentile of speeds, :math:`z_0` and :math:`z_1` are the lowest and the highest
+height, and d is the size of the body. The thresholds follow the motion, and contacts that hardly move rest. A run of
+steps is a stance if all of them are at rest by the wide thresholds and one of them by the narrow ones (hysteresis, as
+of edges by Canny 1986). It has at least two frames.
 
-*The body* moves as far as its feet agree. Let x be the transferred path of the middle of a contact. In every stance s
-it should stay at an anchor, and misses it by :math:`d = \bar x - x`, with the mean :math:`\bar x` over the stance. The
-common shift r of the whole body minimises
+*The body* is shifted first. Let x be the transferred path of the middle of a contact. In every stance s it should stay
+at an anchor, from which its offset is :math:`d = \bar x - x`, with the mean :math:`\bar x` over the stance. The shift r
+of the whole body minimises
 
 .. math::
 
     \min_{r, b} \sum_{s} \sum_{t \in s} |d_{st} + b_s - r_t|^2
     + \alpha \sum_t |r_{t+1} - 2 r_t + r_{t-1}|^2 + \beta \sum_t |r_{t+1} - r_t|^2 .
 
-Along the ground the anchor is :math:`\bar x + b`, with free b, so that strides that do not fit the legs lengthen or
-shorten the path, and the body moves evenly; upwards b is zero and :math:`\gamma \sum_t |r_t|^2` is added against
-climbing and sinking. :math:`\alpha` leaves what is quicker than `PERIOD` to the limbs, and :math:`\beta` lets the shift
-come to rest within about `MEMORY` where no foot is on the ground.
+Along the ground the anchor is :math:`\bar x + b`, with free b: strides that do not fit the legs lengthen or shorten the
+path, and the body moves evenly. Upwards b is zero, and :math:`\gamma \sum_t |r_t|^2` is added against climbing and
+sinking. By :math:`\alpha` motions faster than `MIN_SHIFT_PERIOD_SECONDS` are left to the limbs, and by :math:`\beta`
+the shift decays within about `SHIFT_DECAY_SECONDS` while no foot is on the ground.
 
-*Limbs* rotate by the rest, :math:`e = d + b - r` (`mixseq.retargeting.limbs`). Before and after a stance e fades by
-cubic Hermite splines with its value and slope, so that feet land and lift smoothly. A foot in the air keeps its path,
-although its limb may share parts with others.
+*Limbs* correct the remaining moves, :math:`e = d + b - r` (`mixseq.retargeting.limbs`). Before and after a stance e
+fades by cubic Hermite splines with its value and slope, so that feet land and lift smoothly. A foot in the air keeps
+its path, even if its limb shares parts with others.
 """
 
 from __future__ import annotations
@@ -43,10 +42,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import MixseqWarning, SettingsError
-from mixseq.mesh.rotations import turned
-from mixseq.retargeting.limbs import ArticulatedBody, Contact, leg_ratio, move_contacts
+from mixseq.mesh.rotations import rotate_vectors
+from mixseq.retargeting.limbs import ArticulatedBody, Contact, leg_ratio, solve_limbs
 from mixseq.retargeting.mixed_transfer import MixedTransfer
-from mixseq.retargeting.parts import PartPoses, vertex_parts
+from mixseq.retargeting.parts import PartPoses, assign_vertices_to_parts
 from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.parallel import Executor
 from mixseq.runtime.progress import Progress, silent
@@ -54,34 +53,32 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import blocks_of
 from mixseq.types import Float, FloatArray, Index, Mask
 
-FASTEST = 95.0
-"""Percentile of speeds that counts as the fastest, against outliers."""
+FAST_SPEED_PERCENTILE = 95.0
+"""Percentile of speeds used as the fast speed of a contact, robust against outliers."""
 
 
 @dataclass(frozen=True)
 class StanceSettings:
-    """Thresholds, narrow and wide."""
+    """Narrow and wide thresholds of stances."""
 
-    speed: tuple[float, float] = (0.05, 0.1)  # of speeds, as fractions of the contact's fast speed
-    # Of speeds, in sizes of the body per second; these are at rest in any motion.
-    still: tuple[float, float] = (0.01, 0.02)
-    height: tuple[float, float] = (0.15, 0.3)  # of heights, as fractions of the contact's range of heights
-    # Of heights, in sizes of the body; these are on the ground in any motion.
-    ground: tuple[float, float] = (0.005, 0.01)
+    speed_ratio: tuple[float, float] = (0.05, 0.1)  # speed, relative to the contact's fast speed
+    rest_speed: tuple[float, float] = (0.01, 0.02)  # speed at rest in any motion, in body sizes per second
+    height_ratio: tuple[float, float] = (0.15, 0.3)  # height, relative to the contact's range of heights
+    rest_height: tuple[float, float] = (0.005, 0.01)  # height on the ground in any motion, in body sizes
 
     def __post_init__(self) -> None:
-        for name in ("speed", "still", "height", "ground"):
+        for name in ("speed_ratio", "rest_speed", "height_ratio", "rest_height"):
             narrow, wide = getattr(self, name)
             if not 0 <= narrow <= wide < np.inf:
                 raise SettingsError(
-                    f"the thresholds of {name} are {narrow:g} and {wide:g}; give two finite numbers, the narrow one "
-                    "first and not negative"
+                    f"the thresholds {name} are {narrow:g} and {wide:g}; give two finite numbers from 0, the narrow "
+                    "one first"
                 )
 
 
 @dataclass(frozen=True)
 class Stance:
-    """A contact at rest."""
+    """Range of frames in which a contact is at rest."""
 
     group: str  # name of the contact
     start: int  # first frame
@@ -93,7 +90,7 @@ class Stance:
         return slice(self.start, self.stop)
 
 
-def stances(
+def find_stances(
     group: str,
     trajectory: FloatArray,
     up: str,
@@ -101,32 +98,31 @@ def stances(
     size: float,
     settings: StanceSettings | None = None,
 ) -> tuple[Stance, ...]:
-    """Find disjoint stances of a contact with points ``(T, k, 3)``, in order.
+    """Find the disjoint stances of a contact ``(T, k, 3)``, in order; `size` is the diagonal of the body.
 
-    `up` is the upward axis, `size` the diagonal of the body in the units of the points. A single frame, or a contact
-    that never moves, is one stance.
+    A single frame, or a contact that never moves, is one stance.
     """
     settings = settings or StanceSettings()
-    path = np.asarray(trajectory, dtype=np.float64)
-    if path.ndim != 3 or path.shape[2] != 3 or 0 in path.shape or not np.isfinite(path).all():
+    points = np.asarray(trajectory, dtype=np.float64)
+    if points.ndim != 3 or points.shape[2] != 3 or 0 in points.shape or not np.isfinite(points).all():
         raise SettingsError(
-            f"the path of contact '{group}' has shape {path.shape}; finite points (T, k, 3) of at least one frame and "
-            "one vertex are expected"
+            f"the path of contact '{group}' has shape {points.shape}; finite points (T, k, 3) with at least one frame "
+            "and one vertex are expected"
         )
     if not (0 < fps < np.inf and 0 < size < np.inf):
         raise SettingsError(f"fps is {fps:g} and size is {size:g}; positive numbers are expected")
-    if len(path) == 1:
+    if len(points) == 1:
         return (Stance(group, 0, 1),)
-    speeds = fps * np.linalg.norm(np.diff(path, axis=0), axis=2).mean(axis=1)
-    heights = path[:, :, axis_of(up)].mean(axis=1)
+    speeds = fps * np.linalg.norm(np.diff(points, axis=0), axis=2).mean(axis=1)
+    heights = points[:, :, axis_index(up)].mean(axis=1)
     heights = heights - heights.min()
-    above = np.maximum(heights[1:], heights[:-1])  # of a step: where it is farther from the ground
-    fast = np.percentile(speeds, FASTEST)
+    step_heights = np.maximum(heights[1:], heights[:-1])
+    fast_speed = np.percentile(speeds, FAST_SPEED_PERCENTILE)
 
-    def at_rest(which: int) -> Mask:
-        slow = max(settings.speed[which] * fast, settings.still[which] * size)
-        low = max(settings.height[which] * heights.max(), settings.ground[which] * size)
-        return np.asarray((speeds < slow) & (above < low))
+    def at_rest(level: int) -> Mask:
+        max_speed = max(settings.speed_ratio[level] * fast_speed, settings.rest_speed[level] * size)
+        max_height = max(settings.height_ratio[level] * heights.max(), settings.rest_height[level] * size)
+        return np.asarray((speeds < max_speed) & (step_heights < max_height))
 
     narrow, wide = at_rest(0), at_rest(1)
     edges = np.flatnonzero(np.diff(wide, prepend=False, append=False))
@@ -134,156 +130,158 @@ def stances(
     return tuple(Stance(group, first, last + 1) for first, last in runs if narrow[first:last].any())
 
 
-def axis_of(up: str) -> int:
-    """Return the number of an axis."""
+def axis_index(up: str) -> int:
+    """Return the index of an up axis."""
     if up not in ("X", "Y", "Z"):
         raise SettingsError(f"the up axis is {up!r}; X, Y or Z is expected")
     return "XYZ".index(up)
 
 
-Knot = tuple[int, Float, Float]
-"""A frame, the value there and the slope per frame."""
+HermiteKnot = tuple[int, Float, Float]
+"""Frame, value and slope per frame."""
 
-PERIOD = 0.5
-"""Shortest period of the body's shift, in seconds."""
+MIN_SHIFT_PERIOD_SECONDS = 0.5
+"""Shortest period of the body's shift."""
 
-MEMORY = 2.0
-"""Time in which a shift without feet on the ground decays, in seconds."""
+SHIFT_DECAY_SECONDS = 2.0
+"""Decay time of the body's shift while no foot is on the ground."""
 
-UPRIGHT = 0.05
-r"""Weight :math:`\gamma` of the body's own height, where that of a foot on the ground is 1."""
+BODY_HEIGHT_WEIGHT = 0.05
+r"""Weight :math:`\gamma` of the body's height, relative to a foot on the ground."""
 
-FADE = 0.25
-"""Longest time before and after a stance in which a foot moves to and from its place, in seconds."""
-
-
-def misses(paths: Float, found: Sequence[Sequence[Stance]], negligible: float) -> Float:
-    """Return the shifts ``(g, T, 3)`` of contacts to their mean in each stance; zero in the air or if negligible."""
-    result = np.zeros_like(paths)
-    for miss, path, some in zip(result, paths, found, strict=True):
-        for stance in some:
-            away = path[stance.frames].mean(axis=0) - path[stance.frames]
-            if np.abs(away).max() > negligible:
-                miss[stance.frames] = away
-    return result
+MAX_FADE_SECONDS = 0.25
+"""Longest blend of a contact before and after a stance."""
 
 
-def body_shift(
-    missed: Float, found: Sequence[Sequence[Stance]], axis: int, fps: float
+def anchor_offsets(paths: Float, stances: Sequence[Sequence[Stance]], negligible: float) -> Float:
+    """Return offsets ``(g, T, 3)`` of contacts to their mean in each stance; zero in the air or if negligible."""
+    offsets = np.zeros_like(paths)
+    for contact_offsets, path, contact_stances in zip(offsets, paths, stances, strict=True):
+        for stance in contact_stances:
+            offset = path[stance.frames].mean(axis=0) - path[stance.frames]
+            if np.abs(offset).max() > negligible:
+                contact_offsets[stance.frames] = offset
+    return offsets
+
+
+def solve_body_shift(
+    offsets: Float, stances: Sequence[Sequence[Stance]], axis: int, fps: float
 ) -> tuple[Float, Float]:
-    """Return the body's shift ``(T, 3)``, and remaining moves of contacts, from misses, both ``(g, T, 3)``."""
+    """Return the body's shift ``(T, 3)``, and remaining moves ``(g, T, 3)`` of contacts with offsets ``(g, T, 3)``."""
     from scipy import sparse
     from scipy.sparse.linalg import splu
 
-    count = missed.shape[1]
-    stances = [(group, stance) for group, some in enumerate(found) for stance in some]
-    lengths = [stance.stop - stance.start for _, stance in stances]
-    frames = np.concatenate([np.arange(stance.start, stance.stop) for _, stance in stances])
-    groups = np.repeat([group for group, _ in stances], lengths)
-    numbers = np.repeat(np.arange(len(stances)), lengths)
-    wanted = missed[groups, frames]
+    count = offsets.shape[1]
+    numbered_stances = [
+        (group, stance) for group, contact_stances in enumerate(stances) for stance in contact_stances
+    ]
+    lengths = [stance.stop - stance.start for _, stance in numbered_stances]
+    frames = np.concatenate([np.arange(stance.start, stance.stop) for _, stance in numbered_stances])
+    contact_ids = np.repeat([group for group, _ in numbered_stances], lengths)
+    stance_ids = np.repeat(np.arange(len(numbered_stances)), lengths)
+    stance_offsets = offsets[contact_ids, frames]
 
-    def picked(columns: Index, size: int) -> sparse.csr_array:
-        rows = np.arange(len(columns))
-        return sparse.csr_array((np.ones(len(columns)), (rows, columns)), shape=(len(columns), size))
+    def selection_matrix(columns: Index, size: int) -> sparse.csr_array:
+        row_ids = np.arange(len(columns))
+        return sparse.csr_array((np.ones(len(columns)), (row_ids, columns)), shape=(len(columns), size))
 
-    step = (sparse.eye_array(count - 1, count, k=1) - sparse.eye_array(count - 1, count)).tocsr()
-    curvature = step[:-1, :-1] @ step
-    alpha = (fps * PERIOD / (2 * np.pi)) ** 4
-    beta = alpha / (fps * MEMORY) ** 2
-    calm = alpha * curvature.T @ curvature + beta * step.T @ step
-    body = picked(frames, count)
-    both = sparse.hstack([body, -picked(numbers, len(stances))])
-    # Along the ground body and anchors may shift together: so far the first frame stays, and in the end the mean.
-    first = sparse.coo_array(([1.0], ([0], [0])), shape=(count, count))
-    calmer = sparse.block_diag([calm + first, sparse.coo_array((len(stances), len(stances)))])
+    differences = (sparse.eye_array(count - 1, count, k=1) - sparse.eye_array(count - 1, count)).tocsr()
+    curvature = differences[:-1, :-1] @ differences
+    alpha = (fps * MIN_SHIFT_PERIOD_SECONDS / (2 * np.pi)) ** 4
+    beta = alpha / (fps * SHIFT_DECAY_SECONDS) ** 2
+    smoothness = alpha * curvature.T @ curvature + beta * differences.T @ differences
+    body_rows = selection_matrix(frames, count)
+    ground_rows = sparse.hstack([body_rows, -selection_matrix(stance_ids, len(numbered_stances))])
+    # Along the ground body and anchors may shift together: the first frame is fixed, and the mean removed afterwards.
+    gauge = sparse.coo_array(([1.0], ([0], [0])), shape=(count, count))
+    ground_smoothness = sparse.block_diag(
+        [smoothness + gauge, sparse.coo_array((len(numbered_stances), len(numbered_stances)))]
+    )
 
     ground = np.arange(3) != axis
-    shift, anchors = np.zeros((count, 3)), np.zeros((len(stances), 3))
-    along = splu((both.T @ both + calmer).tocsc()).solve(both.T @ wanted[:, ground])
-    along -= along[:count].mean(axis=0)
-    shift[:, ground], anchors[:, ground] = along[:count], along[count:]
-    upright = body.T @ body + calm + UPRIGHT * sparse.eye_array(count)
-    shift[:, axis] = splu(upright.tocsc()).solve(body.T @ wanted[:, axis])
-    left = np.zeros_like(missed)
-    left[groups, frames] = wanted + anchors[numbers] - shift[frames]
-    return shift, left
+    shift, anchors = np.zeros((count, 3)), np.zeros((len(numbered_stances), 3))
+    ground_system = ground_rows.T @ ground_rows + ground_smoothness
+    ground_solution = splu(ground_system.tocsc()).solve(ground_rows.T @ stance_offsets[:, ground])
+    ground_solution -= ground_solution[:count].mean(axis=0)
+    shift[:, ground], anchors[:, ground] = ground_solution[:count], ground_solution[count:]
+    height_system = body_rows.T @ body_rows + smoothness + BODY_HEIGHT_WEIGHT * sparse.eye_array(count)
+    shift[:, axis] = splu(height_system.tocsc()).solve(body_rows.T @ stance_offsets[:, axis])
+    remaining = np.zeros_like(offsets)
+    remaining[contact_ids, frames] = stance_offsets + anchors[stance_ids] - shift[frames]
+    return shift, remaining
 
 
-def faded(wanted: Float, some: Sequence[Stance], fps: float) -> Float:
-    """Return moves ``(T, 3)`` of a contact, as given in its stances and smooth in between.
+def fade_moves(moves: Float, stances: Sequence[Stance], fps: float) -> Float:
+    """Blend the moves ``(T, 3)`` of a contact from zero before and to zero after its stances, or between near ones."""
+    faded = np.zeros_like(moves)
+    fade_frames = max(2, round(MAX_FADE_SECONDS * fps))
+    zero = np.zeros(3)
 
-    They fade from zero before a stance and to zero after it, or to the next stance if that is near.
-    """
-    result = np.zeros_like(wanted)
-    fade = max(2, round(FADE * fps))
-    still = np.zeros(3)
+    def interpolate(start: HermiteKnot, stop: HermiteKnot) -> None:
+        frames = np.arange(max(start[0], 0), min(stop[0] + 1, len(faded)))
+        faded[frames] = _hermite(frames, start, stop)
 
-    def lead(start: Knot, stop: Knot) -> None:
-        frames = np.arange(max(start[0], 0), min(stop[0] + 1, len(result)))
-        result[frames] = _hermite(frames, start, stop)
-
-    last: Knot | None = None
-    for stance in some:
-        first = _knot(wanted, stance.start, min(stance.start + 1, stance.stop - 1))
-        if last is not None and first[0] - last[0] <= 2 * fade:
-            lead(last, first)
+    previous: HermiteKnot | None = None
+    for stance in stances:
+        knot = _hermite_knot(moves, stance.start, min(stance.start + 1, stance.stop - 1))
+        if previous is not None and knot[0] - previous[0] <= 2 * fade_frames:
+            interpolate(previous, knot)
         else:
-            if last is not None:
-                lead(last, (last[0] + fade, still, still))
-            lead((first[0] - fade, still, still), first)
-        result[stance.frames] = wanted[stance.frames]
-        last = _knot(wanted, stance.stop - 1, max(stance.stop - 2, stance.start))
-    if last is not None:
-        lead(last, (last[0] + fade, still, still))
-    return result
+            if previous is not None:
+                interpolate(previous, (previous[0] + fade_frames, zero, zero))
+            interpolate((knot[0] - fade_frames, zero, zero), knot)
+        faded[stance.frames] = moves[stance.frames]
+        previous = _hermite_knot(moves, stance.stop - 1, max(stance.stop - 2, stance.start))
+    if previous is not None:
+        interpolate(previous, (previous[0] + fade_frames, zero, zero))
+    return faded
 
 
-def _knot(values: Float, frame: int, beside: int) -> Knot:
-    slope = (values[beside] - values[frame]) / (beside - frame or 1)
+def _hermite_knot(values: Float, frame: int, neighbour: int) -> HermiteKnot:
+    slope = (values[neighbour] - values[frame]) / (neighbour - frame or 1)
     return frame, values[frame], slope
 
 
-def _hermite(frames: Index, start: Knot, stop: Knot) -> Float:
-    """Return a cubic ``(n, 3)`` between two knots."""
+def _hermite(frames: Index, start: HermiteKnot, stop: HermiteKnot) -> Float:
+    """Return the cubic Hermite spline ``(n, 3)`` between two knots."""
     (first, a, slope_a), (last, b, slope_b) = start, stop
     span = last - first
     s = ((frames - first) / span)[:, None]
-    bows = span * (s * (1 - s) ** 2 * slope_a - s * s * (1 - s) * slope_b)
-    return np.asarray(a + s * s * (3 - 2 * s) * (b - a) + bows)
+    slope_terms = span * (s * (1 - s) ** 2 * slope_a - s * s * (1 - s) * slope_b)
+    return np.asarray(a + s * s * (3 - 2 * s) * (b - a) + slope_terms)
 
 
-NEGLIGIBLE = 1e-9
-"""Sliding distance below which feet are left unchanged, in diagonals."""
+MIN_SLIDE_DIAGONALS = 1e-9
+"""Offset below which contacts are left unchanged, in diagonals."""
 
 
 @dataclass(frozen=True)
 class GroupReport:
     """Sliding of one contact, before and after, in diagonals of the target."""
 
-    name: str  # the contact
-    stances: tuple[Stance, ...]  # its stances
+    name: str  # name of the contact
+    stances: tuple[Stance, ...]  # stances of the contact
     before: float  # path length of its middle in all stances, as transferred
     after: float  # path length of its middle in all stances, as corrected
-    residual: float  # largest stretch of its limb, where rotation did not suffice
+    residual: float  # largest stretch of its limb
 
 
 @dataclass(frozen=True)
 class ContactReport:
-    """Sliding of all contacts, and the motions that removed it."""
+    """Sliding of all contacts, and the corrections."""
 
-    groups: tuple[GroupReport, ...] = ()  # one for each contact
+    groups: tuple[GroupReport, ...] = ()  # report of each contact
     shift: float = 0.0  # largest shift of the whole body, in diagonals of the target
     turn: float = 0.0  # largest rotation of a part of a limb, in degrees
 
 
 @dataclass(frozen=True, eq=False)
 class PlantedMotion:
-    """Motions of parts without sliding feet."""
+    """Motions of parts without sliding contacts."""
 
-    rotations: Float  # (T, p, 3, 3) of the parts
-    centres: Float  # (T, p, 3) where their rest centres go
-    report: ContactReport  # report of the changes
+    rotations: Float  # (T, p, 3, 3) rotations of the parts
+    centres: Float  # (T, p, 3) centres of the parts
+    report: ContactReport  # report of the corrections
 
 
 def remove_footskate(
@@ -297,71 +295,75 @@ def remove_footskate(
     diagonal: float,
     settings: StanceSettings | None = None,
 ) -> PlantedMotion:
-    """Move parts so that contacts do not slide while those of the source rest; motions without sliding are unchanged.
+    """Fix contacts of a motion, rotations ``(T, p, 3, 3)`` and centres ``(T, p, 3)``, while those of the source rest.
 
-    Rotations and centres are ``(T, p, 3, 3), (T, p, 3)``; trajectories ``(T, k, 3)`` are those of the source's contact
-    points, in the target's units, as is the diagonal.
+    Trajectories ``(T, k, 3)`` are those of the source's contact points, in the unit of the target.
     """
-    lengths = [len(path) for path in trajectories]
-    if lengths != len(contacts) * [len(centres)]:
+    frame_counts = [len(path) for path in trajectories]
+    if frame_counts != len(contacts) * [len(centres)]:
         raise SettingsError(
-            f"there are {len(contacts)} contacts and motions of {len(centres)} frames, but {len(lengths)} paths of "
-            f"{', '.join(map(str, lengths)) or 'no'} frames; give one path for each contact, over all frames"
+            f"there are {len(contacts)} contacts and motions of {len(centres)} frames, but {len(frame_counts)} paths "
+            f"of {', '.join(map(str, frame_counts)) or 'no'} frames; give one path for each contact, over all frames"
         )
     for contact in contacts:
         body.limb(contact)
-    axis = axis_of(up)
-    found = tuple(
-        stances(contact.name, path, up, fps, diagonal, settings)
+    axis = axis_index(up)
+    stances = tuple(
+        find_stances(contact.name, path, up, fps, diagonal, settings)
         for contact, path in zip(contacts, trajectories, strict=True)
     )
-    for contact, some in zip(contacts, found, strict=True):
-        if not some:
+    for contact, contact_stances in zip(contacts, stances, strict=True):
+        if not contact_stances:
             warnings.warn(
-                f"contact '{contact.name}' never rests on the ground in the source, so nothing holds it; if the source "
+                f"contact '{contact.name}' never rests on the ground in the source, so it is not fixed; if the source "
                 "walks on the spot, move it over the ground first",
                 MixseqWarning,
                 stacklevel=2,
             )
-    before = _paths(body, contacts, rotations, centres)
-    missed = misses(before, found, NEGLIGIBLE * diagonal)
-    if not missed.any():
-        groups = _groups(contacts, found, before, before, np.zeros(len(contacts)), diagonal)
+    centre_paths = _contact_centre_paths(body, contacts, rotations, centres)
+    offsets = anchor_offsets(centre_paths, stances, MIN_SLIDE_DIAGONALS * diagonal)
+    if not offsets.any():
+        residuals = np.zeros(len(contacts))
+        groups = _report_groups(contacts, stances, centre_paths, centre_paths, residuals, diagonal)
         return PlantedMotion(rotations, centres, ContactReport(groups))
-    shift, left = body_shift(missed, found, axis, fps)
-    moves = np.stack([faded(*pair, fps) for pair in zip(left, found, strict=True)], axis=1)
-    result = move_contacts(body, rotations, centres + shift[:, None], contacts, moves)
-    after = _paths(body, contacts, result.rotations, result.centres)
-    residuals = np.linalg.norm(result.left, axis=2).max(axis=0)
-    groups = _groups(contacts, found, before, after, residuals, diagonal)
-    lowest = np.trace(result.turns, axis1=2, axis2=3).min(initial=3.0)
-    turn = float(np.degrees(np.arccos(np.clip((lowest - 1.0) / 2.0, -1.0, 1.0))))
-    report = ContactReport(groups, float(np.linalg.norm(shift, axis=1).max()) / diagonal, turn)
+    shift, remaining = solve_body_shift(offsets, stances, axis, fps)
+    moves = np.stack([fade_moves(*pair, fps) for pair in zip(remaining, stances, strict=True)], axis=1)
+    result = solve_limbs(body, rotations, centres + shift[:, None], contacts, moves)
+    planted_paths = _contact_centre_paths(body, contacts, result.rotations, result.centres)
+    residuals = np.linalg.norm(result.residual_moves, axis=2).max(axis=0)
+    groups = _report_groups(contacts, stances, centre_paths, planted_paths, residuals, diagonal)
+    min_trace = np.trace(result.limb_rotations, axis1=2, axis2=3).min(initial=3.0)
+    max_turn_degrees = float(np.degrees(np.arccos(np.clip((min_trace - 1.0) / 2.0, -1.0, 1.0))))
+    report = ContactReport(groups, float(np.linalg.norm(shift, axis=1).max()) / diagonal, max_turn_degrees)
     return PlantedMotion(result.rotations, result.centres, report)
 
 
-def _paths(body: ArticulatedBody, contacts: Sequence[Contact], rotations: Float, centres: Float) -> Float:
-    """Return the middles ``(g, T, 3)`` of contacts."""
-    paths = [body.path(each, rotations, centres).mean(axis=1) for each in contacts]
+def _contact_centre_paths(
+    body: ArticulatedBody, contacts: Sequence[Contact], rotations: Float, centres: Float
+) -> Float:
+    """Return the paths ``(g, T, 3)`` of the contacts' middles."""
+    paths = [body.contact_path(contact, rotations, centres).mean(axis=1) for contact in contacts]
     return np.array(paths).reshape(len(contacts), len(centres), 3)
 
 
-def _groups(
+def _report_groups(
     contacts: Sequence[Contact],
-    found: Sequence[tuple[Stance, ...]],
+    stances: Sequence[tuple[Stance, ...]],
     before: Float,
     after: Float,
     residuals: Float,
     diagonal: float,
 ) -> tuple[GroupReport, ...]:
-    def slide(path: Float, some: Sequence[Stance]) -> float:
-        steps = [np.linalg.norm(np.diff(path[stance.frames], axis=0), axis=1).sum() for stance in some]
-        return float(sum(steps)) / diagonal
+    def slide(path: Float, contact_stances: Sequence[Stance]) -> float:
+        lengths = [
+            np.linalg.norm(np.diff(path[each.frames], axis=0), axis=1).sum() for each in contact_stances
+        ]
+        return float(sum(lengths)) / diagonal
 
-    rows = zip(contacts, found, before, after, residuals.tolist(), strict=True)
+    rows = zip(contacts, stances, before, after, residuals.tolist(), strict=True)
     return tuple(
-        GroupReport(contact.name, some, slide(old, some), slide(new, some), residual / diagonal)
-        for contact, some, old, new, residual in rows
+        GroupReport(contact.name, found, slide(old, found), slide(new, found), residual / diagonal)
+        for contact, found, old, new, residual in rows
     )
 
 
@@ -369,9 +371,9 @@ def _groups(
 class PlantedTransfer:
     """A transfer without sliding contacts."""
 
-    method: MixedTransfer  # the transfer, with the stride of the target's legs
-    poses: PartPoses  # of the target's parts in all frames, rotations (T, p', 3, 3) and centres (T, p', 3)
-    report: ContactReport  # report of the changes
+    method: MixedTransfer  # the transfer, with strides scaled to the target's legs
+    poses: PartPoses  # poses of the target's parts in all frames
+    report: ContactReport  # report of the corrections
 
 
 def plant_contacts(
@@ -382,67 +384,81 @@ def plant_contacts(
     workers: Executor,
     progress: Progress = silent,
 ) -> PlantedTransfer:
-    """Find poses in which contacts ``(k,)`` rest as those of the source ``(T, V, 3)``; travel scales with the legs."""
-    target, source, correspondence = (
-        method.gradients.target,
-        method.gradients.source,
-        method.gradients.correspondence,
+    """Find poses in which contacts ``(k,)`` are fixed while those of the source, with frames ``(T, V, 3)``, rest."""
+    gradients = method.gradients
+    target, source = gradients.target, gradients.source
+    vertices = {
+        name: _check_contact_vertices(name, given, header.vertex_count) for name, given in contacts.items()
+    }
+    part_of_vertex = assign_vertices_to_parts(method.parts.target, target.topology)
+    source_contacts, target_contacts = (
+        [Contact(name, rest[ids], part_of_vertex[ids]) for name, ids in vertices.items()]
+        for rest in (gradients.correspondence.interpolate(source.reference), target.reference)
     )
-    vertices = {name: _vertices(name, given, header.vertex_count) for name, given in contacts.items()}
-    part = vertex_parts(method.parts.target, target.topology)
-    on_source = correspondence.interpolate(source.reference)
-    own = [Contact(name, target.reference[chosen], part[chosen]) for name, chosen in vertices.items()]
-    theirs = [Contact(name, on_source[chosen], part[chosen]) for name, chosen in vertices.items()]
-    ratio = method.gradients.alignment.scale * source.scale / target.scale
-    striding = replace(method, stride=leg_ratio(method.source_body, method.body, theirs, own) / ratio)
+    scale = gradients.alignment.scale * source.scale / target.scale
+    stride_ratio = leg_ratio(method.source_body, method.body, source_contacts, target_contacts) / scale
+    method = replace(method, stride_ratio=stride_ratio)
 
-    chosen = np.concatenate(list(vertices.values()))
-    rotations, centres, paths, soles, done = [], [], [], [], 0
-    for poses, path, sole in workers(_measure, (striding, chosen, part[chosen]), blocks_of(points)):
+    vertex_ids = np.concatenate(list(vertices.values()))
+    shared = method, vertex_ids, part_of_vertex[vertex_ids]
+    rotations, centres, paths, local_points, done_count = [], [], [], [], 0
+    for poses, block_path, block_local_points in workers(_measure_contacts, shared, blocks_of(points)):
         rotations.append(poses.rotations)
         centres.append(poses.centres)
-        paths.append(path)
-        soles.append(sole)
-        done += len(path)
-        progress(done, len(points), "placing feet")
-    ends = np.cumsum([len(each) for each in vertices.values()])[:-1]
-    ways = np.split(np.concatenate(paths) * ratio / source.scale, ends, axis=1)
-    local = np.split(np.concatenate(soles), ends, axis=1)
-    found = remove_footskate(
+        paths.append(block_path)
+        local_points.append(block_local_points)
+        done_count += len(block_path)
+        progress(done_count, len(points), "placing feet")
+    splits = np.cumsum([len(ids) for ids in vertices.values()])[:-1]
+    contact_paths = np.split(np.concatenate(paths) * scale / source.scale, splits, axis=1)
+    local_paths = np.split(np.concatenate(local_points), splits, axis=1)
+    planted = remove_footskate(
         method.body,
         np.concatenate(rotations),
         np.concatenate(centres),
-        [replace(contact, local=each) for contact, each in zip(own, local, strict=True)],
-        [method.gradients.alignment.turned_points(way) for way in ways],
+        [
+            replace(contact, local_points=local)
+            for contact, local in zip(target_contacts, local_paths, strict=True)
+        ],
+        [gradients.alignment.rotate_points(path) for path in contact_paths],
         header.up_axis,
         header.fps,
         1.0,
     )
-    return PlantedTransfer(striding, PartPoses(found.rotations, found.centres), found.report)
+    return PlantedTransfer(method, PartPoses(planted.rotations, planted.centres), planted.report)
 
 
-def _measure(shared: tuple[MixedTransfer, Index, Index], block: FloatArray) -> tuple[PartPoses, Float, Float]:
-    """Return part poses in frames ``(B, V, 3)``, contact vertices on the source, and on the target's rest parts."""
+def _measure_contacts(
+    shared: tuple[MixedTransfer, Index, Index], block: FloatArray
+) -> tuple[PartPoses, Float, Float]:
+    """Return part poses for frames ``(B, V, 3)``, contact vertices on the source, and in the target's rest space."""
     method, vertices, parts = shared
-    poses, soles = [], []
-    for x in block:
-        smooth = method.by_gradients(x)
-        _, moved = method.shapes.register(smooth)
-        poses.append(method.poses(x, moved))
-        # A paw may bend although it is one with its leg.
-        back = np.swapaxes(moved.rotations[parts], 1, 2)
-        soles.append(turned(back, smooth[vertices] - moved.centres[parts]) + method.shapes.centres[parts])
-    path = np.stack([method.gradients.correspondence.interpolate(x)[vertices] for x in block])
-    return PartPoses(*(np.stack(values) for values in zip(*poses, strict=True))), path, np.stack(soles)
+    poses, local_points = [], []
+    for points in block:
+        deformed = method.deform_by_gradients(points)
+        _, deformed_poses = method.rest_shapes.register(deformed)
+        poses.append(method.transfer_poses(points, deformed_poses))
+        # In rest space, since a paw may bend although it is one part with its leg.
+        inverse_rotations = np.swapaxes(deformed_poses.rotations[parts], 1, 2)
+        arms = rotate_vectors(inverse_rotations, deformed[vertices] - deformed_poses.centres[parts])
+        local_points.append(arms + method.rest_shapes.centres[parts])
+    source_path = np.stack(
+        [method.gradients.correspondence.interpolate(points)[vertices] for points in block]
+    )
+    return (
+        PartPoses(*(np.stack(values) for values in zip(*poses, strict=True))),
+        source_path,
+        np.stack(local_points),
+    )
 
 
-def _vertices(name: str, given: ArrayLike, count: int) -> Index:
-    vertices = np.asarray(given)
+def _check_contact_vertices(name: str, vertices: ArrayLike, count: int) -> Index:
+    vertices = np.asarray(vertices)
     if vertices.ndim != 1 or not vertices.size or not np.issubdtype(vertices.dtype, np.integer):
-        raise SettingsError(f"contact '{name}' is no list of vertices; give at least one number")
+        raise SettingsError(f"contact '{name}' is no list of vertices; give at least one vertex number")
     outside = vertices[(vertices < 0) | (vertices >= count)]
     if outside.size:
         raise SettingsError(
-            f"contact '{name}' names vertex {outside[0]}, but those of the target are 0 to {count - 1}"
+            f"contact '{name}' has vertex {outside[0]}, but vertices of the target are 0 to {count - 1}"
         )
     return vertices.astype(np.int64)

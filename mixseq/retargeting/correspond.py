@@ -10,7 +10,7 @@ import numpy as np
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
-from mixseq.retargeting.checks import check_facing, check_markers, check_orientation, check_rest
+from mixseq.retargeting.checks import check_facing, check_markers, check_orientation, check_rest_frame
 from mixseq.retargeting.markers import Correspondence, Markers, Pairing, pair_components
 from mixseq.retargeting.matching import CorrespondenceQuality, MatchingSettings, assess, match
 from mixseq.retargeting.registration import RegistrationSettings, register
@@ -19,11 +19,11 @@ from mixseq.runtime.progress import Progress, silent
 from mixseq.runtime.public import public
 from mixseq.sequence.sequence import MeshSequence
 
-LITTLE = 0.5
-"""Share of a mesh's area in components with markers below which a warning is given."""
+MIN_MARKED_AREA_SHARE = 0.5
+"""Smallest share of a mesh's area in components with markers, without a warning."""
 
-FILLED, FLIPPED = 0.05, 0.01
-"""Shares of target triangles without a match, or flipped, that are worth a warning; tried pairs have < 0.01 and 0."""
+MAX_FILLED_FACE_SHARE, MAX_FLIPPED_FACE_SHARE = 0.05, 0.01
+"""Largest shares of target triangles without a match, and of flipped ones; tested pairs have < 0.01 and 0."""
 
 
 @dataclass(frozen=True)
@@ -43,18 +43,18 @@ def correspond(
     settings: CorrespondenceSettings | None = None,
     progress: Progress = silent,
 ) -> Correspondence:
-    """Find which point of a source every vertex of a target is, from a few markers.
+    """Find a dense correspondence of two meshes from a few markers.
 
     Parameters
     ----------
     source : MeshSequence
         The mesh that moves.
     target : MeshSequence
-        The mesh that shall move like it; its first frame is used.
+        The mesh to be moved; its first frame is used.
     markers : Markers
         At least four pairs of vertices, spread over the meshes.
     rest : int
-        The frame of the source whose pose is most like the target's.
+        Frame of the source in a pose like the target's.
     settings : CorrespondenceSettings, optional
         Settings of registration and matching.
     progress : callable
@@ -63,7 +63,7 @@ def correspond(
     Returns
     -------
     Correspondence
-        Components of the target without a marker follow the rest.
+        Source points of the target; its components without markers follow other components.
 
     Raises
     ------
@@ -88,38 +88,35 @@ def correspond_and_assess(
     settings: CorrespondenceSettings | None = None,
     progress: Progress = silent,
 ) -> tuple[Correspondence, CorrespondenceQuality]:
-    """Find a correspondence like `correspond`, and its quality."""
+    """Find the correspondence of `correspond`, and its quality."""
     settings = CorrespondenceSettings() if settings is None else settings
-    check_rest(source, rest)
-    start, goal = _mesh(source, rest, "source"), _mesh(target, 0, "target")
-    check_markers(markers, start.points, goal.points, start.topology, goal.topology)
-    pairings = pair_components(start.topology, goal.topology, markers)
-    _check_areas(start, goal, pairings)
-    check_orientation(start.points, start.faces, goal.points, goal.faces)
-    points = register(start, goal, pairings, markers, settings.registration, progress).points
-    check_facing(points, start.faces, goal.points, goal.faces)
-    registered = TriangleMesh(points, start.topology)
-    matches = match(registered, goal, pairings, settings.matching)
-    quality = assess(registered, goal, pairings, markers, matches, settings.matching)
-    _warn_of(quality, matches.correspondence)
+    check_rest_frame(source, rest)
+    source_mesh, target_mesh = _triangle_mesh(source, rest, "source"), _triangle_mesh(target, 0, "target")
+    check_markers(markers, source_mesh.points, target_mesh.points, source_mesh.topology, target_mesh.topology)
+    pairings = pair_components(source_mesh.topology, target_mesh.topology, markers)
+    _check_areas(source_mesh, target_mesh, pairings)
+    check_orientation(source_mesh.points, source_mesh.faces, target_mesh.points, target_mesh.faces)
+    points = register(source_mesh, target_mesh, pairings, markers, settings.registration, progress).points
+    check_facing(points, source_mesh.faces, target_mesh.points, target_mesh.faces)
+    registered = TriangleMesh(points, source_mesh.topology)
+    matches = match(registered, target_mesh, pairings, settings.matching)
+    quality = assess(registered, target_mesh, pairings, markers, matches, settings.matching)
+    _warn_of_poor_matches(quality, matches.correspondence)
     return matches.correspondence, quality
 
 
-def _warn_of(quality: CorrespondenceQuality, correspondence: Correspondence) -> None:
+def _warn_of_poor_matches(quality: CorrespondenceQuality, correspondence: Correspondence) -> None:
     """Warn if much of the target has no counterpart, or a flipped one."""
-    mapped = max(int(np.count_nonzero(correspondence.faces >= 0)), 1)
-    for count, most, what in (
-        (
-            quality.filled_face_count,
-            FILLED,
-            "found nothing near that faces the same way, and move like their neighbours",
-        ),
-        (quality.flipped_count, FLIPPED, "face away from what they correspond to"),
+    mapped_count = max(int(np.count_nonzero(correspondence.faces >= 0)), 1)
+    unmatched = "have no source triangle nearby that faces the same way, and follow their neighbours"
+    for count, max_share, problem in (
+        (quality.filled_face_count, MAX_FILLED_FACE_SHARE, unmatched),
+        (quality.flipped_count, MAX_FLIPPED_FACE_SHARE, "face away from their source triangles"),
     ):
-        if count > most * mapped:
+        if count > max_share * mapped_count:
             warnings.warn(
-                f"{count} of the {mapped} triangles of the target that should have a counterpart {what}; are both "
-                "meshes in the same pose, and all markers on the right component? The picture tells where limbs went",
+                f"{count} of {mapped_count} mapped triangles of the target {problem}; give both meshes in the same "
+                "pose, and check that all markers are on the right component. The picture shows where limbs went",
                 MixseqWarning,
                 stacklevel=5,
             )
@@ -127,27 +124,27 @@ def _warn_of(quality: CorrespondenceQuality, correspondence: Correspondence) -> 
 
 def _check_areas(source: TriangleMesh, target: TriangleMesh, pairings: tuple[Pairing, ...]) -> None:
     """Raise if marked components have no area; warn if they are a small part of the mesh."""
-    for what, mesh, chosen in (
+    for side, mesh, component_faces in (
         ("source", source, [pairing.source_faces for pairing in pairings]),
         ("target", target, [pairing.target_faces for pairing in pairings]),
     ):
-        marked = float(mesh.face_areas[np.concatenate(chosen)].sum())
-        if not marked > 0:
+        marked_area = float(mesh.face_areas[np.concatenate(component_faces)].sum())
+        if not marked_area > 0:
             raise SettingsError(
-                f"all markers of the {what} are on components whose triangles have no area; mark vertices of others"
+                f"all markers of the {side} are on components without area; mark vertices of other components"
             )
-        share = marked / float(mesh.face_areas.sum())
-        if share < LITTLE:
+        share = marked_area / float(mesh.face_areas.sum())
+        if share < MIN_MARKED_AREA_SHARE:
             warnings.warn(
-                f"components with markers are only {100 * share:.0f} % of the {what}'s area, and all others follow "
+                f"components with markers are only {100 * share:.0f} % of the {side}'s area, and all others follow "
                 "them as if stuck; mark them too, or weld vertices that are in one place",
                 MixseqWarning,
                 stacklevel=5,
             )
 
 
-def _mesh(sequence: MeshSequence, frame: int, what: str) -> TriangleMesh:
+def _triangle_mesh(sequence: MeshSequence, frame: int, side: str) -> TriangleMesh:
     if not len(sequence.faces):
-        raise SettingsError(f"the {what} has no faces; a correspondence is between surfaces")
+        raise SettingsError(f"the {side} has no faces; a correspondence is between surfaces")
     points = np.asarray(sequence.points[frame], dtype=np.float64)
     return TriangleMesh(points, Topology(sequence.faces, sequence.vertex_count))

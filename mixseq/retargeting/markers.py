@@ -1,4 +1,4 @@
-r"""Markers (pairs of corresponding vertices, set by a person), and dense correspondences of two meshes.
+r"""Markers (pairs of corresponding vertices, set by hand), and dense correspondences of two meshes.
 
 Markers pair components of the meshes (`pair_components`), and give the similarity between the meshes
 (`fit_similarity`; Umeyama 1991): the rotation R, scale s and translation t that minimise
@@ -29,14 +29,14 @@ from mixseq.types import Float, FloatArray, Index, Mask
 
 @dataclass(frozen=True, eq=False)
 class Markers:
-    """Pairs of vertices.
+    """Pairs of corresponding vertices.
 
     Attributes
     ----------
     source, target : (n,) int64
-        Vertices of the source and of the target; those of one row are a pair.
+        Vertices of the source and of the target, a pair per row.
     names : tuple of str
-        Names in messages, one each or none. Markers without a name, or with an empty one, are numbered from 1.
+        Names of all markers in messages, or none. Markers without a name, or with an empty one, are numbered from 1.
     """
 
     source: Index
@@ -55,7 +55,7 @@ class Markers:
         try:
             table = np.asarray(pairs)
             table = table.reshape(-1, 2) if table.size == 0 else table
-            whole = table.astype(np.int64)
+            vertex_pairs = table.astype(np.int64)
         except (TypeError, ValueError):
             if isinstance(pairs, str | PathLike):
                 raise SettingsError(
@@ -64,29 +64,29 @@ class Markers:
             raise SettingsError(
                 "markers are no pairs of vertices; (n, 2) whole numbers are expected"
             ) from None
-        if table.ndim != 2 or table.shape[1] != 2 or not np.array_equal(whole, table):
+        if table.ndim != 2 or table.shape[1] != 2 or not np.array_equal(vertex_pairs, table):
             raise SettingsError(
                 f"markers have shape {table.shape}; (n, 2) whole numbers, source and target, are expected"
             )
-        if names and len(names) != len(whole):
+        if names and len(names) != len(vertex_pairs):
             raise SettingsError(
-                f"there are {len(whole)} markers and {len(names)} names; give one each, or none"
+                f"there are {len(vertex_pairs)} markers and {len(names)} names; give a name for each, or none"
             )
-        return cls(whole[:, 0].copy(), whole[:, 1].copy(), names)
+        return cls(vertex_pairs[:, 0].copy(), vertex_pairs[:, 1].copy(), names)
 
     def __len__(self) -> int:
         return len(self.source)
 
-    def name(self, number: int) -> str:
-        """Return the name of a marker in messages: its name if it has one, and its pair of vertices."""
-        name = self.names[number] if self.names else ""
-        called = f"'{name}'" if name else f"{number + 1}"
-        return f"{called} ({self.source[number]} -> {self.target[number]})"
+    def name(self, marker: int) -> str:
+        """Return the name or number of a marker, with its vertices, for messages."""
+        name = self.names[marker] if self.names else ""
+        label = f"'{name}'" if name else f"{marker + 1}"
+        return f"{label} ({self.source[marker]} -> {self.target[marker]})"
 
 
 @dataclass(frozen=True, eq=False)
 class Pairing:
-    """Components of a source and of a target joined by markers: shoes and shoes, a body and a body."""
+    """Components of source and target that are joined by markers, such as both bodies, or all shoes."""
 
     source_faces: Index  # (f,) triangles of the source's components
     target_faces: Index  # (f',) triangles of the target's components
@@ -95,22 +95,25 @@ class Pairing:
 
 
 def pair_components(source: Topology, target: Topology, markers: Markers) -> tuple[Pairing, ...]:
-    """Group components that markers join, directly or through others; components without markers are in no group."""
+    """Group the components that are connected by markers; components without markers are left out."""
     from scipy import sparse
     from scipy.sparse import csgraph
 
-    own = source.component_of_vertex.astype(np.int64)
-    others = target.component_of_vertex.astype(np.int64) + len(np.unique(own))
-    size = int(others.max(initial=-1)) + 1
-    ends = own[markers.source], others[markers.target]
-    graph = sparse.coo_array((np.ones(len(markers)), ends), shape=(size, size))
-    joined = csgraph.connected_components(graph, directed=False)[1]
+    source_components = source.component_of_vertex.astype(np.int64)
+    target_components = target.component_of_vertex.astype(np.int64) + len(np.unique(source_components))
+    node_count = int(target_components.max(initial=-1)) + 1
+    edges = source_components[markers.source], target_components[markers.target]
+    graph = sparse.coo_array((np.ones(len(markers)), edges), shape=(node_count, node_count))
+    group_of_component = csgraph.connected_components(graph, directed=False)[1]
     pairings = []
-    for number in np.unique(joined[ends[0]]):
-        vertices = [np.flatnonzero(joined[component] == number) for component in (own, others)]
+    for group in np.unique(group_of_component[edges[0]]):
+        vertices = [
+            np.flatnonzero(group_of_component[components] == group)
+            for components in (source_components, target_components)
+        ]
         faces = [
-            np.flatnonzero(joined[component[topology.faces[:, 0]]] == number)
-            for topology, component in ((source, own), (target, others))
+            np.flatnonzero(group_of_component[components[topology.faces[:, 0]]] == group)
+            for topology, components in ((source, source_components), (target, target_components))
         ]
         pairings.append(Pairing(faces[0], faces[1], vertices[0], vertices[1]))
     return tuple(pairings)
@@ -118,7 +121,7 @@ def pair_components(source: Topology, target: Topology, markers: Markers) -> tup
 
 @dataclass(frozen=True, eq=False)
 class Similarity:
-    """The map ``x -> scale * rotation x + translation``."""
+    """Similarity ``x -> scale * rotation x + translation``."""
 
     scale: float  # scale factor
     rotation: Float  # (3, 3) rotation matrix
@@ -130,33 +133,33 @@ class Similarity:
 
 
 def fit_similarity(source: Float, target: Float) -> Similarity:
-    """Find the similarity that best maps points ``(n, 3)`` onto others."""
+    """Fit the similarity that maps source points ``(n, 3)`` onto target points ``(n, 3)``, by least squares."""
     rotation, _ = kabsch(source, target)
-    from_centre, to_centre = source.mean(axis=0), target.mean(axis=0)
-    x, y = (source - from_centre) @ rotation.T, target - to_centre
-    spread, shared = float(np.sum(x * x)), float(np.sum(x * y))
-    if not (spread > 0 and shared > 0):
+    source_centre, target_centre = source.mean(axis=0), target.mean(axis=0)
+    x, y = (source - source_centre) @ rotation.T, target - target_centre
+    squared_norm, inner_product = float(np.sum(x * x)), float(np.sum(x * y))
+    if not (squared_norm > 0 and inner_product > 0):
         raise SettingsError("the markers are all in one place; mark points all over the meshes")
-    scale = shared / spread
-    return Similarity(scale, rotation, to_centre - scale * rotation @ from_centre)
+    scale = inner_product / squared_norm
+    return Similarity(scale, rotation, target_centre - scale * rotation @ source_centre)
 
 
 @dataclass(frozen=True, eq=False)
 class Correspondence:
-    """Where the vertices and triangles of a target are on a source.
+    """Dense correspondence: source points of a target's vertices, and source triangles of its triangles.
 
     Attributes
     ----------
     source_size, target_size : (int, int)
-        Vertices and triangles of the two meshes.
+        Numbers of vertices and triangles of the two meshes.
     corners : (V', 3) int64
-        Source vertices around every target vertex; all -1 where it follows its leader.
+        Source vertices around every target vertex; -1 for vertices that follow a leader.
     weights : (V', 3) float64
-        Their barycentric weights; they add to one.
+        Barycentric weights of the corners, which add to one.
     faces : (F',) int64
-        The source triangle that moves every target triangle; -1 where a corner of it follows a leader.
+        Source triangle of every target triangle; -1 if one of its vertices follows a leader.
     leaders : (V',) int64
-        The target vertex that a vertex without corners follows; elsewhere the vertex itself.
+        Target vertex that is followed by a vertex without source point; the vertex itself elsewhere.
     """
 
     source_size: tuple[int, int]
@@ -168,7 +171,7 @@ class Correspondence:
 
     @classmethod
     def identity(cls, vertex_count: int, face_count: int) -> Correspondence:
-        """Make the identity of meshes of the same connectivity."""
+        """Return the correspondence of meshes with the same connectivity."""
         vertices = np.arange(vertex_count)
         size = vertex_count, face_count
         weights = np.tile([1.0, 0.0, 0.0], (vertex_count, 1))
@@ -181,18 +184,18 @@ class Correspondence:
         return np.asarray((self.corners >= 0).all(axis=1))
 
     def interpolate(self, values: FloatArray) -> Float:
-        """Transfer values ``(..., V, c)`` of source vertices to target vertices or their leaders, ``(..., V', c)``."""
+        """Interpolate values ``(..., V, c)`` of the source at the points of the target, ``(..., V', c)``."""
         corners, weights = self.corners[self.leaders], self.weights[self.leaders]
         return np.asarray(np.einsum("vk,...vkc->...vc", weights, values[..., corners, :]))
 
     def check(self, source_size: tuple[int, int], target_size: tuple[int, int]) -> None:
-        """Raise `SettingsError` if numbers of vertices or triangles differ."""
-        for what, own, given in (
+        """Raise if numbers of vertices or triangles differ."""
+        for side, expected, actual in (
             ("source", self.source_size, source_size),
             ("target", self.target_size, target_size),
         ):
-            if own != given:
+            if expected != actual:
                 raise SettingsError(
-                    f"the map is of a {what} with {own[0]} vertices and {own[1]} triangles, but the {what} has "
-                    f"{given[0]} and {given[1]}; give a map of these meshes, or markers"
+                    f"the map is of a {side} with {expected[0]} vertices and {expected[1]} triangles, but the {side} "
+                    f"has {actual[0]} and {actual[1]}; give a map of these meshes, or markers"
                 )

@@ -1,15 +1,15 @@
 """Correspondences of a target: matched to a registered source by closest points, or completed from a given map.
 
-*Matching.* A closest point counts if it is near enough and the surfaces face the same way there: where two legs touch,
-the facing sides have opposite normals, and each finds its own. Vertices without one take that of the nearest neighbour
-along the surface. Components of the target without a marker follow the nearest matched vertex.
+*Matching.* Closest points are limited in distance and in the angle of normals: where two legs touch, their inner sides
+have opposite normals, and each is matched to its own leg. Vertices without a match are filled in from the nearest
+neighbour along the surface. Components of the target without a marker follow the nearest matched vertex.
 
 *Completing* a map of vertices, of triangles, or of points on triangles:
 
 - *Vertices*, where only triangles are mapped, are on the source vertex that all triangles around them share, or else at
-  the point closest to the mean, by area, of the mapped triangles' centroids.
-- *Triangles* of the target are moved by the source triangle of the same three vertices, or else by the closest to the
-  mean of their mapped corners that faces the same way.
+  the point closest to the area-weighted mean of the mapped triangles' centroids.
+- *Triangles* correspond to the source triangle of the same three vertices, or else to the closest one to the mean of
+  their mapped corners that faces the same way.
 - *Unmapped vertices* follow the nearest mapped vertex of their component, and unmapped components rigidly follow one
   vertex.
 """
@@ -24,8 +24,9 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from mixseq.errors import SettingsError
+from mixseq.mesh.nearest import ClosestPointQuery
 from mixseq.mesh.topology import Topology
-from mixseq.mesh.triangle_mesh import ClosestPoints, TriangleMesh
+from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.markers import Correspondence, Markers, Pairing
 from mixseq.types import Float, FloatArray, Index, IntArray, Mask
 
@@ -46,33 +47,28 @@ class MatchingSettings:
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """A correspondence, and its matches before filling in."""
+    """A correspondence, and the matches that are not filled in."""
 
-    correspondence: Correspondence  # the map
-    found_vertices: Mask  # (V',) target vertices with a closest point of their own, not filled in
-    found_faces: Mask  # (F',) target triangles with a closest point of their own, not filled in
-    # (V',) distances of vertices from their matches, in the unit of the points; infinite without a match.
-    distances: Float
+    correspondence: Correspondence  # correspondence, filled in
+    has_vertex_match: Mask  # (V',) target vertices with a match
+    has_face_match: Mask  # (F',) target triangles with a match
+    distances: Float  # (V',) distances of target vertices from their matches; infinite without a match
 
 
 @dataclass(frozen=True, eq=False)
 class CorrespondenceQuality:
     """Quality of a correspondence; distances are in diagonals of the target."""
 
-    # Share of the source's area that, registered, lies on the target: within the distance and the angle of matches.
-    source_coverage: float
-    target_coverage: float  # share of the target's area whose triangles found a match themselves
+    source_coverage: float  # share of the registered source's area with a match on the target
+    target_coverage: float  # share of the target's area with a match on the source
     mean_distance: float  # mean distance of the target's vertices from the registered source
     p99_distance: float  # 99th percentile of these distances
     largest_distance: float  # largest of these distances
-    flipped_count: (
-        int  # target triangles with a normal against that of their triangle of the registered source
-    )
-    filled_vertex_count: int  # number of target vertices with the match of a neighbour
-    filled_face_count: int  # number of target triangles with the match of a neighbour
-    follower_count: int  # number of components that follow a vertex, without unused vertices
-    # (n,) distances of marked vertices of the registered source from the vertices of the target that they should be at.
-    marker_distances: Float
+    flipped_count: int  # target triangles that face away from their registered source triangle
+    filled_vertex_count: int  # target vertices with the match of a neighbour
+    filled_face_count: int  # target triangles with the match of a neighbour
+    follower_count: int  # components that follow a vertex, without unused vertices
+    marker_distances: Float  # (n,) distances of registered source markers from target markers
     markers: Markers  # the markers
 
     def worst_markers(self, count: int = 5) -> list[tuple[str, float]]:
@@ -87,53 +83,49 @@ def match(
     pairings: tuple[Pairing, ...],
     settings: MatchingSettings | None = None,
 ) -> Matches:
-    """Find the source point of every target vertex, and the source triangle of every target triangle."""
+    """Match the vertices and triangles of a target to a registered source by closest points."""
     settings = MatchingSettings() if settings is None else settings
     vertex_count, face_count = len(target.points), len(target.faces)
-    # Vertices and, after them, triangles, by their centroids: both are nodes of the graph along the mesh.
+    # Queries are vertices followed by centroids of triangles, as the nodes of the surface graph.
     queries = np.concatenate([target.points, target.centroids])
     normals = np.concatenate([target.vertex_normals, target.face_normals])
     faces, weights = np.full(len(queries), -1), np.zeros((len(queries), 3))
     distances = np.full(len(queries), np.inf)
     searches = [
         (
-            ClosestPoints(registered, pairing.source_faces),
+            ClosestPointQuery.from_mesh(registered.points, registered.faces, pairing.source_faces),
             np.concatenate([pairing.target_vertices, vertex_count + pairing.target_faces]),
         )
         for pairing in pairings
     ]
-    for search, own in searches:
-        found = search.query(queries[own], normals[own], settings.largest_angle)
-        near = found.distances <= settings.largest_distance * target.diagonal
-        close = own[near]
-        faces[close], weights[close] = found.faces[near], found.weights[near]
-        distances[close] = found.distances[near]
-    found_themselves = faces >= 0
+    for search, query_ids in searches:
+        closest = search.query(queries[query_ids], normals[query_ids], settings.largest_angle)
+        is_near = closest.distances <= settings.largest_distance * target.diagonal
+        matched_ids = query_ids[is_near]
+        faces[matched_ids], weights[matched_ids] = closest.faces[is_near], closest.weights[is_near]
+        distances[matched_ids] = closest.distances[is_near]
+    is_matched = faces >= 0
     graph, is_vertex = _surface_graph(target), np.arange(len(queries)) < vertex_count
-    for kind in (is_vertex, ~is_vertex):
-        nearest = _nearest_along(graph, np.flatnonzero(kind & found_themselves))
-        filled = np.flatnonzero(kind & (nearest >= 0))
-        faces[filled], weights[filled] = faces[nearest[filled]], weights[nearest[filled]]
-    for search, own in searches:  # components without a near match take any
-        left = own[faces[own] < 0]
-        found = search.query(queries[left])
-        faces[left], weights[left] = found.faces, found.weights
-    on = faces[:vertex_count]
-    corners = np.where(on[:, None] >= 0, registered.faces[on], -1)
+    for is_kind in (is_vertex, ~is_vertex):
+        nearest = _nearest_sources(graph, np.flatnonzero(is_kind & is_matched))
+        filled_ids = np.flatnonzero(is_kind & (nearest >= 0))
+        faces[filled_ids], weights[filled_ids] = faces[nearest[filled_ids]], weights[nearest[filled_ids]]
+    for search, query_ids in searches:  # components without a match nearby: any distance
+        unmatched_ids = query_ids[faces[query_ids] < 0]
+        closest = search.query(queries[unmatched_ids])
+        faces[unmatched_ids], weights[unmatched_ids] = closest.faces, closest.weights
+    vertex_faces = faces[:vertex_count]
+    corners = np.where(vertex_faces[:, None] >= 0, registered.faces[vertex_faces], -1)
     correspondence = Correspondence(
         (len(registered.points), len(registered.faces)),
         (vertex_count, face_count),
         corners,
         weights[:vertex_count],
         faces[vertex_count:],
-        target.leaders(on >= 0),
+        target.leaders(vertex_faces >= 0),
     )
-    return Matches(
-        correspondence,
-        found_themselves[:vertex_count],
-        found_themselves[vertex_count:],
-        distances[:vertex_count],
-    )
+    has_vertex_match, has_face_match = is_matched[:vertex_count], is_matched[vertex_count:]
+    return Matches(correspondence, has_vertex_match, has_face_match, distances[:vertex_count])
 
 
 def assess(
@@ -144,58 +136,60 @@ def assess(
     matches: Matches,
     settings: MatchingSettings,
 ) -> CorrespondenceQuality:
-    """Measure a correspondence of `match` with these settings."""
-    size = target.diagonal
+    """Measure the quality of a correspondence of `match`."""
+    diagonal = target.diagonal
     correspondence = matches.correspondence
-    covered = 0.0
+    covered_area = 0.0
     for pairing in pairings:
-        own = pairing.source_faces
-        goal = ClosestPoints(target, pairing.target_faces)
-        found = goal.query(registered.centroids[own], registered.face_normals[own], settings.largest_angle)
-        near = found.distances <= settings.largest_distance * size
-        covered += float(registered.face_areas[own[near]].sum())
-    # One zero without matches, which the coverage reports.
-    distances = (
-        matches.distances[matches.found_vertices] / size if matches.found_vertices.any() else np.zeros(1)
-    )
-    mapped = correspondence.faces >= 0
+        face_ids = pairing.source_faces
+        search, normals = (
+            ClosestPointQuery.from_mesh(target.points, target.faces, pairing.target_faces),
+            registered.face_normals[face_ids],
+        )
+        closest = search.query(registered.centroids[face_ids], normals, settings.largest_angle)
+        is_near = closest.distances <= settings.largest_distance * diagonal
+        covered_area += float(registered.face_areas[face_ids[is_near]].sum())
+    distances = matches.distances[matches.has_vertex_match] / diagonal
+    if not distances.size:
+        distances = np.zeros(1)  # no match: coverages are zero
+    is_mapped = correspondence.faces >= 0
     cosines = np.einsum(
-        "fc,fc->f", target.face_normals[mapped], registered.face_normals[correspondence.faces[mapped]]
+        "fc,fc->f", target.face_normals[is_mapped], registered.face_normals[correspondence.faces[is_mapped]]
     )
-    first = target.faces[:, 0]
-    following = target.topology.component_of_vertex[first[~correspondence.matched[first]]]
-    gaps = registered.points[markers.source] - target.points[markers.target]
+    first_corners = target.faces[:, 0]
+    followers = first_corners[~correspondence.matched[first_corners]]
+    marker_offsets = registered.points[markers.source] - target.points[markers.target]
     return CorrespondenceQuality(
-        covered / max(float(registered.face_areas.sum()), 1e-300),
-        float(target.face_areas[matches.found_faces].sum() / max(float(target.face_areas.sum()), 1e-300)),
+        covered_area / max(float(registered.face_areas.sum()), 1e-300),
+        float(target.face_areas[matches.has_face_match].sum() / max(float(target.face_areas.sum()), 1e-300)),
         float(distances.mean()),
         float(np.percentile(distances, 99)),
         float(distances.max()),
         int((cosines < 0).sum()),
-        int((correspondence.matched & ~matches.found_vertices).sum()),
-        int((mapped & ~matches.found_faces).sum()),
-        len(np.unique(following)),
-        np.linalg.norm(gaps, axis=1) / size,
+        int((correspondence.matched & ~matches.has_vertex_match).sum()),
+        int((is_mapped & ~matches.has_face_match).sum()),
+        len(np.unique(target.topology.component_of_vertex[followers])),
+        np.linalg.norm(marker_offsets, axis=1) / diagonal,
         markers,
     )
 
 
 def _surface_graph(mesh: TriangleMesh) -> sparse.csr_array:
-    """Return a graph of distances along a surface: its vertices and, after them, its triangles."""
-    count = len(mesh.points)
+    """Return the graph of distances between the vertices and centroids of a surface."""
+    vertex_count = len(mesh.points)
     i, j = mesh.topology.edges.T
-    corner, face = mesh.faces.reshape(-1), np.repeat(np.arange(len(mesh.faces)), 3)
-    to_centre = np.linalg.norm(mesh.points[corner] - mesh.centroids[face], axis=1)
-    lengths = np.concatenate([np.sqrt(mesh.squared_lengths), to_centre])
-    # Stored zeros are no edges to csgraph: vertices in one place are a hair apart.
+    corner_vertices, corner_faces = mesh.faces.reshape(-1), np.repeat(np.arange(len(mesh.faces)), 3)
+    centroid_distances = np.linalg.norm(mesh.points[corner_vertices] - mesh.centroids[corner_faces], axis=1)
+    lengths = np.concatenate([np.sqrt(mesh.squared_lengths), centroid_distances])
+    # Positive lengths, since csgraph ignores stored zeros.
     lengths = np.maximum(lengths, 1e-12 * mesh.diagonal)
-    size = count + len(mesh.faces)
-    ends = np.concatenate([i, corner]), np.concatenate([j, count + face])
-    half = sparse.coo_array((lengths, ends), shape=(size, size))
-    return half.tocsr()
+    node_count = vertex_count + len(mesh.faces)
+    edges = np.concatenate([i, corner_vertices]), np.concatenate([j, vertex_count + corner_faces])
+    graph = sparse.coo_array((lengths, edges), shape=(node_count, node_count))
+    return graph.tocsr()
 
 
-def _nearest_along(graph: sparse.csr_array, sources: Index) -> Index:
+def _nearest_sources(graph: sparse.csr_array, sources: Index) -> Index:
     """Return the nearest source of every node along a graph, -1 if none is connected."""
     if not len(sources):
         return np.full(graph.shape[0], -1)
@@ -208,180 +202,185 @@ def _nearest_along(graph: sparse.csr_array, sources: Index) -> Index:
 RestMesh = tuple[FloatArray, IntArray]
 """Points ``(V, 3)`` and triangles ``(F, 3)`` of a mesh at rest."""
 
-ADDS_TO_ONE = 1e-3
-"""Largest deviation of sums of weights from one, as of rounded files; weights are then normalised."""
+WEIGHT_SUM_TOLERANCE = 1e-3
+"""Largest deviation of sums of barycentric weights from one; weights are normalised."""
 
 
 def from_vertices(vertices: ArrayLike, source: RestMesh, target: RestMesh) -> Correspondence:
     """Complete a map of vertices ``(V',)``, -1 for none: source, target ``(V, 3)``."""
-    a, b = _mesh(source), _mesh(target)
-    numbers = _numbers(vertices, len(b.points), len(a.points), "vertices")
-    weights = np.where(numbers[:, None] >= 0, [1.0, 0.0, 0.0], 0.0)
-    return _complete(a, b, np.repeat(numbers[:, None], 3, axis=1), weights, np.full(len(b.faces), -1))
+    source_mesh, target_mesh = _triangle_mesh(source), _triangle_mesh(target)
+    source_vertices = _check_map(vertices, len(target_mesh.points), len(source_mesh.points), "vertices")
+    weights = np.where(source_vertices[:, None] >= 0, [1.0, 0.0, 0.0], 0.0)
+    corners, faces = np.repeat(source_vertices[:, None], 3, axis=1), np.full(len(target_mesh.faces), -1)
+    return _complete_map(source_mesh, target_mesh, corners, weights, faces)
 
 
 def from_triangles(triangles: ArrayLike, source: RestMesh, target: RestMesh) -> Correspondence:
     """Complete a map of triangles ``(F',)``: source, target ``(V, 3)``."""
-    a, b = _mesh(source), _mesh(target)
-    numbers = _numbers(triangles, len(b.faces), len(a.faces), "triangles")
-    corners, weights = _vertices_of(numbers, a, b)
-    return _complete(a, b, corners, weights, numbers)
+    source_mesh, target_mesh = _triangle_mesh(source), _triangle_mesh(target)
+    source_faces = _check_map(triangles, len(target_mesh.faces), len(source_mesh.faces), "triangles")
+    corners, weights = _locate_vertices(source_faces, source_mesh, target_mesh)
+    return _complete_map(source_mesh, target_mesh, corners, weights, source_faces)
 
 
 def from_barycentric(
     corners: ArrayLike, weights: ArrayLike, source: RestMesh, target: RestMesh
 ) -> Correspondence:
     """Complete a map of target vertices to points of the source: corners, weights ``(V', 3)``."""
-    a, b = _mesh(source), _mesh(target)
-    flat = np.asarray(corners).reshape(-1)
-    numbers = _numbers(flat, 3 * len(b.points), len(a.points), "corners, three for each of its vertices")
-    on = numbers.reshape(-1, 3)
-    on = np.where((on >= 0).all(axis=1, keepdims=True), on, -1)
-    given = np.asarray(weights)
-    if given.shape != on.shape or given.dtype.kind not in "fiu" or not np.isfinite(given).all():
+    source_mesh, target_mesh = _triangle_mesh(source), _triangle_mesh(target)
+    flat_corners = np.asarray(corners).reshape(-1)
+    entry_count, vertex_count = 3 * len(target_mesh.points), len(source_mesh.points)
+    ids = _check_map(flat_corners, entry_count, vertex_count, "corners, three for each of its vertices")
+    ids = ids.reshape(-1, 3)
+    ids = np.where((ids >= 0).all(axis=1, keepdims=True), ids, -1)
+    values = np.asarray(weights)
+    if values.shape != ids.shape or values.dtype.kind not in "fiu" or not np.isfinite(values).all():
         raise SettingsError(
-            f"weights have shape {given.shape} and type {given.dtype}; finite numbers {on.shape} are expected"
+            f"weights have shape {values.shape} and type {values.dtype}; finite numbers {ids.shape} are expected"
         )
-    sums, matched = given.sum(axis=1), on[:, 0] >= 0
-    wrong = np.flatnonzero(matched & (np.abs(sums - 1) > ADDS_TO_ONE))
-    if wrong.size:
+    sums, is_matched = values.sum(axis=1), ids[:, 0] >= 0
+    wrong_vertices = np.flatnonzero(is_matched & (np.abs(sums - 1) > WEIGHT_SUM_TOLERANCE))
+    if wrong_vertices.size:
         raise SettingsError(
-            f"the weights of target vertex {wrong[0]} add to {sums[wrong[0]]:.4g}; 1 is expected"
-            + (f" ({len(wrong)} vertices)" if len(wrong) > 1 else "")
+            f"the weights of target vertex {wrong_vertices[0]} add to {sums[wrong_vertices[0]]:.4g}; 1 is expected"
+            + (f" ({len(wrong_vertices)} vertices)" if len(wrong_vertices) > 1 else "")
         )
-    scaled = np.where(matched[:, None], given / np.where(matched, sums, 1.0)[:, None], 0.0)
-    return _complete(a, b, on, scaled, np.full(len(b.faces), -1))
+    values = np.where(is_matched[:, None], values / np.where(is_matched, sums, 1.0)[:, None], 0.0)
+    return _complete_map(source_mesh, target_mesh, ids, values, np.full(len(target_mesh.faces), -1))
 
 
-def _mesh(mesh: RestMesh) -> TriangleMesh:
+def _triangle_mesh(mesh: RestMesh) -> TriangleMesh:
     points = np.asarray(mesh[0], np.float64)
     return TriangleMesh(points, Topology(np.asarray(mesh[1]), len(points)))
 
 
-def _numbers(given: ArrayLike, target_count: int, source_count: int, what: str) -> Index:
-    """Return a map of whole numbers, or raise."""
-    numbers = np.asarray(given)
-    if numbers.shape != (target_count,) or not np.issubdtype(numbers.dtype, np.integer):
+def _check_map(entries: ArrayLike, target_count: int, source_count: int, element_names: str) -> Index:
+    """Return a map as ids ``(n,)``; raise if it is invalid."""
+    ids = np.asarray(entries)
+    if ids.shape != (target_count,) or not np.issubdtype(ids.dtype, np.integer):
         raise SettingsError(
-            f"the map has shape {numbers.shape} and type {numbers.dtype}; the target has {target_count} {what}: as "
-            "many whole numbers are expected"
+            f"the map has shape {ids.shape} and type {ids.dtype}; the target has {target_count} {element_names}: one "
+            "whole number for each is expected"
         )
-    outside = np.flatnonzero((numbers < -1) | (numbers >= source_count))
+    outside = np.flatnonzero((ids < -1) | (ids >= source_count))
     if outside.size:
-        counted = (
-            ", or subtract 1 from all: the map may count from 1" if numbers.max() == source_count else ""
-        )
+        advice = ", or subtract 1 from all: the map may count from 1" if ids.max() == source_count else ""
         raise SettingsError(
-            f"entry {outside[0]} of the map is {numbers[outside[0]]}, but the source has {source_count} ({what}), "
-            f"0 to {source_count - 1}, and -1 stands for none; see that source and target are not exchanged{counted}"
+            f"entry {outside[0]} of the map is {ids[outside[0]]}, but the source has {source_count} ({element_names}), "
+            f"0 to {source_count - 1}, and -1 stands for none; check that source and target are not exchanged{advice}"
         )
-    if not (numbers >= 0).any():
+    if not (ids >= 0).any():
         raise SettingsError(
-            f"the map leaves out all {what} of the target; at least one must be on the source"
+            f"the map leaves out all {element_names} of the target; at least one must be on the source"
         )
-    return numbers.astype(np.int64)
+    return ids.astype(np.int64)
 
 
-def _vertices_of(triangles: Index, source: TriangleMesh, target: TriangleMesh) -> tuple[Index, Float]:
-    """Return corners and weights of target vertices, from the source triangles of the triangles around them."""
-    count = len(target.points)
-    used = np.flatnonzero(triangles >= 0)
-    vertex, corner = target.faces[used].reshape(-1), np.tile(np.arange(3), len(used))
-    face, on = np.repeat(used, 3), np.repeat(triangles[used], 3)
-    around = np.bincount(vertex, minlength=count)
-    weights = np.zeros((count, 3))
-    # Areas of zero would leave vertices nowhere.
-    areas = target.face_areas[face] + 1e-12 * target.diagonal**2
-    total = np.bincount(vertex, areas, count)
-    sums = np.zeros((2, count, 3))
+def _locate_vertices(triangles: Index, source: TriangleMesh, target: TriangleMesh) -> tuple[Index, Float]:
+    """Return corners and weights ``(V', 3)`` of target vertices from the source triangles around them ``(F',)``."""
+    vertex_count = len(target.points)
+    mapped_faces = np.flatnonzero(triangles >= 0)
+    vertex_of_corner = target.faces[mapped_faces].reshape(-1)
+    face_of_corner, source_faces = np.repeat(mapped_faces, 3), np.repeat(triangles[mapped_faces], 3)
+    corner_counts = np.bincount(vertex_of_corner, minlength=vertex_count)
+    weights = np.zeros((vertex_count, 3))
+    areas = target.face_areas[face_of_corner] + 1e-12 * target.diagonal**2  # means need a positive total area
+    total_areas = np.bincount(vertex_of_corner, areas, vertex_count)
+    sums = np.zeros((2, vertex_count, 3))
     for k in range(3):
-        sums[0, :, k] = np.bincount(vertex, areas * source.centroids[on, k], count)
-        sums[1, :, k] = np.bincount(vertex, areas * source.face_normals[on, k], count)
-    matched = np.flatnonzero(around > 0)
-    means, normals = sums[:, matched] / total[matched, None]
-    closest, barycentric = _closest_facing(source, means, normals)
-    corners = np.full((count, 3), -1)
-    corners[matched], weights[matched] = source.faces[closest], barycentric
-    shared = _shared(vertex, source.faces[on], source.faces[on, corner], around)
-    exact = shared >= 0
-    corners[exact], weights[exact] = shared[exact, None], [1.0, 0.0, 0.0]
+        sums[0, :, k] = np.bincount(vertex_of_corner, areas * source.centroids[source_faces, k], vertex_count)
+        sums[1, :, k] = np.bincount(
+            vertex_of_corner, areas * source.face_normals[source_faces, k], vertex_count
+        )
+    matched_vertices = np.flatnonzero(corner_counts > 0)
+    mean_points, normals = sums[:, matched_vertices] / total_areas[matched_vertices, None]
+    closest, barycentric = _closest_facing(source, mean_points, normals)
+    corners = np.full((vertex_count, 3), -1)
+    corners[matched_vertices], weights[matched_vertices] = source.faces[closest], barycentric
+    source_corners, corner_index = source.faces[source_faces], np.tile(np.arange(3), len(mapped_faces))
+    equal_corners = source.faces[source_faces, corner_index]
+    shared_vertices = _shared_vertices(vertex_of_corner, source_corners, equal_corners, corner_counts)
+    has_shared = shared_vertices >= 0
+    corners[has_shared], weights[has_shared] = shared_vertices[has_shared, None], [1.0, 0.0, 0.0]
     return corners, weights
 
 
-def _shared(vertex: Index, candidates: Index, same_corner: Index, around: Index) -> Index:
-    """Return the common source vertex ``(n,)`` of mapped triangles at target vertices, or -1: candidates ``(n, 3)``."""
-    result = np.full(len(around), -1)
-    for votes in (candidates, same_corner[:, None]):
-        pairs = np.stack([np.repeat(vertex, votes.shape[1]), votes.reshape(-1)], axis=1)
+def _shared_vertices(
+    vertex_of_corner: Index, source_corners: Index, equal_corners: Index, corner_counts: Index
+) -> Index:
+    """Return the source vertex ``(V',)`` that all mapped triangles at a target vertex share, or -1."""
+    shared = np.full(len(corner_counts), -1)
+    for votes in (source_corners, equal_corners[:, None]):
+        pairs = np.stack([np.repeat(vertex_of_corner, votes.shape[1]), votes.reshape(-1)], axis=1)
         pairs, counts = np.unique(pairs, axis=0, return_counts=True)
-        pairs = pairs[counts == around[pairs[:, 0]]]
-        alone = np.bincount(pairs[:, 0], minlength=len(around))[pairs[:, 0]] == 1
-        result[pairs[alone, 0]] = pairs[alone, 1]
-    return result
+        pairs = pairs[counts == corner_counts[pairs[:, 0]]]
+        is_unique = np.bincount(pairs[:, 0], minlength=len(corner_counts))[pairs[:, 0]] == 1
+        shared[pairs[is_unique, 0]] = pairs[is_unique, 1]
+    return shared
 
 
-def _complete(
+def _complete_map(
     source: TriangleMesh, target: TriangleMesh, corners: Index, weights: Float, faces: Index
 ) -> Correspondence:
-    """Complete a map of vertices: corners, weights ``(V', 3)``; faces ``(F',)``."""
-    matched = np.asarray((corners >= 0).all(axis=1))
-    whole = np.asarray(matched[target.faces].all(axis=1))
-    open_faces = np.flatnonzero(whole & (faces < 0))
-    faces = np.where(whole, faces, -1)
-    faces[open_faces] = _faces_of(source, target, corners, weights, open_faces)
+    """Complete a map with triangles and leaders: corners, weights ``(V', 3)``; faces ``(F',)``."""
+    is_matched = np.asarray((corners >= 0).all(axis=1))
+    is_whole = np.asarray(is_matched[target.faces].all(axis=1))
+    open_faces = np.flatnonzero(is_whole & (faces < 0))
+    faces = np.where(is_whole, faces, -1)
+    faces[open_faces] = _locate_faces(source, target, corners, weights, open_faces)
     return Correspondence(
         (len(source.points), len(source.faces)),
         (len(target.points), len(target.faces)),
         corners,
         weights,
         faces,
-        target.leaders(matched),
+        target.leaders(is_matched),
     )
 
 
-def _faces_of(
-    source: TriangleMesh, target: TriangleMesh, corners: Index, weights: Float, chosen: Index
+def _locate_faces(
+    source: TriangleMesh, target: TriangleMesh, corners: Index, weights: Float, face_ids: Index
 ) -> Index:
-    """Return the source triangles that move chosen target triangles, by the points of their corners."""
-    triangles = target.faces[chosen]
-    # A corner with all its weight on one vertex is that vertex, which may be written in several ways.
-    heaviest = np.take_along_axis(corners, np.argmax(weights, axis=1)[:, None], axis=1)[:, 0]
-    exact = _same_triangles(source.faces, heaviest[triangles])
-    exact[~(weights.max(axis=1) == 1)[triangles].all(axis=1)] = -1
-    rest = np.flatnonzero(exact < 0)
-    if rest.size and len(source.faces):
-        mapped = np.einsum("vk,vkc->vc", weights, source.points[corners])
+    """Return the source triangles ``(n,)`` of target triangles ``(n,)``, by the source points of their corners."""
+    triangles = target.faces[face_ids]
+    # Corners of weight one are vertices, and may have equal source triangles.
+    main_vertices = np.take_along_axis(corners, np.argmax(weights, axis=1)[:, None], axis=1)[:, 0]
+    source_faces = _find_equal_triangles(source.faces, main_vertices[triangles])
+    source_faces[~(weights.max(axis=1) == 1)[triangles].all(axis=1)] = -1
+    remaining = np.flatnonzero(source_faces < 0)
+    if remaining.size and len(source.faces):
+        mapped_points = np.einsum("vk,vkc->vc", weights, source.points[corners])
         normals = np.einsum("vk,vkc->vc", weights, source.vertex_normals[corners])
-        exact[rest] = _closest_facing(
-            source, mapped[triangles[rest]].mean(axis=1), normals[triangles[rest]].sum(axis=1)
+        source_faces[remaining] = _closest_facing(
+            source,
+            mapped_points[triangles[remaining]].mean(axis=1),
+            normals[triangles[remaining]].sum(axis=1),
         )[0]
-    return exact
+    return source_faces
 
 
-def _same_triangles(source: Index, wanted: Index) -> Index:
-    """Return the first source triangle ``(F, 3)`` with each wanted one's vertices, same orientation first, or -1."""
-    both = np.concatenate([source, wanted])
-    first = np.argmin(both, axis=1)
-    turned = np.take_along_axis(both, (first[:, None] + np.arange(3)) % 3, axis=1)
-    result = np.full(len(wanted), -1)
-    for keys in (np.sort(both, axis=1), turned):
-        number = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
-        known = np.full(number.max(initial=-1) + 1, -1)
-        known[number[: len(source)][::-1]] = np.arange(len(source))[::-1]
-        found = known[number[len(source) :]]
-        result = np.where(found >= 0, found, result)
-    return result
+def _find_equal_triangles(source: Index, queries: Index) -> Index:
+    """Return the first source triangle ``(F, 3)`` of equal vertices, preferably of equal orientation, or -1."""
+    triangles = np.concatenate([source, queries])
+    lowest_corner = np.argmin(triangles, axis=1)
+    rotated = np.take_along_axis(triangles, (lowest_corner[:, None] + np.arange(3)) % 3, axis=1)
+    matches = np.full(len(queries), -1)
+    for keys in (np.sort(triangles, axis=1), rotated):
+        key_ids = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
+        face_of_key = np.full(key_ids.max(initial=-1) + 1, -1)
+        face_of_key[key_ids[: len(source)][::-1]] = np.arange(len(source))[::-1]
+        key_matches = face_of_key[key_ids[len(source) :]]
+        matches = np.where(key_matches >= 0, key_matches, matches)
+    return matches
 
 
 def _closest_facing(source: TriangleMesh, points: Float, normals: Float) -> tuple[Index, Float]:
-    """Return triangles and weights closest to points, of those that face the same way if there are any."""
-    from mixseq.mesh.nearest import Nearest
-
-    nearest = Nearest.of(source.points, source.faces)
-    found = nearest.query(points, normals)
-    faces, weights = found.faces.copy(), found.weights.copy()
-    facing_away = np.flatnonzero(faces < 0)
-    if facing_away.size:
-        again = nearest.query(points[facing_away])
-        faces[facing_away], weights[facing_away] = again.faces, again.weights
+    """Return the closest triangles, and weights in them, that face the same way, or any if there are none."""
+    nearest = ClosestPointQuery.from_mesh(source.points, source.faces)
+    closest = nearest.query(points, normals)
+    faces, weights = closest.faces.copy(), closest.weights.copy()
+    unmatched = np.flatnonzero(faces < 0)
+    if unmatched.size:
+        closest_any = nearest.query(points[unmatched])
+        faces[unmatched], weights[unmatched] = closest_any.faces, closest_any.weights
     return faces, weights

@@ -1,15 +1,15 @@
-r"""Mirror points of a body with two similar sides to its other side, in any pose.
+r"""Map points of a body with two similar sides to its other side, in any pose.
 
-Mirroring is along the surface, where distances hardly depend on the pose. First the extremities: of all exchanges
-:math:`\pi` of pairs of them, the one that changes their distances d and heat kernel signatures h least is taken. A
-bonus p per pair lets a bent leg differ a little from the other, and favours exchanging all limbs:
+The mirror map is found by distances along the surface, which hardly depend on the pose. First the extremities: of all
+exchanges :math:`\pi` of pairs, the one that changes their distances d and heat kernel signatures h least is used. A
+bonus p per pair allows small differences, such as a bent leg, and favours the exchange of all limbs:
 
 .. math::
     \operatorname{mean}_{ij} |d_{ij} - d_{\pi(i)\pi(j)}| + w \operatorname{mean}_i |h_i - h_{\pi(i)}| - p\, |\pi| .
 
-Then all vertices: v is mirrored to the vertex u whose distances to the partners of the extremities are those of v to
-the extremities. In a few more rounds far-apart points, with their partners so far, replace the extremities, and near
-ones count most. The distance of a point from its double mirror image measures the quality of its partner.
+Then all vertices: the partner of v is the vertex whose distances to the partners of the extremities are most similar to
+those of v to the extremities. In a few more rounds far-apart points with their current partners replace the
+extremities, weighted by their nearness. The distance of a point from its double mirror image measures the quality.
 """
 
 from __future__ import annotations
@@ -26,95 +26,96 @@ from mixseq.mesh.rigid import kabsch
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.suggestions import (
-    HEAT,
-    MOST,
-    PROMINENT,
-    SAMPLES,
+    DISTANCE_SAMPLES,
+    MAX_MATCHED_EXTREMITIES,
+    MIN_LIMB_PROMINENCE,
+    SIGNATURE_WEIGHT,
     CoarseSurface,
     Extremities,
-    far_apart,
+    sample_far_apart,
 )
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.types import Float, FloatArray, Index
 
-PAIRED = 0.04
-"""Largest cost of an exchanged pair, the bonus p, in roots of the area."""
+PAIR_BONUS = 0.04
+"""The bonus p of an exchanged pair, in roots of the area."""
 
-FEWEST = 4
-"""Least number of prominent extremities of a body with sides."""
+MIN_EXTREMITIES = 4
+"""Smallest number of prominent extremities of a body with two sides."""
 
-UNLIKE = 0.15
-"""Cost of exchanging above which sides are not similar; tried bodies have 0.03 to 0.09."""
+MAX_EXCHANGE_COST = 0.15
+"""Largest cost of an exchange of similar sides; tested bodies have 0.03 to 0.09."""
 
-ROUNDS = 3
+REFINEMENT_ROUNDS = 3
 """Number of rounds in which far-apart points replace the extremities."""
 
-NEAR = 0.4
-"""Distance below which points count most, in roots of the area."""
+WEIGHT_RADIUS = 0.4
+"""Radius of the weights of far-apart points, in roots of the area."""
 
-TRUSTED = 0.06
+MAX_ROUND_TRIP_DISTANCE = 0.06
 """Largest distance of a point from its double mirror image, in roots of the area."""
 
-MIDDLE = 0.08
-"""Distance to the partner below which a point is in the middle, without a partner."""
+MIN_PARTNER_DISTANCE = 0.08
+"""Smallest distance of a point from its partner, in roots of the area; nearer points are in the middle."""
 
-RINGS = 2
-"""Rings of vertices around a point that determine the rotation of its neighbourhood."""
+NEIGHBOURHOOD_RINGS = 2
+"""Number of rings of vertices around a point from which its mirror map is fitted."""
 
-FACING = 0.5
-"""Least cosine between the normal of a partner and the mirrored one."""
+MIN_NORMAL_COSINE = 0.5
+"""Smallest cosine between the normal of a partner and the mirrored normal."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mirror:
-    """Partners of the points of a body on its other side."""
+    """Partners of the vertices of a body on its other side."""
 
     mesh: TriangleMesh  # the body
-    surface: CoarseSurface  # the same, thinned out
-    partners: Index  # (n,) the partner of every vertex of the coarse surface
+    surface: CoarseSurface  # its coarse surface
+    partners: Index  # (n,) partner of every vertex of the coarse surface
 
     @classmethod
     def from_mesh(cls, points: FloatArray, topology: Topology) -> Mirror | None:
         """Find the partners of points ``(V, 3)``; None if no two sides are similar."""
         with one_blas_thread():
             surface = CoarseSurface.from_mesh(points, topology)
-            partners = _partners(surface)
+            partners = _find_partners(surface)
         mesh = TriangleMesh(np.asarray(points, np.float64), topology)
         return None if partners is None else cls(mesh, surface, partners)
 
     def find_partner(self, vertex: int) -> int | None:
-        """Return the vertex on the other side; None in the middle, outside the largest component, or if not sure."""
-        surface = self.surface
+        """Return the vertex on the other side; None in the middle, outside the largest component, or if uncertain."""
+        surface, partners = self.surface, self.partners
         if self.mesh.topology.component_of_vertex[vertex] != self._component:
             return None
-        place = (self.mesh.points[vertex] - surface.centre) / surface.size
-        own = int(self._search.query(place)[1])
-        twice = surface.points[self.partners[self.partners[own]]] - surface.points[own]
-        apart = surface.points[self.partners[own]] - surface.points[own]
-        if np.linalg.norm(twice) > TRUSTED or np.linalg.norm(apart) < MIDDLE:
+        point = (self.mesh.points[vertex] - surface.centre) / surface.size
+        coarse_vertex = int(self._point_tree.query(point)[1])
+        partner = partners[coarse_vertex]
+        round_trip = np.linalg.norm(surface.points[partners[partner]] - surface.points[coarse_vertex])
+        partner_distance = np.linalg.norm(surface.points[partner] - surface.points[coarse_vertex])
+        if round_trip > MAX_ROUND_TRIP_DISTANCE or partner_distance < MIN_PARTNER_DISTANCE:
             return None
-        mirrored, turned = self._mirrored(own, place, self.mesh.vertex_normals[vertex])
+        mirrored, mirrored_normal = self._mirror_point(coarse_vertex, point, self.mesh.vertex_normals[vertex])
         candidates = np.flatnonzero(self.mesh.topology.component_of_vertex == self._component)
-        facing = self.mesh.vertex_normals[candidates] @ turned >= FACING
-        candidates = candidates[facing] if facing.any() else candidates
-        away = self.mesh.points[candidates] - (surface.centre + surface.size * mirrored)
-        return int(candidates[np.einsum("vi,vi->v", away, away).argmin()])
+        is_facing = self.mesh.vertex_normals[candidates] @ mirrored_normal >= MIN_NORMAL_COSINE
+        candidates = candidates[is_facing] if is_facing.any() else candidates
+        offsets = self.mesh.points[candidates] - (surface.centre + surface.size * mirrored)
+        return int(candidates[np.einsum("vi,vi->v", offsets, offsets).argmin()])
 
-    def _mirrored(self, own: int, place: Float, normal: Float) -> tuple[Float, Float]:
-        """Mirror a point near a coarse vertex, and its normal, by the rotation of the neighbourhood."""
-        around = np.array([own])
-        for _ in range(RINGS):
-            around = np.unique(np.concatenate([around, self._adjacency[around].indices]))
-        before, after = self.surface.points[around], self.surface.points[self.partners[around]]
-        rotation, shift = kabsch(-before, after)
-        return rotation @ -place + shift, rotation @ -normal
+    def _mirror_point(self, coarse_vertex: int, point: Float, normal: Float) -> tuple[Float, Float]:
+        """Mirror a point near a coarse vertex, and its normal, by the best reflection of the neighbourhood."""
+        ring = np.array([coarse_vertex])
+        for _ in range(NEIGHBOURHOOD_RINGS):
+            ring = np.unique(np.concatenate([ring, self._adjacency[ring].indices]))
+        ring_points, partner_points = self.surface.points[ring], self.surface.points[self.partners[ring]]
+        rotation, shift = kabsch(-ring_points, partner_points)
+        return rotation @ -point + shift, rotation @ -normal
 
     @cached_property
     def _component(self) -> int:
         return int(self.mesh.topology.component_of_vertex[self.surface.vertices[0]])
 
     @cached_property
-    def _search(self) -> cKDTree:
+    def _point_tree(self) -> cKDTree:
         return cKDTree(self.surface.points)
 
     @cached_property
@@ -122,64 +123,64 @@ class Mirror:
         return self.surface.mesh.topology.vertex_adjacency.tocsr()
 
 
-def _partners(surface: CoarseSurface) -> Index | None:
+def _find_partners(surface: CoarseSurface) -> Index | None:
     """Return the partner ``(n,)`` of every vertex of a coarse surface."""
     extremities = Extremities.from_surface(surface)
-    exchanged = _exchanged(extremities)
-    if exchanged is None:
+    exchange = _find_exchange(extremities)
+    if exchange is None:
         return None
-    count = len(exchanged)
-    rows = np.searchsorted(surface.vertices, extremities.vertices[:count])
-    table = surface.distances(rows).T
-    partners = _alike(table, table[:, exchanged], np.ones_like(table))
-    samples = far_apart(surface, SAMPLES)[0]
-    table = surface.distances(samples).T
-    weights = np.exp(-((table / NEAR) ** 2))
-    for _ in range(ROUNDS):
-        partners = _alike(table, surface.distances(partners[samples]).T, weights)
+    count = len(exchange)
+    extremity_ids = np.searchsorted(surface.vertices, extremities.vertices[:count])
+    distances = surface.distances(extremity_ids).T
+    partners = _most_similar_rows(distances, distances[:, exchange], np.ones_like(distances))
+    samples = sample_far_apart(surface, DISTANCE_SAMPLES)[0]
+    distances = surface.distances(samples).T
+    weights = np.exp(-((distances / WEIGHT_RADIUS) ** 2))
+    for _ in range(REFINEMENT_ROUNDS):
+        partners = _most_similar_rows(distances, surface.distances(partners[samples]).T, weights)
     return partners
 
 
-def _exchanged(extremities: Extremities) -> Index | None:
+def _find_exchange(extremities: Extremities) -> Index | None:
     """Return the partner of every prominent extremity, itself in the middle; None if no two sides are similar."""
-    count = min(int((extremities.prominences >= PROMINENT).sum()), MOST)
+    count = min(int((extremities.prominences >= MIN_LIMB_PROMINENCE).sum()), MAX_MATCHED_EXTREMITIES)
     distances, signatures = extremities.distances[:count, :count], extremities.signatures[:count]
-    if count < FEWEST:
+    if count < MIN_EXTREMITIES:
         return None
-    best, least = None, np.inf
-    for exchange in _exchanges(range(count)):
+    best, min_cost = None, np.inf
+    for exchange in _pair_exchanges(range(count)):
         partners = np.array(exchange, dtype=np.int64)
-        pairs = int((partners != np.arange(count)).sum()) // 2
-        if not pairs:
+        pair_count = int((partners != np.arange(count)).sum()) // 2
+        if not pair_count:
             continue
         cost = np.abs(distances - distances[np.ix_(partners, partners)]).mean()
-        cost += HEAT * np.abs(signatures - signatures[partners]).mean()
-        if cost <= UNLIKE and cost - PAIRED * pairs < least:
-            best, least = partners, float(cost) - PAIRED * pairs
-    return best if least < 0 else None
+        cost += SIGNATURE_WEIGHT * np.abs(signatures - signatures[partners]).mean()
+        if cost <= MAX_EXCHANGE_COST and cost - PAIR_BONUS * pair_count < min_cost:
+            best, min_cost = partners, float(cost) - PAIR_BONUS * pair_count
+    return best if min_cost < 0 else None
 
 
-def _exchanges(numbers: Sequence[int]) -> Iterator[tuple[int, ...]]:
-    """Yield all exchanges of numbers 0 to n in pairs, as the target of each.
+def _pair_exchanges(numbers: Sequence[int]) -> Iterator[tuple[int, ...]]:
+    """Yield all exchanges of numbers 0 to n in pairs, as the partner of each.
 
-    >>> list(_exchanges(range(3)))
+    >>> list(_pair_exchanges(range(3)))
     [(0, 1, 2), (0, 2, 1), (1, 0, 2), (2, 1, 0)]
     """
 
-    def assigned(left: list[int], done: dict[int, int]) -> Iterator[tuple[int, ...]]:
-        if not left:
-            yield tuple(done[number] for number in numbers)
+    def assign(remaining: list[int], assigned: dict[int, int]) -> Iterator[tuple[int, ...]]:
+        if not remaining:
+            yield tuple(assigned[number] for number in numbers)
             return
-        first, rest = left[0], left[1:]
-        yield from assigned(rest, done | {first: first})
-        for other in rest:
-            without = [each for each in rest if each != other]
-            yield from assigned(without, done | {first: other, other: first})
+        number, candidates = remaining[0], remaining[1:]
+        yield from assign(candidates, assigned | {number: number})
+        for partner in candidates:
+            others = [candidate for candidate in candidates if candidate != partner]
+            yield from assign(others, assigned | {number: partner, partner: number})
 
-    yield from assigned(list(numbers), {})
+    yield from assign(list(numbers), {})
 
 
-def _alike(own: Float, other: Float, weights: Float) -> Index:
-    """Return the row ``(n,)`` of a table ``(n, k)`` most similar to every row of another, by weights of the latter."""
-    distances = weights @ (other**2).T - 2 * (weights * own) @ other.T
+def _most_similar_rows(rows: Float, candidates: Float, weights: Float) -> Index:
+    """Return the most similar row ``(n,)`` of candidates ``(m, k)`` for every row, with weights ``(n, k)``."""
+    distances = weights @ (candidates**2).T - 2 * (weights * rows) @ candidates.T
     return np.asarray(distances.argmin(axis=1), dtype=np.int64)

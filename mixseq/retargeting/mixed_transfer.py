@@ -1,14 +1,15 @@
 """Transfer by parts, joints and poses (the mixed shape space S_m).
 
-The target is cut into parts as the source (`carry_parts`). A frame of the source gives
+The target is cut into the parts of the source (`transfer_parts`). A frame of the source determines
 
-- the shape of every part by deformation gradients (`gradient_transfer`), registered to the part at rest. Its
-  deformation scales with the part, and the registration gives its rotation;
-- the place of every part: its pivots meet as those of the source, with the proportions of the target (`parts`);
-- lengths and angles of the joints, as ratios and differences (`joints`), and, by gradients, the offsets of their free
-  vertices from the skinned positions.
+- the shapes and rotations of the parts: the target is deformed by gradients (`gradient_transfer`), and each part is
+  registered to its rest shape;
+- the centres of the parts: neighbouring parts meet at pivots with the gaps of the source and the proportions of the
+  target (`parts`);
+- edge lengths and dihedral angles of the joints, as ratios and differences (`joints`), and the offsets of free
+  vertices from their skinned positions.
 
-Parts are posed and joints are solved between them (`JointSolver`).
+The parts are posed, and the joints between them are solved (`JointSolver`).
 """
 
 from __future__ import annotations
@@ -21,7 +22,13 @@ import numpy as np
 from mixseq.mesh.measures import length_weights
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.gradient_transfer import GradientTransfer
-from mixseq.retargeting.joints import JointChanges, JointFrame, JointSolver, OtherEdges, SameEdges
+from mixseq.retargeting.joints import (
+    EdgewiseMetrics,
+    GradientMetrics,
+    JointFrame,
+    JointMetrics,
+    JointSolver,
+)
 from mixseq.retargeting.limbs import ArticulatedBody
 from mixseq.retargeting.parts import (
     PartCorrespondence,
@@ -29,18 +36,24 @@ from mixseq.retargeting.parts import (
     Pivots,
     PivotSolver,
     RestShapes,
-    carry_parts,
+    transfer_parts,
 )
 from mixseq.retargeting.sources import Alignment
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.low_memory import LargeArray
-from mixseq.segmentation.joints import Decomposition, Watched, decompose, frames_to_look_at, observe
+from mixseq.segmentation.joints import (
+    Decomposition,
+    PartShapes,
+    decompose,
+    measure_part_motion,
+    sample_frame_ids,
+)
 from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.types import Float, FloatArray, Index
 
 OFFSET_WEIGHT = 0.3
-"""Weight of offsets of free vertices against edge lengths, both relative; small enough not to stretch joints."""
+"""Weight of the offsets of free vertices relative to edge lengths; larger weights stretch joints."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,114 +61,123 @@ class MixedTransfer(PickledWithoutCaches):
     """Transfer by the parts and joints of the source."""
 
     gradients: GradientTransfer  # the two meshes at rest, and their correspondence
-    parts: PartCorrespondence  # parts and joints of both
+    parts: PartCorrespondence  # parts and joints of both meshes
     settings: ShellSettings  # settings of the joint solves
-    stride: float = 1.0  # ratio of the root's travel to that scaled by the size of the meshes
+    stride_ratio: float = 1.0  # travel of the root, relative to the source's travel scaled to the target
 
     @property
     def _rest(self) -> Float:
-        """The target at rest ``(V', 3)``, in its unit."""
+        """Target at rest ``(V', 3)``, in the unit of its space."""
         return self.gradients.target.reference
 
     @cached_property
     def _alignment(self) -> Alignment:
-        """The alignment of the meshes in their units."""
-        whole, ratio = self.gradients.alignment, self.gradients.source.scale / self.gradients.target.scale
-        return Alignment(whole.rotation, whole.scale * ratio)
+        """Alignment from source to target, in the units of their spaces."""
+        alignment = self.gradients.alignment
+        unit_ratio = self.gradients.source.scale / self.gradients.target.scale
+        return Alignment(alignment.rotation, alignment.scale * unit_ratio)
 
     @cached_property
-    def shapes(self) -> RestShapes:
-        """The rest shapes of the target's parts."""
-        return RestShapes.of(self.parts.target, self._rest)
+    def rest_shapes(self) -> RestShapes:
+        """Rest shapes of the target's parts."""
+        return RestShapes.from_decomposition(self.parts.target, self._rest)
 
     @cached_property
-    def _source_shapes(self) -> RestShapes:
-        """The rest shapes of the source's parts."""
-        return RestShapes.of(self.parts.source, self.gradients.source.reference)
+    def _source_rest_shapes(self) -> RestShapes:
+        """Rest shapes of the source's parts."""
+        return RestShapes.from_decomposition(self.parts.source, self.gradients.source.reference)
 
     @cached_property
-    def solver(self) -> JointSolver:
-        """The solver for the target's parts and joints."""
+    def joint_solver(self) -> JointSolver:
+        """Solver of the target's joints."""
         topology = self.gradients.target.topology
-        return JointSolver(topology, self.parts.target, self.shapes.shapes, self._rest)
+        return JointSolver(topology, self.parts.target, self.rest_shapes.shapes, self._rest)
 
     @cached_property
     def _pivots(self) -> Pivots:
-        return Pivots.of(self.gradients, self.parts.target)
+        return Pivots.from_decomposition(self.gradients, self.parts.target)
 
     @cached_property
     def body(self) -> ArticulatedBody:
-        """The target's parts, and their pivots at rest; the root has the largest product of areas on both meshes."""
+        """Parts and pivots of the target at rest; the root is the part of largest area on both meshes."""
         areas = _part_areas(self.gradients.target, self.parts.target)
-        others = _part_areas(self.gradients.source, self.parts.source)
-        root = int((areas * others[self.parts.sources[: len(areas)]]).argmax())
+        source_areas = _part_areas(self.gradients.source, self.parts.source)
+        root = int((areas * source_areas[self.parts.source_parts[: len(areas)]]).argmax())
         pivots = self._pivots
-        return ArticulatedBody(self.shapes.centres, pivots.pairs, pivots.points(self._rest), root)
+        return ArticulatedBody(self.rest_shapes.centres, pivots.pairs, pivots.points(self._rest), root)
 
     @cached_property
     def source_body(self) -> ArticulatedBody:
-        """The source's parts that move those of the target, and the source points of their pivots."""
-        points = self._pivots.points(
-            self.gradients.correspondence.interpolate(self.gradients.source.reference)
+        """Source parts of the target's parts, with the source points of the target's pivots."""
+        source_points = self.gradients.correspondence.interpolate(self.gradients.source.reference)
+        return replace(
+            self.body,
+            pivots=self._pivots.points(source_points),
+            centres=self._source_rest_shapes.centres[self.parts.source_parts],
         )
-        return replace(self.body, pivots=points, centres=self._source_shapes.centres[self.parts.sources])
 
     @cached_property
     def _pivot_solver(self) -> PivotSolver:
-        return PivotSolver(self.body, *self._pivots.sizes(self._rest))
+        return PivotSolver(self.body, *self._pivots.boundary_sizes(self._rest))
 
     @cached_property
-    def joint_changes(self) -> JointChanges:
-        """The changes of joints."""
-        source, target, solved = self.gradients.source, self.gradients.target, self.solver.solved
+    def joint_metrics(self) -> JointMetrics:
+        """Transfer of edge lengths and angles: edge by edge on the same parts, otherwise by gradients."""
+        source, target, joints = self.gradients.source, self.gradients.target, self.joint_solver.joints
         if self.parts.target is self.parts.source:
-            return SameEdges(target.topology, solved, source.reference, target.reference)
-        return OtherEdges(self.gradients, solved)
+            return EdgewiseMetrics(target.topology, joints, source.reference, target.reference)
+        return GradientMetrics(self.gradients, joints)
 
-    def by_gradients(self, x: FloatArray) -> Float:
-        """Return the target ``(V', 3)`` moved by gradients in a frame ``(V, 3)``, in its unit."""
-        return self.gradients.transfer_frame(x) / self.gradients.target.scale
+    def deform_by_gradients(self, points: FloatArray) -> Float:
+        """Return the target ``(V', 3)`` by gradients of a frame ``(V, 3)``, in the unit of its space."""
+        return self.gradients.transfer_frame(points) / self.gradients.target.scale
 
-    def poses(self, x: FloatArray, moved: PartPoses) -> PartPoses:
-        """Pose the target's parts as those of the source in a frame ``(V, 3)``."""
-        points = x.astype(np.float64) / self.gradients.source.scale
-        _, own = self._source_shapes.register(points)
-        rotations, centres = (values[self.parts.sources] for values in own)
-        gaps = self._alignment.shifted(self.source_body.gaps(rotations, centres))
+    def transfer_poses(self, points: FloatArray, deformed_poses: PartPoses) -> PartPoses:
+        """Return poses of the target's parts for a frame ``(V, 3)``, from the poses of the target by gradients."""
+        _, source_poses = self._source_rest_shapes.register(
+            points.astype(np.float64) / self.gradients.source.scale
+        )
+        rotations, centres = (values[self.parts.source_parts] for values in source_poses)
+        source_gaps = self._alignment.map_vectors(self.source_body.gaps(rotations, centres))
         root = self.body.root
-        travel = self.stride * self._alignment.shifted(centres[root] - self.source_body.centres[root])
-        near = self._pivot_solver.within_reach(gaps, self.body.gaps(*moved))
-        placed = self._pivot_solver.place(moved.rotations, near, self.body.centres[root] + travel)
-        return PartPoses(moved.rotations, placed)
+        travel = self._alignment.map_vectors(centres[root] - self.source_body.centres[root])
+        gaps = self._pivot_solver.limit_gaps(source_gaps, self.body.gaps(*deformed_poses))
+        root_centre = self.body.centres[root] + self.stride_ratio * travel
+        return PartPoses(
+            deformed_poses.rotations,
+            self._pivot_solver.solve_centres(deformed_poses.rotations, gaps, root_centre),
+        )
 
-    def transfer_frame(self, x: FloatArray, poses: PartPoses | None = None) -> Float:
-        """Move the target ``(V', 3)`` as the source in a frame ``(V, 3)``, optionally with other poses of its parts."""
-        smooth = self.by_gradients(x)
-        aligned, moved = self.shapes.register(smooth)
-        placed = self.poses(x, moved) if poses is None else poses
-        lengths, angles = self.joint_changes.of(x.astype(np.float64) / self.gradients.source.scale)
+    def transfer_frame(self, points: FloatArray, poses: PartPoses | None = None) -> Float:
+        """Return the target ``(V', 3)`` for a frame ``(V, 3)`` of the source, optionally with given part poses."""
+        deformed = self.deform_by_gradients(points)
+        part_vertices, deformed_poses = self.rest_shapes.register(deformed)
+        poses = self.transfer_poses(points, deformed_poses) if poses is None else poses
+        lengths, angles = self.joint_metrics.lengths_and_angles(
+            points.astype(np.float64) / self.gradients.source.scale
+        )
         frame = JointFrame(
             lengths=lengths,
             angles=angles,
-            weights=length_weights(self._rest_lengths),
-            parts=aligned,
-            rotations=placed.rotations,
-            translations=placed.centres,
-            offsets=self.solver.offsets(moved.rotations, moved.centres, smooth),
+            length_weights=length_weights(self._rest_lengths),
+            part_vertices=part_vertices,
+            rotations=poses.rotations,
+            translations=poses.centres,
+            offsets=self.joint_solver.skinning_offsets(*deformed_poses, deformed),
             offset_weights=self._offset_weights,
         )
-        return self.solver.solve(frame, self.settings)[0] * self.gradients.target.scale
+        return self.joint_solver.solve(frame, self.settings)[0] * self.gradients.target.scale
 
     @cached_property
     def _rest_lengths(self) -> Float:
-        """Lengths ``(E',)`` at rest of the edges of the joints."""
-        edges = self.gradients.target.topology.edges[self.solver.solved.edge_ids]
+        """Rest lengths ``(E',)`` of the joints' edges."""
+        edges = self.gradients.target.topology.edges[self.joint_solver.joints.edge_ids]
         return np.asarray(np.linalg.norm(self._rest[edges[:, 1]] - self._rest[edges[:, 0]], axis=1))
 
     @cached_property
     def _offset_weights(self) -> Float:
-        """Weights ``(F,)`` of the offsets of free vertices."""
-        spacing = self.solver.solved.spacing(self._rest_lengths)
+        """Weights ``(F,)`` of the offsets of free vertices, in inverse edge lengths."""
+        spacing = self.joint_solver.joints.vertex_spacing(self._rest_lengths)
         return np.asarray(OFFSET_WEIGHT / np.maximum(spacing, np.finfo(np.float64).tiny))
 
 
@@ -166,16 +188,16 @@ def mixed_transfer(
     joint_width: int,
     settings: ShellSettings,
 ) -> MixedTransfer:
-    """Make a transfer by parts and joints: points ``(T, V, 3)``; part_of_face ``(F,)``."""
+    """Prepare a transfer by parts ``(F,)`` and joints of the source, from all of its frames ``(T, V, 3)``."""
     source, target = gradients.source, gradients.target
-    looked_at = points[frames_to_look_at(len(points))]
-    watched = Watched.of(source.topology, part_of_face, source.reference[None])
-    observed = observe(watched, np.concatenate([source.reference[None] * source.scale, looked_at]))
+    samples = points[sample_frame_ids(len(points))]
+    watched = PartShapes.from_labels(source.topology, part_of_face, source.reference[None])
+    observed = measure_part_motion(watched, np.concatenate([source.reference[None] * source.scale, samples]))
     decomposition = decompose(source.topology, part_of_face, joint_width, observed)
-    if _same_mesh(gradients):
+    if _is_same_mesh(gradients):
         parts = PartCorrespondence(decomposition, decomposition, np.arange(len(decomposition.parts)))
     else:
-        parts = carry_parts(
+        parts = transfer_parts(
             decomposition,
             observed.rotations,
             gradients.correspondence,
@@ -186,16 +208,20 @@ def mixed_transfer(
     return MixedTransfer(gradients, parts, settings)
 
 
-def _same_mesh(gradients: GradientTransfer) -> bool:
+def _is_same_mesh(gradients: GradientTransfer) -> bool:
     """Whether both meshes have the same triangles, and every vertex and triangle corresponds to itself."""
-    source, target, given = gradients.source.topology, gradients.target.topology, gradients.correspondence
+    source, target = gradients.source.topology, gradients.target.topology
+    correspondence = gradients.correspondence
     if not np.array_equal(source.faces, target.faces):
         return False
-    own = np.where(given.corners == np.arange(len(given.corners))[:, None], given.weights, 0.0).sum(axis=1)
-    return bool(np.allclose(own, 1.0) and np.array_equal(given.faces, np.arange(len(target.faces))))
+    is_own_corner = correspondence.corners == np.arange(len(correspondence.corners))[:, None]
+    own_weights = np.where(is_own_corner, correspondence.weights, 0.0).sum(axis=1)
+    return bool(
+        np.allclose(own_weights, 1.0) and np.array_equal(correspondence.faces, np.arange(len(target.faces)))
+    )
 
 
 def _part_areas(space: GradientSpace, decomposition: Decomposition) -> Float:
-    """Areas of the parts that have faces."""
+    """Return the areas of the parts that have faces."""
     areas = TriangleMesh(space.reference, space.topology).face_areas
     return np.asarray(np.bincount(decomposition.part_of_face, areas))

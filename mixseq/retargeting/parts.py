@@ -1,4 +1,4 @@
-r"""Parts of the target: cut as those of the source, and assembled at pivots with the gaps of the source.
+r"""Parts of the target: cut like the source's, and assembled at pivots with the gaps of the source.
 
 Neighbouring parts i and j meet at a pivot c, in the middle of their boundary on the target; :math:`\bar c` is that
 point on the source. With the rotations R' of the target's parts (by gradients) and rest centres m the centres x solve
@@ -7,18 +7,18 @@ point on the source. With the rotations R' of the target's parts (by gradients) 
    \qquad g_{ij} = M_i(\bar c) - M_j(\bar c)
 
 where M is the rigid motion of a part of the source, and g' is s G g, up to the correction below (G, s:
-`mixseq.retargeting.sources`). That is the articulated body with the proportions of the target, which opens and slides
-where the source's does. Without loops of parts all terms vanish; otherwise weights are the squared lengths of
-boundaries. The root moves as the source's does, by s G. Disconnected pieces meet the others at the vertices that hold
-them.
+`mixseq.retargeting.sources`). The result is an articulated body with the proportions of the target, which opens and
+slides where the source's does. Without loops of parts all terms vanish; otherwise weights are the squared lengths of
+boundaries. The root has the displacement of the source's root, mapped by s G. Disconnected pieces have pivots at the
+vertices they are attached to.
 
-Flesh is not rigid: with other proportions gaps of the source do not fit, and at short boundaries small differences
-tear the joint. Gaps by deformation gradients (:math:`\tilde g`) are smoother, but drift over long limbs. So g' differs
-from them by what the boundary, of radius r, can take up,
+With other proportions the gaps of the source do not fit, and at short boundaries small differences tear the joint. Gaps
+by deformation gradients (:math:`\tilde g`) are smoother, but drift over long limbs. So g' differs from them by at most
+a multiple of the radius r of the boundary,
 
 .. math:: g' = \tilde g + \frac{\rho r}{\sqrt{(\rho r)^2 + |\delta|^2}}\, \delta , \qquad \delta = s G g - \tilde g ,
 
-which is the body of pivots for small differences, and changes smoothly with time.
+which keeps the gaps of the source where differences are small, and changes smoothly with time.
 """
 
 from __future__ import annotations
@@ -30,28 +30,28 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from mixseq.mesh.measures import flat_faces
+from mixseq.mesh.measures import degenerate_faces
 from mixseq.mesh.nearest import Attachments
-from mixseq.mesh.topology import Topology, split_labels, vertices_of
+from mixseq.mesh.topology import Topology, mark_face_vertices, split_labels
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.gradient_transfer import GradientTransfer
 from mixseq.retargeting.limbs import ArticulatedBody
 from mixseq.retargeting.markers import Correspondence
 from mixseq.segmentation.elements import Boundaries
-from mixseq.segmentation.joints import FLAT, Decomposition, Observed, decompose
+from mixseq.segmentation.joints import DEGENERATE_HEIGHT_RATIO, Decomposition, PartMotion, decompose
 from mixseq.shells.solvers import Factor, factorise
 from mixseq.spaces.pieces import register_parts
 from mixseq.types import Float, Index, IntArray
 
-SMALL = 0.1
-"""Share of the area of its part below which a region joins a neighbour."""
+MIN_REGION_AREA_RATIO = 0.1
+"""Smallest area of a region relative to the largest region of its label; smaller ones are merged into neighbours."""
 
-CORE = 0.1
-"""Least share of its vertices that a part keeps; less than in `mixseq.segmentation.joints`, to keep vertices free."""
+MIN_CORE_VERTEX_RATIO = 0.1
+"""Smallest share of its vertices that a part keeps; joints get more free vertices than in `segmentation.joints`."""
 
 
 class PartPoses(NamedTuple):
-    """Poses of the target's parts: rotations ``(..., p', 3, 3)`` from rest, centres ``(..., p', 3)`` in its unit."""
+    """Rotations ``(..., p', 3, 3)`` of the target's parts from rest, and centres ``(..., p', 3)`` in its unit."""
 
     rotations: Float
     centres: Float
@@ -59,23 +59,23 @@ class PartPoses(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RestShapes:
-    """The parts of a mesh at rest, in the unit of its space."""
+    """Parts of a mesh at rest, in the unit of its space."""
 
-    vertices: tuple[Index, ...]  # their vertices
-    shapes: Float  # (N, 3) these at rest, part by part, each part about its centre
-    centres: Float  # (p, 3) the centres
+    vertices: tuple[Index, ...]  # vertices of each part
+    shapes: Float  # (N, 3) their rest points, part by part, about the centre of the part
+    centres: Float  # (p, 3) centres of the parts
 
     @classmethod
-    def of(cls, decomposition: Decomposition, rest: Float) -> RestShapes:
-        """Make the centred parts of a mesh ``(V, 3)``."""
+    def from_decomposition(cls, decomposition: Decomposition, rest: Float) -> RestShapes:
+        """Centre the parts of a mesh ``(V, 3)`` at rest."""
         centres = np.stack([rest[part].mean(axis=0) for part in decomposition.parts])
-        pairs = zip(decomposition.parts, centres, strict=True)
-        shapes = np.concatenate([rest[part] - centre for part, centre in pairs])
+        centred_parts = zip(decomposition.parts, centres, strict=True)
+        shapes = np.concatenate([rest[part] - centre for part, centre in centred_parts])
         return cls(decomposition.parts, shapes, centres)
 
-    def register(self, x: Float) -> tuple[Float, PartPoses]:
-        """Return a frame's parts aligned to their shapes ``(N, 3)``, and their poses."""
-        aligned, rotations, centres = register_parts(self.shapes, self.vertices, x)
+    def register(self, points: Float) -> tuple[Float, PartPoses]:
+        """Return the parts ``(N, 3)`` of a frame ``(V, 3)``, rigidly aligned to their rest shapes, and their poses."""
+        aligned, rotations, centres = register_parts(self.shapes, self.vertices, points)
         return aligned, PartPoses(rotations, centres)
 
 
@@ -85,15 +85,15 @@ class PartCorrespondence:
 
     source: Decomposition  # parts and joints of the source
     target: Decomposition  # parts and joints of the target
-    sources: Index  # (p',) source part of every target part
+    source_parts: Index  # (p',) source part of every target part
 
     @property
     def part_of_face(self) -> tuple[Index, Index]:
         """Parts of source triangles ``(F,)``, and source parts of target triangles ``(F',)``."""
-        return self.source.part_of_face, self.sources[self.target.part_of_face]
+        return self.source.part_of_face, self.source_parts[self.target.part_of_face]
 
 
-def carry_parts(
+def transfer_parts(
     source: Decomposition,
     rotations: Float,
     correspondence: Correspondence,
@@ -101,160 +101,168 @@ def carry_parts(
     rest: Float,
     joint_width: int,
 ) -> PartCorrespondence:
-    """Cut a target at rest ``(V', 3)`` as its source; part rotations ``(T, p, 3, 3)`` determine the joint widths."""
+    """Cut a target ``(V', 3)`` into the parts of its source, whose rotations ``(T, p, 3, 3)`` give the joint widths."""
     faces = topology.faces
     labels = transfer_labels(source.part_of_face, correspondence, faces)
-    labels = without_small_regions(topology, labels, TriangleMesh(rest, topology).face_areas)
+    labels = merge_small_regions(topology, labels, TriangleMesh(rest, topology).face_areas)
     parts = split_labels(topology, labels)
-    sources = labels[np.unique(parts, return_index=True)[1]]
-    observed = Observed(rotations[:, sources], flat_faces(rest, faces, FLAT))
-    decomposition = decompose(topology, parts, joint_width, observed, core=CORE)
-    loose = len(decomposition.parts) - len(sources)  # vertices of no face follow the first part
-    return PartCorrespondence(source, decomposition, np.append(sources, np.zeros(loose, dtype=np.int64)))
+    source_parts = labels[np.unique(parts, return_index=True)[1]]
+    observed = PartMotion(rotations[:, source_parts], degenerate_faces(rest, faces, DEGENERATE_HEIGHT_RATIO))
+    decomposition = decompose(topology, parts, joint_width, observed, core=MIN_CORE_VERTEX_RATIO)
+    faceless_count = len(decomposition.parts) - len(source_parts)  # vertices without faces follow part 0
+    source_parts = np.append(source_parts, np.zeros(faceless_count, dtype=np.int64))
+    return PartCorrespondence(source, decomposition, source_parts)
 
 
 def transfer_labels(labels: Index, correspondence: Correspondence, faces: IntArray) -> Index:
-    """Transfer labels ``(F,)`` of the source's triangles to the target's ``(F',)``: faces ``(F', 3)``."""
-    known = np.flatnonzero(correspondence.faces >= 0)
-    result = np.zeros(len(faces), dtype=np.int64)
-    result[known] = labels[correspondence.faces[known]]
-    at_vertex = np.zeros(len(correspondence.leaders), dtype=np.int64)
-    at_vertex[faces[known[::-1]]] = result[known[::-1], None]
-    led = np.flatnonzero(correspondence.faces < 0)
-    follows = ~correspondence.matched[faces[led]]
-    first = faces[led, follows.argmax(axis=1)]
-    result[led] = at_vertex[correspondence.leaders[first]]
-    return result
+    """Return labels ``(F',)`` of target triangles ``(F', 3)`` from those ``(F,)`` of the source's triangles."""
+    mapped = np.flatnonzero(correspondence.faces >= 0)
+    target_labels = np.zeros(len(faces), dtype=np.int64)
+    target_labels[mapped] = labels[correspondence.faces[mapped]]
+    label_of_vertex = np.zeros(len(correspondence.leaders), dtype=np.int64)
+    label_of_vertex[faces[mapped[::-1]]] = target_labels[mapped[::-1], None]
+    follower_faces = np.flatnonzero(correspondence.faces < 0)
+    is_follower = ~correspondence.matched[faces[follower_faces]]
+    vertices = faces[follower_faces, is_follower.argmax(axis=1)]
+    target_labels[follower_faces] = label_of_vertex[correspondence.leaders[vertices]]
+    return target_labels
 
 
-def without_small_regions(topology: Topology, labels: Index, areas: Float) -> Index:
-    """Merge regions of labels ``(F,)`` that are small in their part into the neighbour with most shared edges.
-
-    The smallest comes first. Regions without a neighbour stay.
-    """
+def merge_small_regions(topology: Topology, labels: Index, areas: Float) -> Index:
+    """Merge small regions of labels ``(F,)`` into the neighbours with most shared edges, the smallest first."""
     labels = labels.copy()
     while True:
         regions = split_labels(topology, labels)
-        label = labels[np.unique(regions, return_index=True)[1]]
-        size = np.bincount(regions, areas)
-        largest = np.zeros(int(label.max(initial=0)) + 1)
-        np.maximum.at(largest, label, size)
-        sides = regions[topology.hinge_faces]
-        sides = sides[sides[:, 0] != sides[:, 1]]
-        bounded = np.bincount(sides.reshape(-1), minlength=len(size)) > 0
-        small = np.flatnonzero((size < SMALL * largest[label]) & bounded)
-        if not small.size:
+        label_of_region = labels[np.unique(regions, return_index=True)[1]]
+        region_areas = np.bincount(regions, areas)
+        max_areas = np.zeros(int(label_of_region.max(initial=0)) + 1)
+        np.maximum.at(max_areas, label_of_region, region_areas)
+        region_pairs = regions[topology.hinge_faces]
+        region_pairs = region_pairs[region_pairs[:, 0] != region_pairs[:, 1]]
+        has_neighbour = np.bincount(region_pairs.reshape(-1), minlength=len(region_areas)) > 0
+        is_small = region_areas < MIN_REGION_AREA_RATIO * max_areas[label_of_region]
+        small_regions = np.flatnonzero(is_small & has_neighbour)
+        if not small_regions.size:
             return labels
-        smallest = int(small[np.argmin(size[small])])
-        beside = np.concatenate([sides[sides[:, 0] == smallest, 1], sides[sides[:, 1] == smallest, 0]])
-        labels[regions == smallest] = label[np.bincount(beside).argmax()]
+        smallest = int(small_regions[np.argmin(region_areas[small_regions])])
+        first, second = region_pairs.T
+        neighbours = np.concatenate([second[first == smallest], first[second == smallest]])
+        labels[regions == smallest] = label_of_region[np.bincount(neighbours).argmax()]
 
 
-def vertex_parts(decomposition: Decomposition, topology: Topology) -> Index:
-    """Return a part ``(V,)`` of every vertex: that of a face at it, the last part without faces."""
-    result = np.full(topology.vertex_count, len(decomposition.parts) - 1, dtype=np.int64)
+def assign_vertices_to_parts(decomposition: Decomposition, topology: Topology) -> Index:
+    """Return a part ``(V,)`` for every vertex: the first of its faces, or the last part without faces."""
+    part_of_vertex = np.full(topology.vertex_count, len(decomposition.parts) - 1, dtype=np.int64)
     for part in range(int(decomposition.part_of_face.max(initial=-1)), -1, -1):
-        result[vertices_of(topology, decomposition.part_of_face == part)] = part
-    return result
+        part_of_vertex[mark_face_vertices(topology, decomposition.part_of_face == part)] = part
+    return part_of_vertex
 
 
-SHORTEST = 1e-3
-"""Least length of boundaries in weights, relative to the longest."""
+MIN_BOUNDARY_LENGTH_RATIO = 1e-3
+"""Smallest length of a boundary in weights, relative to the longest."""
 
-REACH = 1.2
-r"""Largest distance :math:`\rho` of gaps from those of gradients, in boundary radii; chosen on three animal pairs."""
+MAX_GAP_CORRECTION_RADII = 1.2
+r"""Limit :math:`\rho` of the distance from gaps by gradients, in boundary radii; chosen on three animal pairs."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pivots:
-    """Pivots of a mesh: at the boundaries between parts first, then at attachments of pieces."""
+    """Pivots of a mesh: first at the boundaries between parts, then at the attachments of pieces."""
 
-    pairs: Index  # (n, 2) adjacent parts, which connect all parts
+    pairs: Index  # (n, 2) parts that meet at each pivot; the pairs connect all parts
     boundaries: Boundaries  # edges between parts
     attachments: Attachments  # attachments of disconnected pieces
 
     @classmethod
-    def of(cls, gradients: GradientTransfer, decomposition: Decomposition) -> Pivots:
+    def from_decomposition(cls, gradients: GradientTransfer, decomposition: Decomposition) -> Pivots:
         """Find the pivots of a target."""
-        held = gradients.attachments
-        boundaries = Boundaries.of(gradients.target.topology, decomposition.part_of_face)
-        ends = ((held.pieces, held.own), (held.holders, held.other))
-        attached = np.stack([_parts_at(gradients, decomposition, *end) for end in ends], axis=1)
-        return cls(np.concatenate([boundaries.parts, attached]), boundaries, held)
+        attachments = gradients.attachments
+        boundaries = Boundaries.from_labels(gradients.target.topology, decomposition.part_of_face)
+        ends = (
+            (attachments.pieces, attachments.vertices),
+            (attachments.holders, attachments.holder_vertices),
+        )
+        attached_parts = np.stack(
+            [_parts_at_vertices(gradients, decomposition, pieces, vertices) for pieces, vertices in ends],
+            axis=1,
+        )
+        return cls(np.concatenate([boundaries.parts, attached_parts]), boundaries, attachments)
 
-    def points(self, x: Float) -> Float:
-        """Return pivots ``(n, 3)`` of a target ``(V', 3)``: middles of boundaries, and held vertices."""
-        return np.concatenate([self.boundaries.middles(x), x[self.attachments.own]])
+    def points(self, points: Float) -> Float:
+        """Return pivots ``(n, 3)`` of a target ``(V', 3)``: middles of boundaries, and attached vertices."""
+        return np.concatenate([self.boundaries.middles(points), points[self.attachments.vertices]])
 
-    def sizes(self, x: Float) -> tuple[Float, Float]:
-        """Return lengths ``(n,)`` of boundaries and their root mean square radii; 0 of attachments."""
-        ends, pair, middles = x[self.boundaries.edges], self.boundaries.pair, self.points(x)
-        lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-        away = np.square(ends.mean(axis=1) - middles[pair]).sum(axis=1)
-        whole, squares = (np.bincount(pair, each, len(middles)) for each in (lengths, lengths * away))
-        squared = np.divide(squares, whole, out=np.zeros(len(middles)), where=whole > 0)
-        return whole.astype(np.float64), np.sqrt(squared)
+    def boundary_sizes(self, points: Float) -> tuple[Float, Float]:
+        """Return lengths ``(n,)`` and root mean square radii ``(n,)`` of the boundaries; attachments have 0."""
+        pivots, pair_ids = self.points(points), self.boundaries.pair
+        edge_points = points[self.boundaries.edges]
+        lengths = np.linalg.norm(edge_points[:, 1] - edge_points[:, 0], axis=1)
+        squared_distances = np.square(edge_points.mean(axis=1) - pivots[pair_ids]).sum(axis=1)
+        totals = np.bincount(pair_ids, lengths, len(pivots)).astype(np.float64)
+        moments = np.bincount(pair_ids, lengths * squared_distances, len(pivots))
+        squared_radii = np.divide(moments, totals, out=np.zeros(len(pivots)), where=totals > 0)
+        return totals, np.sqrt(squared_radii)
 
 
 @dataclass(frozen=True, eq=False)
 class PivotSolver:
-    """Assembles the parts of an articulated body at their pivots."""
+    """Least-squares solver of the centres of a body's parts from the gaps at its pivots."""
 
-    body: ArticulatedBody  # the parts at rest, all of them joined to the root, whose place is given
+    body: ArticulatedBody  # parts at rest, all connected to the root
     lengths: Float  # (n,) length of the boundary at every pivot
     radii: Float  # (n,) root mean square distance of the boundary from its pivot
 
     @cached_property
     def _incidence(self) -> sparse.csr_array:
-        """Matrix ``(n, p)``: 1 at the first part of every pair, -1 at its second."""
-        number = len(self.body.pairs)
-        places = (np.repeat(np.arange(number), 2), self.body.pairs.reshape(-1))
-        values = np.tile([1.0, -1.0], number)
-        return sparse.coo_array((values, places), shape=(number, len(self.body.centres))).tocsr()
+        """Incidence matrix ``(n, p)``: 1 at the first part of every pair, -1 at its second."""
+        pair_count = len(self.body.pairs)
+        entries = (np.repeat(np.arange(pair_count), 2), self.body.pairs.reshape(-1))
+        values = np.tile([1.0, -1.0], pair_count)
+        return sparse.coo_array((values, entries), shape=(pair_count, len(self.body.centres))).tocsr()
 
     @cached_property
-    def _others(self) -> Index:
+    def _free_parts(self) -> Index:
         return np.delete(np.arange(len(self.body.centres)), self.body.root)
 
     @cached_property
-    def _weighted(self) -> sparse.csr_array:
-        """Transpose ``(p - 1, n)`` of the incidence of all parts but the root, times the weights."""
-        usual = self.lengths.max(initial=0.0) or 1.0
-        weights = np.square(np.maximum(self.lengths / usual, SHORTEST))
-        return sparse.csr_array(self._incidence[:, self._others].T @ sparse.diags_array(weights))
+    def _weighted_incidence(self) -> sparse.csr_array:
+        """Weighted, transposed incidence matrix ``(p - 1, n)`` of all parts except the root."""
+        max_length = self.lengths.max(initial=0.0) or 1.0
+        weights = np.square(np.maximum(self.lengths / max_length, MIN_BOUNDARY_LENGTH_RATIO))
+        return sparse.csr_array(self._incidence[:, self._free_parts].T @ sparse.diags_array(weights))
 
     @cached_property
     def _factor(self) -> Factor:
-        return factorise(sparse.csr_array(self._weighted @ self._incidence[:, self._others]))
+        return factorise(sparse.csr_array(self._weighted_incidence @ self._incidence[:, self._free_parts]))
 
-    def within_reach(self, gaps: Float, smooth: Float) -> Float:
-        """Return gaps ``(n, 3)`` limited to the reach of boundaries around smooth ones."""
-        away, reach = gaps - smooth, REACH * self.radii
-        whole = np.hypot(reach, np.linalg.norm(away, axis=1))
-        share = np.divide(reach, whole, out=np.zeros_like(whole), where=whole > 0)
-        return np.asarray(smooth + share[:, None] * away)
+    def limit_gaps(self, gaps: Float, gradient_gaps: Float) -> Float:
+        """Limit the distances of gaps ``(n, 3)`` from those by gradients ``(n, 3)``."""
+        differences, reach = gaps - gradient_gaps, MAX_GAP_CORRECTION_RADII * self.radii
+        norms = np.hypot(reach, np.linalg.norm(differences, axis=1))
+        factors = np.divide(reach, norms, out=np.zeros_like(norms), where=norms > 0)
+        return np.asarray(gradient_gaps + factors[:, None] * differences)
 
-    def place(self, rotations: Float, gaps: Float, root: Float) -> Float:
-        """Return the centres ``(p, 3)`` of all parts: rotations ``(p, 3, 3)``; gaps ``(n, 3)``; root ``(3,)``."""
-        result = np.empty_like(self.body.centres)
-        result[self.body.root] = root
-        if not self._others.size:
-            return result
-        away = gaps - self.body.gaps(rotations, np.zeros_like(self.body.centres))
-        away -= self._incidence[:, [self.body.root]].toarray() * root
-        result[self._others] = self._factor.solve(self._weighted @ away)
-        return result
+    def solve_centres(self, rotations: Float, gaps: Float, root_centre: Float) -> Float:
+        """Return the centres ``(p, 3)`` of parts with rotations ``(p, 3, 3)`` and gaps ``(n, 3)``; root ``(3,)``."""
+        centres = np.empty_like(self.body.centres)
+        centres[self.body.root] = root_centre
+        if not self._free_parts.size:
+            return centres
+        targets = gaps - self.body.gaps(rotations, np.zeros_like(self.body.centres))
+        targets -= self._incidence[:, [self.body.root]].toarray() * root_centre
+        centres[self._free_parts] = self._factor.solve(self._weighted_incidence @ targets)
+        return centres
 
 
-def _parts_at(
+def _parts_at_vertices(
     gradients: GradientTransfer, decomposition: Decomposition, pieces: Index, vertices: Index
 ) -> Index:
-    """Return a part ``(n,)`` at each vertex, of the given piece, as several pieces may share the vertex."""
+    """Return a part ``(n,)`` of each piece at a vertex, which pieces may share."""
     topology = gradients.target.topology
-    result = vertex_parts(decomposition, topology)[vertices]
-    for row, (piece, vertex) in enumerate(zip(pieces.tolist(), vertices.tolist(), strict=True)):
+    parts = assign_vertices_to_parts(decomposition, topology)[vertices]
+    for index, (piece, vertex) in enumerate(zip(pieces.tolist(), vertices.tolist(), strict=True)):
         faces = gradients.target.pieces.faces[piece]
-        here = faces[(topology.faces[faces] == vertex).any(axis=1)]
-        if here.size:  # vertices of no face have none
-            result[row] = decomposition.part_of_face[here].min()
-    return result
+        vertex_faces = faces[(topology.faces[faces] == vertex).any(axis=1)]
+        if vertex_faces.size:
+            parts[index] = decomposition.part_of_face[vertex_faces].min()
+    return parts

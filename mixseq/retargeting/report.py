@@ -1,19 +1,19 @@
 r"""Measure a transfer: coverage, strain, smoothness, flipped triangles and self-intersections.
 
-With the gradients J of the source's triangles and the rotation G between the two meshes a side s of a target triangle
-should become :math:`s' = G J G^T s`, as in `mixseq.retargeting.gradient_transfer`. So its length should be
-:math:`\lambda = |s'| / |s|` times that at rest, and the triangle should face along :math:`s'_1 \times s'_2`.
+With the gradients J of the source's triangles and the rotation G between the two meshes, the expected side of a target
+triangle with rest side s is :math:`s' = G J G^T s`, as in `mixseq.retargeting.gradient_transfer`. The expected stretch
+is :math:`\lambda = |s'| / |s|`, and the expected normal :math:`s'_1 \times s'_2`.
 
 - *strain* of an edge in a frame: :math:`|\,l / l_\mathrm{rest} - 1\,|`, of the target and of the source,
-- *excess* of a target edge: :math:`|\,l / l_\mathrm{rest} - \lambda\,|`, averaged over the triangles at the edge: the
-  strain of one mesh alone. Edges without a counterpart should have no strain.
-- a triangle is *turned over* if it faces away from the direction expected from the source,
+- *excess* of a target edge: :math:`|\,l / l_\mathrm{rest} - \lambda\,|` with the mean of the triangles at the edge: its
+  strain beyond that of the source. The expected strain of edges without a counterpart is zero.
+- a triangle is *turned over* if it faces away from its expected normal,
 - *acceleration* of a vertex: :math:`|x_{t+1} - 2 x_t + x_{t-1}| / d`, per frame squared, with the target's diagonal d
   at rest, and for the source d / s with the scale s between the two (`mixseq.retargeting.sources`). That of the source
   is taken at the points of the target's vertices, independent of the density of meshes.
 
-All frames are measured, but self-intersections are counted in some only. Frames come block by block, and only the
-largest thousandth of the strains is kept.
+Self-intersections are counted in some frames, everything else in all. Frames are measured block by block, and only the
+largest thousandth of the strains is kept in memory.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import InvalidSequenceError
-from mixseq.mesh.measures import edge_lengths, flat_faces
+from mixseq.mesh.measures import degenerate_faces, edge_lengths
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.gradient_transfer import GradientTransfer, gradient_transfer
@@ -37,72 +37,74 @@ from mixseq.runtime.parallel import Executor
 from mixseq.runtime.progress import Progress, silent
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import bounding_diagonal, check_block
-from mixseq.types import Float, FloatArray, Index, Mask, evenly
+from mixseq.types import Float, FloatArray, Index, Mask, evenly_spaced
 
 
 @dataclass(frozen=True)
 class Follower:
-    """A component of the target, or some vertices of it, without a counterpart, and the vertex it follows."""
+    """Vertices of a component of the target that follow a vertex, without a counterpart on the source."""
 
-    name: str  # the component
+    name: str  # name of the component
     vertices: int  # number of following vertices
-    leader: int  # the vertex they follow; the first of several
-    leads: str  # the component of that vertex
+    leader: int  # vertex that they follow; the first of several
+    leads: str  # component of that vertex
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """Share of a target with a counterpart."""
+    """Shares of both meshes with a counterpart."""
 
-    vertices: float  # share of its vertices on the source
-    area: float  # share of its area whose triangles are moved by a triangle of the source
-    source_area: float  # share of the source's area whose triangles move one of the target's
-    followers: tuple[Follower, ...]  # following components
+    vertices: float  # share of the target's vertices with a source point
+    area: float  # share of the target's area with a source triangle
+    source_area: float  # share of the source's area with a target triangle
+    followers: tuple[Follower, ...]  # followers in every component
 
 
-def coverage(transfer: Transfer) -> Coverage:
-    """Measure the share of the target with a counterpart on the source."""
-    mapping, header = transfer.correspondence, transfer.header
+def measure_coverage(transfer: Transfer) -> Coverage:
+    """Measure the shares of both meshes with a counterpart."""
+    source, header, correspondence = transfer.source, transfer.header, transfer.correspondence
     topology = Topology(header.faces, header.vertex_count)
-    component = topology.component_of_vertex
-    names = component_names(header, topology)
+    component_of_vertex = topology.component_of_vertex
+    names = name_components(header, topology)
     followers = []
-    for number in np.unique(component[~mapping.matched]).tolist():
-        led = np.flatnonzero((component == number) & ~mapping.matched)
-        leader = int(mapping.leaders[led[0]])
-        followers.append(Follower(names[number], len(led), leader, names[int(component[leader])]))
-    known = mapping.faces >= 0
-    moving = np.zeros(len(transfer.source.header.faces), dtype=np.bool_)
-    moving[mapping.faces[known]] = True
+    for component in np.unique(component_of_vertex[~correspondence.matched]).tolist():
+        follower_ids = np.flatnonzero((component_of_vertex == component) & ~correspondence.matched)
+        leader = int(correspondence.leaders[follower_ids[0]])
+        leader_component = names[int(component_of_vertex[leader])]
+        followers.append(Follower(names[component], len(follower_ids), leader, leader_component))
+    is_mapped = correspondence.faces >= 0
+    is_used = np.zeros(len(source.header.faces), dtype=np.bool_)
+    is_used[correspondence.faces[is_mapped]] = True
     return Coverage(
-        vertices=float(mapping.matched.mean()),
-        area=_share(known, TriangleMesh(transfer.target, topology).face_areas),
-        source_area=_share(moving, TriangleMesh(transfer.source.rest, transfer.source.topology).face_areas),
+        vertices=float(correspondence.matched.mean()),
+        area=_area_share(is_mapped, TriangleMesh(transfer.target, topology).face_areas),
+        source_area=_area_share(is_used, TriangleMesh(source.rest, source.topology).face_areas),
         followers=tuple(followers),
     )
 
 
-def component_names(header: SequenceHeader, topology: Topology) -> list[str]:
-    """Name connected components by their object in the file, or by numbers from 1."""
-    component = topology.component_of_vertex
-    counts = [each.vertex_count for each in header.objects]
-    owner = np.repeat(np.arange(len(counts)), counts)
+def name_components(header: SequenceHeader, topology: Topology) -> list[str]:
+    """Name connected components by their object in the file, or number them from 1."""
+    component_of_vertex = topology.component_of_vertex
+    object_sizes = [mesh_object.vertex_count for mesh_object in header.objects]
+    object_of_vertex = np.repeat(np.arange(len(object_sizes)), object_sizes)
     names = []
-    for number in range(int(component.max()) + 1):
-        own = np.unique(owner[component == number])
-        name = header.objects[int(own[0])].name if len(counts) > 1 else ""
-        whole = len(own) == 1 and int((component == number).sum()) == counts[int(own[0])]
-        names.append(name if name and whole else f"component {number + 1}" + (f" of {name}" if name else ""))
+    for component in range(int(component_of_vertex.max()) + 1):
+        object_ids, sizes = np.unique(object_of_vertex[component_of_vertex == component], return_counts=True)
+        name = header.objects[int(object_ids[0])].name if len(object_sizes) > 1 else ""
+        is_whole_object = len(object_ids) == 1 and int(sizes[0]) == object_sizes[int(object_ids[0])]
+        numbered = f"component {component + 1}" + (f" of {name}" if name else "")
+        names.append(name if name and is_whole_object else numbered)
     return names
 
 
-def _share(chosen: NDArray[np.bool_], areas: Float) -> float:
-    total = float(areas.sum())
-    return float(areas[chosen].sum() / total) if total > 0 else float(chosen.mean())
+def _area_share(face_mask: NDArray[np.bool_], areas: Float) -> float:
+    total_area = float(areas.sum())
+    return float(areas[face_mask].sum() / total_area) if total_area > 0 else float(face_mask.mean())
 
 
-FLAT = 1e-3
-"""Ratio of height to longest side below which a triangle is flat."""
+FLAT_TRIANGLE_RATIO = 1e-3
+"""Largest ratio of height to longest side of flat triangles."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,18 +112,18 @@ class ExpectedTriangles:
     """Expected stretches and normals of the target's triangles."""
 
     gradients: GradientTransfer  # the two meshes at rest, and their correspondence
-    rest: Float  # (V', 3) target at rest, in its own units
-    source_rest: Float  # (V, 3) source at rest, in its own units
+    rest: Float  # (V', 3) target at rest, in the unit of its mesh
+    source_rest: Float  # (V, 3) source at rest, in the unit of its mesh
 
     @classmethod
     def from_transfer(cls, transfer: Transfer) -> ExpectedTriangles:
-        """Make it for the two meshes of a transfer by any method."""
+        """Prepare the expected triangles of a transfer by any method."""
         topology = Topology(transfer.header.faces, transfer.header.vertex_count)
         source = transfer.source
-        made = gradient_transfer(
+        gradients = gradient_transfer(
             source.topology, source.rest, topology, transfer.target, transfer.correspondence
         )
-        return cls(made, transfer.target, source.rest)
+        return cls(gradients, transfer.target, source.rest)
 
     @property
     def topology(self) -> Topology:
@@ -141,92 +143,91 @@ class ExpectedTriangles:
     @cached_property
     def flat(self) -> Mask:
         """Target triangles ``(F',)`` that are flat at rest."""
-        return flat_faces(self.rest, self.topology.faces, FLAT)
+        return degenerate_faces(self.rest, self.topology.faces, FLAT_TRIANGLE_RATIO)
 
     @cached_property
-    def _sides(self) -> Float:
-        """Sides 01, 12, 20 ``(n, 3, 3)`` of the matched triangles at rest, in rows."""
-        return _sides_of(self.rest, self.topology.faces[self.matched])
+    def _rest_sides(self) -> Float:
+        """Rest sides 01, 12, 20 ``(n, 3, 3)`` of the matched triangles, in rows."""
+        return _edge_vectors(self.rest, self.topology.faces[self.matched])
 
     @cached_property
     def lengths(self) -> Float:
-        """Lengths ``(E',)`` of the target's edges at rest, NaN for none."""
-        return _or_nan(edge_lengths(self.rest, self.topology.edges))
+        """Rest lengths ``(E',)`` of the target's edges, NaN for zero."""
+        return _mask_zero_lengths(edge_lengths(self.rest, self.topology.edges))
 
     @cached_property
     def source_lengths(self) -> Float:
-        """Lengths ``(E,)`` of the source's edges at rest, NaN for none."""
-        return _or_nan(edge_lengths(self.source_rest, self.source.edges))
+        """Rest lengths ``(E,)`` of the source's edges, NaN for zero."""
+        return _mask_zero_lengths(edge_lengths(self.source_rest, self.source.edges))
 
     def sides(self, x: Float) -> Float:
         """Return the expected sides ``(n, 3, 3)`` of matched triangles in a frame ``(V, 3)``."""
         faces = self.gradients.correspondence.faces[self.matched]
-        moving = self.gradients.alignment.turned(self.gradients.gradients(x)[faces])
-        return np.asarray(self._sides @ np.swapaxes(moving, 1, 2))
+        gradients = self.gradients.alignment.rotate_matrices(self.gradients.source_gradients(x)[faces])
+        return np.asarray(self._rest_sides @ np.swapaxes(gradients, 1, 2))
 
     def stretches(self, sides: Float) -> Float:
         """Return the expected stretches ``(E',)`` of the target's edges; 1 without a counterpart."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            stretches = np.linalg.norm(sides, axis=2) / np.linalg.norm(self._sides, axis=2)
+            stretches = np.linalg.norm(sides, axis=2) / np.linalg.norm(self._rest_sides, axis=2)
         of_side = np.ones((len(self.topology.faces), 3))
         of_side[self.matched] = stretches
         edges = self.topology.face_edges.reshape(-1)
-        count = len(self.topology.edges)
-        return np.asarray(
-            np.bincount(edges, of_side.reshape(-1), count) / np.bincount(edges, minlength=count)
-        )
+        sums = np.bincount(edges, of_side.reshape(-1), len(self.topology.edges))
+        return np.asarray(sums / np.bincount(edges, minlength=len(self.topology.edges)))
 
     def turned_over(self, y: Float, sides: Float) -> Mask:
         """Mark matched triangles ``(n,)`` whose normals oppose the expected ones in a frame ``(V', 3)``."""
-        own = _sides_of(y, self.topology.faces[self.matched])
-        normals, expected = (np.cross(each[:, 0], each[:, 1]) for each in (own, sides))
-        return np.asarray((normals * expected).sum(axis=1) < 0)
+        actual_sides = _edge_vectors(y, self.topology.faces[self.matched])
+        normals = np.cross(actual_sides[:, 0], actual_sides[:, 1])
+        expected_normals = np.cross(sides[:, 0], sides[:, 1])
+        return np.asarray((normals * expected_normals).sum(axis=1) < 0)
 
     def newly_flat(self, y: Float) -> Mask:
         """Mark triangles ``(F',)`` that are flat in a frame ``(V', 3)``, but not at rest."""
-        return np.asarray(flat_faces(y, self.topology.faces, FLAT) & ~self.flat)
+        return np.asarray(degenerate_faces(y, self.topology.faces, FLAT_TRIANGLE_RATIO) & ~self.flat)
 
 
-def _sides_of(points: Float, faces: NDArray[Any]) -> Float:
+def _edge_vectors(points: Float, faces: NDArray[Any]) -> Float:
     """Return sides 01, 12, 20 ``(n, 3, 3)`` of triangles ``(n, 3)``, in rows."""
     corners = points[faces]
     return np.asarray(np.roll(corners, -1, axis=1) - corners)
 
 
-def _or_nan(lengths: Float) -> Float:
+def _mask_zero_lengths(lengths: Float) -> Float:
     return np.where(lengths > 0, lengths, np.nan)
 
 
 class Acceleration:
-    """Second differences of frames in blocks."""
+    """Statistics of second differences of frames, added in blocks."""
 
     def __init__(self) -> None:
-        self._before: Float | None = None
-        self._squares, self._seen, self._largest, self._done = 0.0, 0, 0.0, 0
+        self._last_frames: Float | None = None
+        self._square_sum, self._sample_count, self._max_square, self._frame_count = 0.0, 0, 0.0, 0
         self.worst_frame = 0
 
     def add(self, block: Float) -> None:
         """Add the next frames ``(B, V, 3)``."""
-        whole = block if self._before is None else np.concatenate([self._before, block])
-        for number in range(1, len(whole) - 1):
-            before, here, after = whole[number - 1 : number + 2]
-            squares = np.square(after - 2.0 * here + before).sum(axis=1)
-            self._squares += float(squares.sum())
-            self._seen += len(squares)
-            self._done += 1  # the first difference is about frame 1
-            if squares.max() > self._largest:
-                self._largest, self.worst_frame = float(squares.max()), self._done
-        self._before = whole[-2:]
+        frames = block if self._last_frames is None else np.concatenate([self._last_frames, block])
+        for index in range(1, len(frames) - 1):
+            previous, current, following = frames[index - 1 : index + 2]
+            squares = np.square(following - 2.0 * current + previous).sum(axis=1)
+            self._square_sum += float(squares.sum())
+            self._sample_count += len(squares)
+            self._frame_count += 1  # the first difference is about frame 1
+            if squares.max() > self._max_square:
+                self._max_square, self.worst_frame = float(squares.max()), self._frame_count
+        self._last_frames = frames[-2:]
 
     @property
     def rms(self) -> float:
         """Root mean square over all vertices and frames."""
-        return float(np.sqrt(self._squares / max(self._seen, 1)))
+        return float(np.sqrt(self._square_sum / max(self._sample_count, 1)))
 
     @property
     def max(self) -> float:
         """Largest acceleration of a vertex."""
-        return float(np.sqrt(self._largest))
+        return float(np.sqrt(self._max_square))
 
 
 @dataclass(frozen=True)
@@ -245,7 +246,7 @@ class Smoothness:
         return self.rms / self.source_rms if self.source_rms > 0 else None
 
 
-FRAMES = 8
+MAX_INTERSECTION_FRAMES = 8
 """Largest number of frames in which self-intersections are counted."""
 
 
@@ -254,8 +255,8 @@ class FrameCounts:
     """Counts at rest, and in some frames."""
 
     rest: int  # at rest
-    frames: tuple[int, ...]  # the frames
-    values: tuple[int, ...]  # ... and the numbers in them
+    frames: tuple[int, ...]  # ids of the frames
+    values: tuple[int, ...]  # counts in these frames
 
     @property
     def mean(self) -> float:
@@ -282,7 +283,7 @@ class FrameCounts:
 class TransferReport:
     """Measures of a transfer; their formulas are at the head of this module."""
 
-    coverage: Coverage  # shares with a counterpart, and followers
+    coverage: Coverage  # shares of both meshes with a counterpart
     strain: Statistics  # strain of the target's edges
     source_strain: Statistics  # strain of the source's edges
     excess: Statistics  # excess of the target's edges
@@ -290,7 +291,7 @@ class TransferReport:
     intersections: FrameCounts  # intersecting pairs of triangles of the target
     source_intersections: FrameCounts  # intersecting pairs of triangles of the source
     turned_over: FrameCounts  # turned-over triangles of the target, in all frames
-    flat: FrameCounts  # triangles of the target that are flat in a frame but not at rest, in all frames
+    flat: FrameCounts  # triangles of the target that become flat, in all frames
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -315,7 +316,7 @@ def measure_transfer(
     progress: Progress = silent,
     workers: Executor | None = None,
 ) -> TransferReport:
-    """Measure a transfer; frames are made unless blocks of them are given."""
+    """Measure a transfer, in blocks ``(B, V', 3)`` of its frames."""
     meter = TransferMeter(transfer)
     for block in transfer.blocks(progress, workers) if blocks is None else blocks:
         meter.add(block)
@@ -323,94 +324,95 @@ def measure_transfer(
 
 
 class TransferMeter:
-    """Measures a transfer as its frames stream."""
+    """Measures a transfer block by block."""
 
     def __init__(self, transfer: Transfer) -> None:
         self._transfer = transfer
         self._expected = ExpectedTriangles.from_transfer(transfer)
-        self._count = len(transfer.source.points)
-        self._done = 0
+        self._frame_count, self._measured_count = len(transfer.source.points), 0
         edges, source_edges = len(self._expected.topology.edges), len(transfer.source.topology.edges)
-        self._strain, self._excess = (RunningStatistics(self._count * edges) for _ in range(2))
-        self._source_strain = RunningStatistics(self._count * source_edges)
-        self._acceleration = Acceleration(), Acceleration()
-        self._looked_at = tuple(evenly(self._count, FRAMES).tolist())
-        self._crossings: list[tuple[int, int]] = []
+        self._strain, self._excess = (RunningStatistics(self._frame_count * edges) for _ in range(2))
+        self._source_strain = RunningStatistics(self._frame_count * source_edges)
+        self._accelerations = Acceleration(), Acceleration()
+        self._intersection_frames = tuple(evenly_spaced(self._frame_count, MAX_INTERSECTION_FRAMES).tolist())
+        self._intersections: list[tuple[int, int]] = []
         self._turned_over: list[int] = []
         self._flat: list[int] = []
 
     def measure_blocks(self, blocks: Iterable[FloatArray]) -> Iterator[FloatArray]:
-        """Yield blocks of the target's points, and measure them."""
+        """Pass on blocks of the target's points, and measure them."""
         for block in blocks:
             self.add(block)
             yield block
 
     def add(self, block: FloatArray) -> None:
         """Measure the next frames ``(B, V', 3)`` of the target."""
-        check_block(self._transfer.header, block, self._done)
-        if self._done + len(block) > self._count:
+        check_block(self._transfer.header, block, self._measured_count)
+        start, stop = self._measured_count, self._measured_count + len(block)
+        if stop > self._frame_count:
             raise InvalidSequenceError(
-                f"there are more than the {self._count} frames of the source; give one frame for each of its frames"
+                f"there are more frames than the {self._frame_count} of the source; give one frame for each of them"
             )
-        source = self._transfer.source.points[self._done : self._done + len(block)].astype(np.float64)
-        points = block.astype(np.float64)
-        expected = self._expected
-        for number, (x, y) in enumerate(zip(source, points, strict=True), start=self._done):
-            sides = expected.sides(x)
-            stretches = edge_lengths(y, expected.topology.edges) / expected.lengths
-            source_stretches = edge_lengths(x, expected.source.edges) / expected.source_lengths
+        source_block = self._transfer.source.points[start:stop].astype(np.float64)
+        target_block, expected = block.astype(np.float64), self._expected
+        for frame, source, target in zip(range(start, stop), source_block, target_block, strict=True):
+            sides = expected.sides(source)
+            stretches = edge_lengths(target, expected.topology.edges) / expected.lengths
+            source_stretches = edge_lengths(source, expected.source.edges) / expected.source_lengths
             self._strain.add(np.abs(stretches - 1.0))
             self._excess.add(np.abs(stretches - expected.stretches(sides)))
             self._source_strain.add(np.abs(source_stretches - 1.0))
-            self._turned_over.append(int(expected.turned_over(y, sides).sum()))
-            self._flat.append(int(expected.newly_flat(y).sum()))
-            if number in self._looked_at:
-                self._crossings.append((_crossings(y, expected.topology), _crossings(x, expected.source)))
-        for acceleration, frames in zip(
-            self._acceleration, (points, self._transfer.correspondence.interpolate(source)), strict=True
-        ):
-            acceleration.add(frames)
-        self._done += len(block)
+            self._turned_over.append(int(expected.turned_over(target, sides).sum()))
+            self._flat.append(int(expected.newly_flat(target).sum()))
+            if frame in self._intersection_frames:
+                counts = (
+                    _count_intersections(target, expected.topology),
+                    _count_intersections(source, expected.source),
+                )
+                self._intersections.append(counts)
+        target_acceleration, source_acceleration = self._accelerations
+        target_acceleration.add(target_block)
+        source_acceleration.add(self._transfer.correspondence.interpolate(source_block))
+        self._measured_count = stop
 
     def report(self) -> TransferReport:
         """Return the report after all frames."""
-        if self._done < self._count:
+        if self._measured_count < self._frame_count:
             raise InvalidSequenceError(
-                f"{self._done} frames were measured, the source has {self._count}; give one frame for each of them"
+                f"{self._measured_count} frames were measured, the source has {self._frame_count}; give one frame for "
+                "each of them"
             )
         transfer, expected = self._transfer, self._expected
-        target, source = zip(*self._crossings, strict=True)
-        every = tuple(range(self._count))
+        target, source = zip(*self._intersections, strict=True)
+        rest_count = _count_intersections(transfer.target, expected.topology)
+        source_rest_count = _count_intersections(transfer.source.rest, expected.source)
+        all_frames = tuple(range(self._frame_count))
         diagonal = bounding_diagonal(transfer.target) or 1.0
         source_diagonal = diagonal / expected.gradients.alignment.scale
         smoothness = None
-        if self._count > 2:
-            moved, own = self._acceleration
+        if self._frame_count > 2:
+            target_acceleration, source_acceleration = self._accelerations
             smoothness = Smoothness(
-                moved.rms / diagonal,
-                moved.max / diagonal,
-                own.rms / source_diagonal,
-                own.max / source_diagonal,
-                moved.worst_frame,
+                target_acceleration.rms / diagonal,
+                target_acceleration.max / diagonal,
+                source_acceleration.rms / source_diagonal,
+                source_acceleration.max / source_diagonal,
+                target_acceleration.worst_frame,
             )
         return TransferReport(
-            coverage=coverage(transfer),
+            coverage=measure_coverage(transfer),
             strain=self._strain.result(),
             source_strain=self._source_strain.result(),
             excess=self._excess.result(),
             smoothness=smoothness,
-            intersections=FrameCounts(
-                _crossings(transfer.target, expected.topology), self._looked_at, target
-            ),
-            source_intersections=FrameCounts(
-                _crossings(transfer.source.rest, expected.source), self._looked_at, source
-            ),
-            turned_over=FrameCounts(0, every, tuple(self._turned_over)),
-            flat=FrameCounts(int(expected.flat.sum()), every, tuple(self._flat)),
+            intersections=FrameCounts(rest_count, self._intersection_frames, target),
+            source_intersections=FrameCounts(source_rest_count, self._intersection_frames, source),
+            turned_over=FrameCounts(0, all_frames, tuple(self._turned_over)),
+            flat=FrameCounts(int(expected.flat.sum()), all_frames, tuple(self._flat)),
         )
 
 
-def _crossings(points: Float, topology: Topology) -> int:
+def _count_intersections(points: Float, topology: Topology) -> int:
     from mixseq.mesh.nearest import self_intersections
 
     return len(self_intersections(points, topology.faces))

@@ -1,11 +1,11 @@
 """The source of a transfer: its motion, its shape at rest, its parts, and its alignment with the target.
 
-Source and target are aligned as a whole by a rotation G and a scale s: a map F of the source becomes :math:`G F G^T` of
-the target, and a shift d becomes s G d. The scale is the ratio of radii, instead of that of least squares: with source
-and target exchanged it is the inverse.
+Source and target are aligned by a rotation G and a scale s: a deformation F of the source becomes :math:`G F G^T`, and
+a displacement d becomes s G d. The scale is the ratio of radii, which is inverted if source and target are exchanged,
+unlike that of least squares.
 
-With other proportions the best rotation is a little askew: a camel's neck and hump turn it eight degrees against a
-horse beside it. So the nearest quarter turn (or none) is taken, unless it fits clearly worse.
+With other proportions the best rotation is slightly off: the neck and hump of a camel turn it by eight degrees against
+a horse in the same orientation. So the nearest quarter turn (or none) is used, unless its fit is clearly worse.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from mixseq.mesh.rigid import kabsch
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.progress import Progress, silent
-from mixseq.segmentation.joints import frames_to_look_at
+from mixseq.segmentation.joints import sample_frame_ids
 from mixseq.segmentation.methods import segment, segment_by_labels
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames, LazyFrames, MeshSequence, check_frames, frame_store
 from mixseq.signals.model import Model
 from mixseq.types import Float, Index
 
-SAME_SIZE = 0.05
-"""Largest relative difference of median edge lengths between a rest mesh and the motion of the same size."""
+MAX_EDGE_LENGTH_DEVIATION = 0.05
+"""Largest relative difference of edge lengths (median) for which a rest mesh is not scaled to the motion."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,16 +40,16 @@ class SourceMotion:
 
     header: SequenceHeader  # mesh and times
     topology: Topology  # connectivity
-    points: LargeArray  # (T, V, 3) the frames
-    rest: Float  # (V, 3) the shape at rest, as large as in the frames
-    parts: int | ArrayLike | None  # given parts, or their number
+    points: LargeArray  # (T, V, 3) frames
+    rest: Float  # (V, 3) shape at rest, in the size of the frames
+    parts: int | ArrayLike | None  # number of parts, or the part of every triangle
 
     def part_of_face(self) -> Index:
         """Return the part ``(F,)`` of every triangle: given, or found from the motion."""
         if not (self.parts is None or isinstance(self.parts, int | np.integer)):
             return segment_by_labels(self.parts, self.topology)
-        some = self.points[frames_to_look_at(len(self.points))]
-        poses = np.concatenate([self.rest[None], some])
+        samples = self.points[sample_frame_ids(len(self.points))]
+        poses = np.concatenate([self.rest[None], samples])
         return segment(poses, self.topology, "motion", None if self.parts is None else int(self.parts))
 
 
@@ -59,7 +59,7 @@ def prepare_source(
     parts: int | ArrayLike | None = None,
     progress: Progress = silent,
 ) -> SourceMotion:
-    """Prepare a motion as the source of transfers."""
+    """Prepare a sequence or a model as the source of transfers."""
     if isinstance(source, Model):
         if parts is None and source.space.segmentation:
             parts = source.space.segmentation.part_of_face
@@ -71,19 +71,23 @@ def prepare_source(
     header = frames.header
     topology = Topology(header.faces, header.vertex_count)
     if isinstance(rest, MeshSequence):
-        shape = _shape_at_rest(rest, header, topology, frames.points)
+        rest_shape = _scaled_rest_shape(rest, header, topology, frames.points)
     else:
-        count = len(frames.points)
-        if isinstance(rest, bool) or not isinstance(rest, int | np.integer) or not -count <= rest < count:
+        frame_count = len(frames.points)
+        if (
+            isinstance(rest, bool)
+            or not isinstance(rest, int | np.integer)
+            or not -frame_count <= rest < frame_count
+        ):
             raise SettingsError(
-                f"rest is {rest!r}; a frame from 0 to {count - 1} is expected, or a mesh at rest"
+                f"rest is {rest!r}; a frame from 0 to {frame_count - 1} is expected, or a mesh at rest"
             )
-        number = int(rest) % count
-        shape = np.asarray(frames.points[number : number + 1][0], dtype=np.float64)
-    return SourceMotion(header, topology, frames.points, shape, parts)
+        frame = int(rest) % frame_count
+        rest_shape = np.asarray(frames.points[frame : frame + 1][0], dtype=np.float64)
+    return SourceMotion(header, topology, frames.points, rest_shape, parts)
 
 
-def _shape_at_rest(
+def _scaled_rest_shape(
     rest: MeshSequence, header: SequenceHeader, topology: Topology, points: LargeArray
 ) -> Float:
     """Return the first frame of a rest mesh, scaled to the size of the motion."""
@@ -98,69 +102,68 @@ def _shape_at_rest(
             f"{error}; give the same mesh, with its vertices in the same order"
         ) from None
     shape = rest.points[0].astype(np.float64)
-    some = points[frames_to_look_at(len(points))].astype(np.float64)
-    still, moving = edge_lengths(shape, topology.edges), edge_lengths(some, topology.edges)
-    known = still > 0
-    ratio = float(np.median(moving[:, known] / still[known])) if known.any() else 1.0
-    return np.asarray(shape if abs(ratio - 1.0) <= SAME_SIZE else shape * ratio)
+    samples = points[sample_frame_ids(len(points))].astype(np.float64)
+    rest_lengths, lengths = edge_lengths(shape, topology.edges), edge_lengths(samples, topology.edges)
+    has_length = rest_lengths > 0
+    ratio = float(np.median(lengths[:, has_length] / rest_lengths[has_length])) if has_length.any() else 1.0
+    return np.asarray(shape if abs(ratio - 1.0) <= MAX_EDGE_LENGTH_DEVIATION else shape * ratio)
 
 
-ASKEW = 1.5
-"""Largest ratio of distances of a quarter turn to those of the best rotation at which it is taken."""
+MAX_QUARTER_TURN_RATIO = 1.5
+"""Largest root mean square distance of an accepted quarter turn, relative to that of the best rotation."""
 
-
-ONE_PLACE = 1e-12
-"""Extent of points, relative to their distance from the origin, below which they are one place."""
+MIN_EXTENT_RATIO = 1e-12
+"""Smallest radius of points, relative to their largest coordinate; smaller radii are rounding."""
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """A rotation G ``(3, 3)``, proper, and a scale s > 0."""
+    """A proper rotation G ``(3, 3)`` and a scale s > 0 from source to target."""
 
     rotation: Float
     scale: float
 
-    def shifted(self, shifts: Float) -> Float:
-        """Return shifts ``(..., 3)`` of the source in the frame and scale of the target."""
-        return np.asarray(self.scale * shifts @ self.rotation.T)
+    def map_vectors(self, vectors: Float) -> Float:
+        """Rotate and scale displacements ``(..., 3)`` of the source."""
+        return np.asarray(self.scale * vectors @ self.rotation.T)
 
-    def turned_points(self, points: Float) -> Float:
-        """Return points ``(..., 3)`` of the source rotated to the target."""
+    def rotate_points(self, points: Float) -> Float:
+        """Rotate points ``(..., 3)`` of the source."""
         return np.asarray(points @ self.rotation.T)
 
-    def turned(self, matrices: Float) -> Float:
-        """Return matrices ``(..., 3, 3)`` of the source as matrices of the target."""
+    def rotate_matrices(self, matrices: Float) -> Float:
+        """Conjugate deformations ``(..., 3, 3)`` of the source by the rotation."""
         return np.asarray(self.rotation @ matrices @ self.rotation.T)
 
 
-def align(source: Float, target: Float, weights: Float) -> Alignment:
-    """Find the rotation and scale from source to target points ``(n, 3)`` with weights ``(n,)``."""
+def fit_alignment(source: Float, target: Float, weights: Float) -> Alignment:
+    """Fit the alignment of source to target points ``(n, 3)`` with weights ``(n,)``."""
     if not weights.sum() > 0:
         raise InvalidSequenceError(
-            "where the target corresponds to the source it has no area at rest, so that nothing tells how it moves; "
-            "give a target with triangles that are not flat"
+            "where the target corresponds to the source it has no area at rest; give a target with triangles that "
+            "are not flat"
         )
     weights = weights / weights.sum()
-    from_centre, to_centre = source - weights @ source, target - weights @ target
-    radii = [np.sqrt(weights @ np.square(x).sum(axis=1)) for x in (from_centre, to_centre)]
+    centred_source, centred_target = source - weights @ source, target - weights @ target
+    radii = [np.sqrt(weights @ np.square(x).sum(axis=1)) for x in (centred_source, centred_target)]
     for name, radius, points in zip(("source", "target"), radii, (source, target), strict=True):
-        if not radius > ONE_PLACE * np.abs(points).max():
+        if not radius > MIN_EXTENT_RATIO * np.abs(points).max():
             raise InvalidSequenceError(
-                f"all that corresponds of the {name} is in one place at rest, so that it has no size; give another "
-                "rest or another mesh"
+                f"all corresponding points of the {name} are in one place at rest; give another rest or another mesh"
             )
     scale = float(radii[1] / radii[0])
-    best, _ = kabsch(from_centre, to_centre, weights)
-    simple = max(_quarter_turns(), key=lambda turn: float(np.sum(turn * best)))
-    away = [
-        np.sqrt(weights @ np.square(to_centre - scale * from_centre @ turn.T).sum(axis=1))
-        for turn in (best, simple)
+    best, _ = kabsch(centred_source, centred_target, weights)
+    quarter_turn = max(_quarter_turns(), key=lambda turn: float(np.sum(turn * best)))
+    distances = [
+        np.sqrt(weights @ np.square(centred_target - scale * centred_source @ turn.T).sum(axis=1))
+        for turn in (best, quarter_turn)
     ]
-    return Alignment(simple if away[1] <= ASKEW * away[0] else best, scale)
+    is_quarter_turn = distances[1] <= MAX_QUARTER_TURN_RATIO * distances[0]
+    return Alignment(quarter_turn if is_quarter_turn else best, scale)
 
 
 def _quarter_turns() -> list[Float]:
-    """Return the 24 rotations that permute axes."""
+    """Return the 24 rotations of the axes onto themselves."""
     matrices = [
         np.array(signs)[:, None] * np.eye(3)[list(order)]
         for order in permutations(range(3))

@@ -306,7 +306,7 @@ def _converted(sequence: Centred, skeleton: Skeleton, bind_pose: MeshSequence) -
             f"the bind pose has {bind_pose.vertex_count} vertices, the sequence has {header.vertex_count}; the same "
             "mesh is expected, or none, if the skeleton stands in the first frame"
         )
-    conversion = UnitConversion.of(bind_pose.header, header.up_axis, header.metres_per_unit)
+    conversion = UnitConversion.from_header(bind_pose.header, header.up_axis, header.metres_per_unit)
     shape = np.asarray(conversion.values(bind_pose.points[0].astype(np.float64)), dtype=np.float64)
     _check_size(shape, sequence)
     turn = Rotation.from_matrix(conversion.turn)

@@ -32,7 +32,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from mixseq.errors import InvalidSequenceError, SettingsError
-from mixseq.mesh.polygons import frozen
+from mixseq.mesh.polygons import read_only
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray, Index
 
@@ -81,7 +81,7 @@ class Skeleton:
         parents = np.asarray(self.parents, dtype=np.int64)
         if parents.shape != (count,):
             raise InvalidSequenceError(f"parents have shape {parents.shape}; ({count},) is expected")
-        object.__setattr__(self, "parents", frozen(parents))
+        object.__setattr__(self, "parents", read_only(parents))
         early = (parents < -1) | (parents >= np.arange(count))
         if early.any():
             bone = int(np.argmax(early))
@@ -204,7 +204,7 @@ class Skin:
         _take(self, "weights", (v, INFLUENCES))
         _take(self, "targets", (m, v, 3))
         _take(self, "target_weights", (t, m))
-        object.__setattr__(self, "influences", frozen(np.asarray(self.influences, dtype=np.int64)))
+        object.__setattr__(self, "influences", read_only(np.asarray(self.influences, dtype=np.int64)))
         if self.influences.shape != (v, INFLUENCES):
             raise InvalidSequenceError(
                 f"influences have shape {self.influences.shape}; ({v}, {INFLUENCES}) is expected"
@@ -427,4 +427,4 @@ def _take(rig: object, name: str, shape: tuple[int, ...]) -> None:
         raise InvalidSequenceError(f"{name} have shape {array.shape}; {shape} is expected")
     if not np.isfinite(array).all():
         raise InvalidSequenceError(f"{name} have entries that are not finite")
-    object.__setattr__(rig, name, frozen(array))
+    object.__setattr__(rig, name, read_only(array))

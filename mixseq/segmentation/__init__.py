@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING
 from mixseq.runtime.lazy import forwarded
 
 if TYPE_CHECKING:
-    from mixseq.segmentation.joints import Watched, decompose, frames_to_look_at, gather, observe
+    from mixseq.segmentation.joints import (
+        PartShapes,
+        decompose,
+        join_part_motion,
+        measure_part_motion,
+        sample_frame_ids,
+    )
     from mixseq.segmentation.methods import METHODS, segment, segment_by_labels
     from mixseq.segmentation.motion import MotionSettings, segment_by_motion
     from mixseq.segmentation.silhouettes import SilhouetteSettings, SpanningTreeSettings
@@ -19,13 +25,13 @@ if TYPE_CHECKING:
 __all__ = [
     "METHODS",
     "MotionSettings",
+    "PartShapes",
     "SilhouetteSettings",
     "SpanningTreeSettings",
-    "Watched",
     "decompose",
-    "frames_to_look_at",
-    "gather",
-    "observe",
+    "join_part_motion",
+    "measure_part_motion",
+    "sample_frame_ids",
     "segment",
     "segment_by_labels",
     "segment_by_motion",
@@ -38,11 +44,11 @@ __getattr__ = forwarded(
         "MotionSettings": "mixseq.segmentation.motion",
         "SilhouetteSettings": "mixseq.segmentation.silhouettes",
         "SpanningTreeSettings": "mixseq.segmentation.silhouettes",
-        "Watched": "mixseq.segmentation.joints",
+        "PartShapes": "mixseq.segmentation.joints",
         "decompose": "mixseq.segmentation.joints",
-        "frames_to_look_at": "mixseq.segmentation.joints",
-        "gather": "mixseq.segmentation.joints",
-        "observe": "mixseq.segmentation.joints",
+        "sample_frame_ids": "mixseq.segmentation.joints",
+        "join_part_motion": "mixseq.segmentation.joints",
+        "measure_part_motion": "mixseq.segmentation.joints",
         "segment": "mixseq.segmentation.methods",
         "segment_by_labels": "mixseq.segmentation.methods",
         "segment_by_motion": "mixseq.segmentation.motion",

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
-from mixseq.mesh.measures import summed, triangle_areas
-from mixseq.mesh.topology import Topology, connected
+from mixseq.mesh.measures import scatter_add, triangle_areas
+from mixseq.mesh.topology import Topology, connected_components
 from mixseq.types import Float, FloatArray, Index, IntArray, Mask, Single
 
 
@@ -37,7 +37,7 @@ class Boundaries:
     pair: Index  # (k,) the pair of parts of each edge
 
     @classmethod
-    def of(cls, topology: Topology, part_of_face: Index) -> Boundaries:
+    def from_labels(cls, topology: Topology, part_of_face: Index) -> Boundaries:
         """Find the boundaries between the parts ``(F,)`` of faces: hinges between faces of two parts."""
         sides = np.sort(part_of_face[topology.hinge_faces], axis=1)
         across = sides[:, 0] != sides[:, 1]
@@ -47,7 +47,7 @@ class Boundaries:
 
     def middles(self, frame: FloatArray) -> Float:
         """Return the middles ``(n, 3)`` of the boundaries in a frame ``(V, 3)``: means of edge midpoints."""
-        sums = summed(frame[self.edges].mean(axis=1), self.pair, len(self.parts))
+        sums = scatter_add(frame[self.edges].mean(axis=1), self.pair, len(self.parts))
         return sums / np.bincount(self.pair, minlength=len(self.parts))[:, None]
 
 
@@ -63,7 +63,7 @@ class Rim:
     corners: IntArray  # (k, 3) vertices of these faces
 
     @classmethod
-    def of(cls, topology: Topology, patches: Index) -> Rim:
+    def from_labels(cls, topology: Topology, patches: Index) -> Rim:
         """Find the rim of patches ``(F,)`` of faces."""
         of_hinge = patches[topology.hinge_faces]
         across = of_hinge[:, 0] != of_hinge[:, 1]
@@ -103,7 +103,7 @@ class Passes:
     def cut(self, where: Index) -> Index:
         """Cut the tree at n hinges; number the regions ``(F,)`` by decreasing area."""
         kept = self.topology.hinge_faces[np.delete(self.hinges, where)]
-        return by_area(connected(len(self.face_areas), kept), self.face_areas)
+        return by_area(connected_components(len(self.face_areas), kept), self.face_areas)
 
     def deepest(self, parts: int, least_area: float) -> Index:
         """Choose the deepest passes that leave `parts` regions; the least area is halved until there are enough."""
@@ -161,7 +161,7 @@ class Trajectories:
     rows: Float
 
     @classmethod
-    def of(cls, x: Float) -> Trajectories:
+    def from_frames(cls, x: Float) -> Trajectories:
         """Gather the trajectories of frames ``(T, V, 3)``; the first one is the rest frame."""
         count, vertices = x.shape[:2]
         rows = np.empty((vertices, 4 * count + 4))
@@ -192,11 +192,11 @@ class Elements:
     pairs: Index  # (n, 2) pairs of neighbours
 
     @classmethod
-    def faces(cls, topology: Topology, x: Float) -> Elements:
+    def from_faces(cls, topology: Topology, x: Float) -> Elements:
         """Make the triangles of a mesh elements, for frames ``(T, V, 3)``; neighbours are across hinges."""
         count = len(topology.faces)
         return cls(
-            trajectories=Trajectories.of(x),
+            trajectories=Trajectories.from_frames(x),
             corners=_filled(topology.faces, topology.vertex_count),
             corner_factors=np.full(count, 1.0 / 3.0, dtype=np.float32),
             weights=face_areas(x[0], topology) / 3.0,
@@ -204,7 +204,7 @@ class Elements:
         )
 
     @classmethod
-    def cells(cls, topology: Topology, faces: Elements) -> tuple[Elements, Index]:
+    def from_cells(cls, topology: Topology, faces: Elements) -> tuple[Elements, Index]:
         """Make elements of cells, each a vertex and its surroundings; also return the cell of every face."""
         from mixseq.segmentation.segmentation_kernels import cells
 

@@ -28,23 +28,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import SegmentationError, SettingsError
-from mixseq.mesh.polygons import frozen
-from mixseq.mesh.rigid import aligning_rotations, bend, mean_shape
-from mixseq.mesh.topology import Topology, connected, face_patches, hinges_inside, spread, vertices_of
+from mixseq.mesh.polygons import read_only
+from mixseq.mesh.rigid import aligning_rotations, largest_rotation, mean_shape
+from mixseq.mesh.topology import (
+    Topology,
+    connected_components,
+    face_patches,
+    interior_hinges,
+    mark_face_vertices,
+    propagate_depth,
+)
 from mixseq.segmentation.elements import Boundaries
-from mixseq.types import Float, FloatArray, Index, Mask, evenly
+from mixseq.types import Float, FloatArray, Index, Mask, evenly_spaced
 
-FLAT = 1e-5
+DEGENERATE_HEIGHT_RATIO = 1e-5
 """Ratio of height to longest side below which a face has no area."""
 
 
-def frames_to_look_at(frame_count: int, at_most: int = 24) -> Index:
+def sample_frame_ids(frame_count: int, at_most: int = 24) -> Index:
     """Choose evenly spread frames that represent a sequence, for finding its parts and their shapes."""
-    return evenly(frame_count, at_most)
+    return evenly_spaced(frame_count, at_most)
 
 
 @dataclass(frozen=True, eq=False)
-class Watched:
+class PartShapes:
     """Quantities observed in every frame."""
 
     faces: NDArray[np.integer]  # (F, 3) triangles of the mesh
@@ -52,50 +59,52 @@ class Watched:
     shapes: tuple[Float, ...]  # their shapes, centred, against which turns are measured
 
     @classmethod
-    def of(cls, topology: Topology, part_of_face: Index, frames: FloatArray) -> Watched:
+    def from_labels(cls, topology: Topology, part_of_face: Index, frames: FloatArray) -> PartShapes:
         """Make it for the parts ``(F,)`` of a mesh; their shapes are means of frames ``(S, V, 3)``, S >= 1."""
         count = int(part_of_face.max(initial=-1)) + 1
-        parts = tuple(np.flatnonzero(vertices_of(topology, part_of_face == part)) for part in range(count))
+        parts = tuple(
+            np.flatnonzero(mark_face_vertices(topology, part_of_face == part)) for part in range(count)
+        )
         shapes = tuple(mean_shape(frames[:, part].astype(np.float64), sweeps=3) for part in parts)
         return cls(topology.faces, parts, shapes)
 
 
 @dataclass(frozen=True, eq=False)
-class Observed:
+class PartMotion:
     """Observations of frames."""
 
     rotations: Float  # (T, p, 3, 3) rotation of every part in every frame, relative to its shape
     flat: Mask  # (F,) faces without area in some frame
 
 
-def observe(watched: Watched, points: FloatArray) -> Observed:
+def measure_part_motion(watched: PartShapes, points: FloatArray) -> PartMotion:
     """Observe a block of frames ``(B, V, 3)``; each frame is independent of its block."""
     from mixseq.segmentation.segmentation_kernels import mark_flat
 
     flat = np.zeros(len(watched.faces), dtype=bool)
     covariances = np.empty((len(points), len(watched.parts), 3, 3))
     for frame, into in zip(points, covariances, strict=True):
-        x = frozen(np.ascontiguousarray(frame, dtype=np.float64))  # as frames are: one type to numba
-        mark_flat(x, watched.faces, FLAT, flat)
+        x = read_only(np.ascontiguousarray(frame, dtype=np.float64))  # as frames are: one type to numba
+        mark_flat(x, watched.faces, DEGENERATE_HEIGHT_RATIO, flat)
         for number, (part, shape) in enumerate(zip(watched.parts, watched.shapes, strict=True)):
             moved = x[part]
             into[number] = (moved - moved.mean(axis=0)).T @ shape
-    return Observed(aligning_rotations(covariances), flat)
+    return PartMotion(aligning_rotations(covariances), flat)
 
 
-def gather(blocks: Iterable[Observed]) -> Observed:
+def join_part_motion(blocks: Iterable[PartMotion]) -> PartMotion:
     """Concatenate the observations of one or more blocks, in order."""
     rotations, flat = [], None
     for block in blocks:
         rotations.append(block.rotations)
         flat = block.flat if flat is None else flat | block.flat
-    return Observed(np.concatenate(rotations), np.zeros(0, dtype=bool) if flat is None else flat)
+    return PartMotion(np.concatenate(rotations), np.zeros(0, dtype=bool) if flat is None else flat)
 
 
-CORE = 1.0 / 3.0
+MIN_CORE_FRACTION = 1.0 / 3.0
 """Least share of its vertices that a part keeps, whatever the width of its joints."""
 
-BEND = 30.0
+DEGREES_PER_STRIP = 30.0
 """Bend per strip of a joint, except the first, in degrees."""
 
 
@@ -139,8 +148,8 @@ def decompose(
     topology: Topology,
     part_of_face: Index,
     joint_width: int = 3,
-    points: FloatArray | Observed | None = None,
-    core: float = CORE,
+    points: FloatArray | PartMotion | None = None,
+    core: float = MIN_CORE_FRACTION,
 ) -> Decomposition:
     """Grow joints around the boundaries of a segmentation ``(F,)``; points ``(T, V, 3)`` limit their width."""
     if joint_width < 1:
@@ -149,15 +158,15 @@ def decompose(
         raise SegmentationError(
             f"part_of_face has shape {part_of_face.shape}, the mesh has {len(topology.faces)} faces"
         )
-    if isinstance(points, Observed) or points is None:
+    if isinstance(points, PartMotion) or points is None:
         observed = points
     else:
-        looked_at = points[frames_to_look_at(len(points))]
-        observed = observe(Watched.of(topology, part_of_face, looked_at), points)
+        looked_at = points[sample_frame_ids(len(points))]
+        observed = measure_part_motion(PartShapes.from_labels(topology, part_of_face, looked_at), points)
     part_count = int(part_of_face.max()) + 1
-    members = [vertices_of(topology, part_of_face == part) for part in range(part_count)]
+    members = [mark_face_vertices(topology, part_of_face == part) for part in range(part_count)]
     wanted = _boundary_widths(topology, part_of_face, joint_width, observed)
-    depths = [spread(topology, np.minimum(wanted, width)) for width in range(joint_width + 1)]
+    depths = [propagate_depth(topology, np.minimum(wanted, width)) for width in range(joint_width + 1)]
     widths = np.array([_width(depths, inside, core) for inside in members], dtype=np.int64)
 
     kept = [inside & (depths[width] <= 1) for inside, width in zip(members, widths, strict=True)]
@@ -184,14 +193,18 @@ def decompose(
 
 
 def _boundary_widths(
-    topology: Topology, part_of_face: Index, joint_width: int, observed: Observed | None
+    topology: Topology, part_of_face: Index, joint_width: int, observed: PartMotion | None
 ) -> Index:
     """Width ``(V,)`` of the joint at every boundary vertex, 0 elsewhere."""
-    boundaries = Boundaries.of(topology, part_of_face)
+    boundaries = Boundaries.from_labels(topology, part_of_face)
     width_of_pair = np.full(len(boundaries.parts), joint_width)
     if observed is not None:
         for number, (i, j) in enumerate(boundaries.parts):
-            strips = int(np.ceil(bend(observed.rotations[:, i], observed.rotations[:, j]) / BEND))
+            strips = int(
+                np.ceil(
+                    largest_rotation(observed.rotations[:, i], observed.rotations[:, j]) / DEGREES_PER_STRIP
+                )
+            )
             width_of_pair[number] = min(joint_width, max(2, 1 + strips))
     widths = np.zeros(topology.vertex_count, dtype=np.int64)
     np.maximum.at(widths, boundaries.edges, width_of_pair[boundaries.pair][:, None])
@@ -213,7 +226,7 @@ def _give_back(topology: Topology, part_of_face: Index, kept: list[Mask], in_joi
 
     def keep(faces: Mask, vertices: Mask | None = None) -> None:
         for part, inside in enumerate(kept):
-            corners = vertices_of(topology, faces & (part_of_face == part))
+            corners = mark_face_vertices(topology, faces & (part_of_face == part))
             inside |= corners if vertices is None else corners & vertices
 
     keep(~in_joint & ~_firm(topology, kept))
@@ -244,14 +257,14 @@ def _at_corners(topology: Topology, marked: Mask) -> list[Mask]:
 def _points_of_contact(topology: Topology, patches: Index) -> Mask:
     """Mark the vertices whose joint faces are several fans across hinges."""
     marked = patches >= 0
-    joined = hinges_inside(topology, marked)
+    joined = interior_hinges(topology, marked)
     sides = topology.hinge_faces[joined]
     links = []
     for end in topology.edges[topology.hinge_edges[joined]].T:
         at_end = topology.faces[sides] == end[:, None, None]
         links.append(3 * sides + at_end.argmax(axis=2))  # the corners of both faces at this end of the hinge
     inside = np.flatnonzero(np.repeat(marked, 3))
-    fan = connected(len(inside), np.searchsorted(inside, np.concatenate(links)))
+    fan = connected_components(len(inside), np.searchsorted(inside, np.concatenate(links)))
     corners = np.stack([topology.faces.reshape(-1)[inside], fan], axis=1)
     vertex_of_fan = np.unique(corners, axis=0)[:, 0]
     return np.asarray(np.bincount(vertex_of_fan, minlength=topology.vertex_count) > 1)
@@ -266,6 +279,6 @@ def make_joint(topology: Topology, faces: Mask, held: Mask) -> Joint:
         faces=np.searchsorted(vertices, topology.faces[face_ids]),
         face_ids=face_ids,
         edge_ids=np.unique(topology.face_edges[face_ids]),
-        hinge_ids=hinges_inside(topology, faces),
+        hinge_ids=interior_hinges(topology, faces),
         free=~held[vertices],
     )

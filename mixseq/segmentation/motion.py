@@ -28,10 +28,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mixseq.mesh.rigid import bend, nearest_rotations
+from mixseq.mesh.rigid import largest_rotation, nearest_rotations
 from mixseq.mesh.topology import Topology, split_labels
 from mixseq.segmentation.elements import Elements, Rim, Trajectories, by_area, check_parts
-from mixseq.segmentation.joints import frames_to_look_at
+from mixseq.segmentation.joints import sample_frame_ids
 from mixseq.types import Float, FloatArray, Index, Mask, Single
 
 
@@ -284,10 +284,10 @@ def segment_by_motion(
     """Find the near-rigid part ``(F,)`` of every face from points ``(T, V, 3)``."""
     settings = settings or MotionSettings()
     check_parts(parts, topology)
-    faces = Elements.faces(topology, _looked_at(points, settings.frames))
+    faces = Elements.from_faces(topology, _looked_at(points, settings.frames))
     clusters = max(settings.clusters, round(1.5 * (parts or 1)))
     labels = _cluster(topology, faces, min(clusters, len(topology.faces)), settings)
-    bodies = _Bodies.of(topology, faces, split_labels(topology, labels))
+    bodies = _Bodies.from_patches(topology, faces, split_labels(topology, labels))
     _absorb_small_regions(bodies, settings)
     _merge(bodies, topology, parts, settings)
     return by_area(bodies.patches, faces.weights)
@@ -295,7 +295,7 @@ def segment_by_motion(
 
 def _looked_at(points: FloatArray, frames: int) -> Float:
     """Return sampled frames ``(T, V, 3)``, centred, in diagonals of the first, or else of the largest."""
-    x = points[frames_to_look_at(len(points), frames)].astype(np.float64)
+    x = points[sample_frame_ids(len(points), frames)].astype(np.float64)
     x -= x.mean(axis=1, keepdims=True)
     diagonals = np.linalg.norm(np.ptp(x, axis=1), axis=1)
     x /= diagonals[0] or diagonals.max() or 1.0
@@ -310,7 +310,7 @@ def _cluster(topology: Topology, faces: Elements, count: int, settings: MotionSe
     rounds = settings.smoothing * len(faces) ** 0.5
     if len(faces) <= DENSE:
         return _settled(_grown(faces, count, rounds), rounds, 4)
-    cells, cell_of_face = Elements.cells(topology, faces)
+    cells, cell_of_face = Elements.from_cells(topology, faces)
     rounds_of_cells = rounds * len(cells) / len(faces)
     labels = _settled(_grown(cells, count, rounds_of_cells), rounds_of_cells, 4)[cell_of_face]
     return labels if len(faces) > LARGE else _settled(Clusters(faces, labels, count), rounds, 2)
@@ -345,7 +345,7 @@ class _Bodies:
     neighbours: dict[int, set[int]]  # neighbours of every patch
 
     @classmethod
-    def of(cls, topology: Topology, faces: Elements, patches: Index) -> _Bodies:
+    def from_patches(cls, topology: Topology, faces: Elements, patches: Index) -> _Bodies:
         count = int(patches.max()) + 1
         moments = moments_of(tally(faces, patches, count), faces.trajectories)
         neighbours: dict[int, set[int]] = {p: set() for p in range(count)}
@@ -397,12 +397,12 @@ def _merge(bodies: _Bodies, topology: Topology, parts: int | None, settings: Mot
     softness = {p: m.softness for p, m in moments.items()}
     bends: dict[tuple[int, int], float] = {}
     joined: dict[tuple[int, int], float] = {}  # softness of pairs
-    rim = Rim.of(topology, bodies.patches)
+    rim = Rim.from_labels(topology, bodies.patches)
     while parts is None or len(moments) > parts:
         bends = {(i, j): bends.get((i, j), -1.0) for i, j in bodies.borders}
         if not bends:
             break
-        bends = {(i, j): b if b >= 0 else bend(turns[i], turns[j]) for (i, j), b in bends.items()}
+        bends = {(i, j): b if b >= 0 else largest_rotation(turns[i], turns[j]) for (i, j), b in bends.items()}
         narrow = rim.narrowness(bodies.patches)
         worth = {
             (i, j): b / (1.0 + settings.narrow * max(narrow[i], narrow[j])) for (i, j), b in bends.items()

@@ -54,10 +54,10 @@ import numpy as np
 from scipy import sparse
 
 from mixseq.errors import SettingsError
-from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
 from mixseq.mesh.topology import Topology
 from mixseq.segmentation.elements import check_parts, face_areas, flood
-from mixseq.segmentation.joints import frames_to_look_at
+from mixseq.segmentation.joints import sample_frame_ids
 from mixseq.types import Float, FloatArray, Index, Mask
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ _TINY = np.finfo(np.float64).tiny
 
 def some_frames(points: FloatArray, frames: int) -> Float:
     """Return at most `frames` evenly spread frames ``(T, V, 3)``, in diagonals of the first, or else of the largest."""
-    x = points[frames_to_look_at(len(points), frames)].astype(np.float64)
+    x = points[sample_frame_ids(len(points), frames)].astype(np.float64)
     x -= x[0].mean(axis=0)
     diagonals = np.linalg.norm(np.ptp(x, axis=1), axis=1)
     return np.asarray(x / (diagonals[0] or diagonals.max() or 1.0))
@@ -80,7 +80,7 @@ def angle_variation(points: FloatArray, topology: Topology) -> Float:
     angles = np.stack([dihedral_angles(frame, topology.hinges) for frame in points])
     largest = np.zeros(angles.shape[1])
     for frame in range(1, len(angles)):
-        largest = np.maximum(largest, np.abs(wrap(angles[frame] - angles[:frame])).max(axis=0))
+        largest = np.maximum(largest, np.abs(wrap_angles(angles[frame] - angles[:frame])).max(axis=0))
     return largest
 
 

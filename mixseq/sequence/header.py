@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mixseq.errors import InvalidSequenceError, SettingsError
-from mixseq.mesh.polygons import Polygons, frozen
+from mixseq.mesh.polygons import Polygons, read_only
 from mixseq.mesh.surface import MeshObject, Surface
 from mixseq.sequence.frame_rates import NEAR, frame_text, number_text
 
@@ -60,7 +60,7 @@ class SequenceHeader:
 
     def __post_init__(self) -> None:
         times = np.asarray(self.times, dtype=np.float64).reshape(-1)
-        object.__setattr__(self, "times", frozen(times))
+        object.__setattr__(self, "times", read_only(times))
         object.__setattr__(self, "vertex_count", int(self.vertex_count))
         object.__setattr__(self, "fps", float(self.fps))
         object.__setattr__(self, "metres_per_unit", float(self.metres_per_unit))

@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike
 from mixseq.choices import UNITS
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.mesh.measures import Diagonal
-from mixseq.mesh.polygons import Polygons, frozen
+from mixseq.mesh.polygons import Polygons, read_only
 from mixseq.runtime.low_memory import LargeArray, new_large_array
 from mixseq.runtime.progress import Progress, silent
 from mixseq.runtime.public import public
@@ -63,14 +63,14 @@ class MeshSequence(SequenceHeader):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "points", frozen(_as_points(self.points)))
+        object.__setattr__(self, "points", read_only(_as_points(self.points)))
         check_block(self, self.points, first_frame=0)
         if len(self.points) != self.frame_count:
             raise InvalidSequenceError(
                 f"{len(self.points)} frames of points but {self.frame_count} times; give one time per frame"
             )
         if self.velocities is not None:
-            object.__setattr__(self, "velocities", frozen(_as_points(self.velocities)))
+            object.__setattr__(self, "velocities", read_only(_as_points(self.velocities)))
             _check_velocities(self, self.points, self.velocities)
 
     @classmethod
@@ -177,7 +177,7 @@ class LazyFrames:
 
 def bounding_diagonal(points: FloatArray) -> float:
     """Length of the diagonal of the bounding box of ``(V, 3)`` points."""
-    return Diagonal.of(points).length
+    return Diagonal.from_points(points).length
 
 
 def collect(header: SequenceHeader, blocks: Iterable[FloatArray]) -> MeshSequence:
@@ -364,7 +364,7 @@ class UnitConversion:
     scale: float
 
     @classmethod
-    def of(
+    def from_header(
         cls, header: SequenceHeader, up_axis: str | None = None, units: str | float | None = None
     ) -> UnitConversion:
         """Make the conversion of a sequence; parameters and errors as of `convert_units`."""
@@ -439,7 +439,7 @@ def convert_units(
     >>> convert_units(one, up_axis="Z", units="mm").points[0, 1].tolist()
     [10.0, -30.0, 20.0]
     """
-    conversion = UnitConversion.of(sequence.header, up_axis, units)
+    conversion = UnitConversion.from_header(sequence.header, up_axis, units)
     velocities = sequence.velocities
     return MeshSequence.from_header(
         conversion.header(sequence.header),

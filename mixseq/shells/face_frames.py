@@ -30,7 +30,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from mixseq.mesh.topology import connected
+from mixseq.mesh.topology import connected_components
 from mixseq.runtime.jit import compiled, inlined
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.shells.solvers import Factor, factorise_laplacian
@@ -340,7 +340,7 @@ class FrameGraph(PickledWithoutCaches):
 
 def bridging_mask(count: int, pairs: Index, sound: Mask) -> Mask:
     """Mark sound pairs ``(h, 2)`` of `count` nodes, and a spanning forest of others between their components."""
-    components = np.sort(connected(count, pairs[sound])[pairs], axis=1)
+    components = np.sort(connected_components(count, pairs[sound])[pairs], axis=1)
     separate = np.flatnonzero(components[:, 0] != components[:, 1])
     component_pairs, first = np.unique(components[separate], axis=0, return_index=True)
     graph = sparse.coo_array((1.0 + separate[first], tuple(component_pairs.T)), shape=(count, count)).tocsr()

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mixseq.errors import ReconstructionError, SettingsError
-from mixseq.mesh.measures import NO_LENGTH, dihedral_angles, edge_lengths, length_weights
+from mixseq.mesh.measures import MIN_DIRECTED_LENGTH, dihedral_angles, edge_lengths, length_weights
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.shells import kernels
@@ -117,7 +117,9 @@ class Shell(PickledWithoutCaches):
     @cached_property
     def _longest_sides(self) -> Float:
         """Typical lengths ``(F,)`` of the longest sides of faces."""
-        return np.asarray(np.maximum(self.typical_lengths[self.topology.face_edges].max(axis=1), NO_LENGTH))
+        return np.asarray(
+            np.maximum(self.typical_lengths[self.topology.face_edges].max(axis=1), MIN_DIRECTED_LENGTH)
+        )
 
     @cached_property
     def _normal_lengths(self) -> Float:
@@ -137,7 +139,7 @@ class Shell(PickledWithoutCaches):
     def relative_angle_weights(self) -> Float:
         """Relative weights ``(H,)`` of angles: 1, or less at slender triangles."""
         faces = self.topology.hinge_faces
-        edge = np.maximum(self.typical_lengths[self.topology.hinge_edges], NO_LENGTH)
+        edge = np.maximum(self.typical_lengths[self.topology.hinge_edges], MIN_DIRECTED_LENGTH)
         height = self._normal_lengths[faces].min(axis=1, initial=np.inf) / edge
         return np.asarray(
             np.minimum(
@@ -166,7 +168,7 @@ class Shell(PickledWithoutCaches):
         """Weights ``(F, 3)`` of the sides of faces: those of an edge add up to the squared weight of its length."""
         weights = np.square(self.length_weights)
         weights = np.where(
-            weights > 0, weights, np.square(1.0 / max(float(self.typical_lengths.max()), NO_LENGTH))
+            weights > 0, weights, np.square(1.0 / max(float(self.typical_lengths.max()), MIN_DIRECTED_LENGTH))
         )
         return np.asarray((weights / self.topology.edge_face_counts)[self.topology.face_edges])
 
@@ -246,18 +248,18 @@ class Shell(PickledWithoutCaches):
         direction, curvature = np.random.default_rng(0).normal(size=x.shape), 0.0
         size = (
             RELATIVE_DIFFERENCE_STEP
-            * max(float(np.median(self.typical_lengths)), NO_LENGTH)
+            * max(float(np.median(self.typical_lengths)), MIN_DIRECTED_LENGTH)
             * np.sqrt(len(x))
         )
         for _ in range(POWER_ITERATIONS):
-            direction *= size / max(float(np.linalg.norm(direction)), NO_LENGTH)
+            direction *= size / max(float(np.linalg.norm(direction)), MIN_DIRECTED_LENGTH)
             ahead, behind = (
                 self._gradient_and_energy(x + sign * direction, lengths, targets, self._angle_weights)[0]
                 for sign in (1, -1)
             )
             direction = self.factor.solve(0.5 * (ahead - behind))
             curvature = float(np.linalg.norm(direction)) / size
-        return max(curvature, NO_LENGTH)
+        return max(curvature, MIN_DIRECTED_LENGTH)
 
 
 def _cosines_and_sines(angles: Float) -> Float:

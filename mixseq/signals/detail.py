@@ -20,7 +20,7 @@ from scipy.interpolate import make_lsq_spline
 
 from mixseq.choices import PoseForm
 from mixseq.errors import ReconstructionError, SettingsError
-from mixseq.mesh.rotations import continued
+from mixseq.mesh.rotations import align_quat_signs
 from mixseq.runtime.low_memory import LargeArray, new_large_array
 from mixseq.runtime.parallel import Executor, serially
 from mixseq.runtime.progress import Progress, silent
@@ -42,7 +42,7 @@ from mixseq.signals.modes import Modes, principal_modes
 from mixseq.signals.pose import PoseMap
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.temporal import FrameWeights, Poses, TemporalOperator, insert_midpoints, select_operator
-from mixseq.types import Float, FloatArray, Index, evenly
+from mixseq.types import Float, FloatArray, Index, evenly_spaced
 
 DeviationNorm = Callable[[Float], Float]
 """Map of the deviations ``(T, k)`` of a curve to their sizes ``(T,)``."""
@@ -190,7 +190,7 @@ def encode_sequence(
     placed = slice(size, size + space.placement_dim)
     shapes = new_large_array((count, size))
     placement = np.empty((count, space.placement_dim))
-    some = evenly(sequence.header.vertex_count, OPERATOR_VERTICES)
+    some = evenly_spaced(sequence.header.vertex_count, OPERATOR_VERTICES)
     samples = np.empty((count, 3 * len(some)))
     previous, done = None, 0
     for apart, sampled in workers(_encode_block, (space, some), blocks_of(sequence.points)):
@@ -201,7 +201,7 @@ def encode_sequence(
         progress(done, count, "encoding frames")
     turns, centres = space.unpack_placements(placement)
     steady = space.pack_placements(
-        Poses(continued(turns), centres)
+        Poses(align_quat_signs(turns), centres)
     )  # what is interpolated in time must not jump
     held = space.to_body_axes(samples.reshape(count, -1, 3), some, steady).reshape(count, -1)
     return EncodedSequence(sequence.header, space, shapes, steady, held, pose)
@@ -269,7 +269,7 @@ def _fit_curves_with_knots(
     time = least_squares_curve(times, scores, inner)
     placement = least_squares_curve(times, encoded.placement, inner)
     parts, _ = encoded.space.interpolate_poses(
-        encoded.operator, encoded.poses, encoded.placement, times, in_body=False
+        encoded.operator, encoded.poses, encoded.placement, times, in_body_axes=False
     )
     return time, placement, least_squares_curve(times, corrections(time, times, parts), inner)
 

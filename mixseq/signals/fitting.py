@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from mixseq.choices import POSE_FORMS, PlacementName, PoseForm, SpaceName
 from mixseq.errors import SettingsError
-from mixseq.mesh.measures import wrap
+from mixseq.mesh.measures import wrap_angles
 from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.parallel import Executor, on_threads, one_blas_thread
 from mixseq.runtime.progress import Progress, Stages, silent
@@ -43,7 +43,7 @@ from mixseq.spaces.edge import EdgeSettings
 from mixseq.spaces.making import SPACE_STAGES, MixedSettings, SpaceOptions, make_space, space_settings
 from mixseq.spaces.mixed.mixed_space import MixedBlocks, MixedSpace
 from mixseq.spaces.temporal import FrameWeights
-from mixseq.types import Float, Index, evenly
+from mixseq.types import Float, Index, evenly_spaced
 
 MAX_VALIDATION_FRAMES = 16
 """Largest number of frames that are left out."""
@@ -98,7 +98,7 @@ class CrossValidation:
                 MAX_VALIDATION_VERTICES // space.vertex_count, MIN_VALIDATION_FRAMES, MAX_VALIDATION_FRAMES
             )
         )
-        sample = evenly(len(frame_ids), frame_limit)
+        sample = evenly_spaced(len(frame_ids), frame_limit)
         points = frames[frame_ids[sample]].astype(np.float64) / space.scale
         return cls(encoded, space, frame_ids[sample], weights.select(sample), points)
 
@@ -167,7 +167,7 @@ class CrossValidation:
             squares += [
                 float(np.square(actual - expected).sum(axis=1).mean()),
                 float(np.square(strain).mean()) if len(strain) else 0.0,
-                float(np.square(wrap(angles - expected_angles)).mean()) if len(angles) else 0.0,
+                float(np.square(wrap_angles(angles - expected_angles)).mean()) if len(angles) else 0.0,
             ]
         return np.sqrt(squares / len(points))
 

@@ -14,7 +14,14 @@ from mixseq.errors import SettingsError
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.parallel import Executor, serially
 from mixseq.runtime.progress import Progress, Stages, silent
-from mixseq.segmentation.joints import Observed, Watched, decompose, frames_to_look_at, gather, observe
+from mixseq.segmentation.joints import (
+    PartMotion,
+    PartShapes,
+    decompose,
+    join_part_motion,
+    measure_part_motion,
+    sample_frame_ids,
+)
 from mixseq.segmentation.methods import Segmentation, chosen, segment, segment_by_labels
 from mixseq.sequence.sequence import FrameStore, MeshSequence, blocks_of, bounding_diagonal
 from mixseq.shells.gauss_newton import ShellSettings
@@ -145,7 +152,7 @@ def segment_faces(
     if not (parts is None or isinstance(parts, int | np.integer)):
         return segment_by_labels(parts, topology)
     name, details = chosen(settings.segmentation)
-    some = points[frames_to_look_at(len(points), details.frames)]
+    some = points[sample_frame_ids(len(points), details.frames)]
     return segment(some, topology, name, None if parts is None else int(parts), details)
 
 
@@ -157,13 +164,15 @@ def _make_mixed_space(
     stages.at(0)(0, 1, "finding parts")
     topology = Topology(header.faces, header.vertex_count)
     labels = segment_faces(frames, settings, topology)
-    watched = Watched.of(topology, labels, points[frames_to_look_at(len(points))])
-    observed = gather(_with_progress(workers(observe, watched, blocks_of(points)), len(points), stages.at(1)))
+    watched = PartShapes.from_labels(topology, labels, points[sample_frame_ids(len(points))])
+    observed = join_part_motion(
+        _with_progress(workers(measure_part_motion, watched, blocks_of(points)), len(points), stages.at(1))
+    )
     decomposition = decompose(topology, labels, settings.joint_width, observed)
     return mixed_space(points, topology, decomposition, settings.placement, settings.purpose, stages.at(2))
 
 
-def _with_progress(blocks: Iterator[Observed], frames: int, progress: Progress) -> Iterator[Observed]:
+def _with_progress(blocks: Iterator[PartMotion], frames: int, progress: Progress) -> Iterator[PartMotion]:
     done = 0
     for block in blocks:
         yield block

@@ -36,8 +36,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from mixseq.mesh.rotations import continued, inverse, normalised, powers, product
-from mixseq.types import Float, Index, evenly
+from mixseq.mesh.rotations import align_quat_signs, normalise_quat, quat_conjugate, quat_multiply, quat_power
+from mixseq.types import Float, Index, evenly_spaced
 
 EndCondition = Literal["natural", "not-a-knot"]
 """End conditions: zero second derivatives, or one cubic through the first two intervals and the last two."""
@@ -131,7 +131,7 @@ class TemporalOperator:
     def leave_one_out(self, cubic: bool = False) -> tuple[Index, FrameWeights]:
         """Return evenly spread inner frames ``(n,)``, and the weights of the other frames at their times."""
         inner = np.arange(1, len(self.times) - 1)
-        left_out = inner[evenly(len(inner), MAX_LEFT_OUT_FRAMES)]
+        left_out = inner[evenly_spaced(len(inner), MAX_LEFT_OUT_FRAMES)]
         size = min(WINDOW_FRAMES, len(self.times) - 1)
         starts = np.clip(left_out - size // 2, 0, len(self.times) - 1 - size)
         frame_ids = starts[:, None] + np.arange(size)
@@ -238,6 +238,6 @@ def chain_rotations(weights: FrameWeights, rotations: Float) -> Float:
         result[is_one] = current[is_one]  # all exponents before are one as well
         mask = ~is_one & (np.abs(exponent) >= EXPONENT_TOLERANCE)
         if mask.any():
-            step = product(inverse(previous[mask]), current[mask])
-            result[mask] = product(result[mask], powers(step, exponent[mask, None]))
-    return continued(normalised(result))
+            step = quat_multiply(quat_conjugate(previous[mask]), current[mask])
+            result[mask] = quat_multiply(result[mask], quat_power(step, exponent[mask, None]))
+    return align_quat_signs(normalise_quat(result))

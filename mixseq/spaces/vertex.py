@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mixseq.mesh.polygons import frozen
+from mixseq.mesh.polygons import read_only
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, silent
 from mixseq.spaces.base import ShapeMap, ShapeSpace, identity_map
@@ -35,7 +35,7 @@ class BasisSpace(ShapeSpace):
     name = "basis"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "basis", frozen(np.asarray(self.basis, dtype=np.float64, order="C")))
+        object.__setattr__(self, "basis", read_only(np.asarray(self.basis, dtype=np.float64, order="C")))
 
     @property
     def vertex_count(self) -> int:  # type: ignore[override]

@@ -1,9 +1,9 @@
-"""Meshes as a single self-contained page that plays without network or server.
+"""Export meshes as a single self-contained page that plays without network or server.
 
-Meshes are compressed as by `mixseq.compress`, and decoded by `mixseq.web`. Poses are shown at their times since each
-mesh's first one, and restart after the period, as in films (`mixseq.pictures.scene`).
+Meshes are compressed as by `mixseq.compress`, and decoded by `mixseq.web`. Poses are shown at their times since the
+first frame of each mesh, and start again after the period, as in films (`mixseq.pictures.scene`).
 
-A page is a small document that unpacks itself: its first stream, deflated, has style, body, decoder, scripts and
+A page is a small document that unpacks itself. Its first stream, deflated, holds style, body, decoder, scripts and
 description, separated by NUL; the others belong to the meshes. `mixseq.viewer.export_data` encodes them as text.
 """
 
@@ -32,13 +32,13 @@ from mixseq.types import Float
 from mixseq.version import __version__
 from mixseq.viewer.export_data import (
     BYTE_ORDER_MARK,
-    ENCODING,
-    Gathered,
+    PAGE_ENCODING,
     PageItem,
     PageItemReport,
-    as_text,
-    gather,
-    page_mesh,
+    PagePoses,
+    collect_poses,
+    encode_mesh,
+    encode_text,
 )
 from mixseq.web import bundled, minify
 
@@ -51,7 +51,7 @@ CHART_SCRIPTS = (
     "chart_coefficients.js",
     "charts.js",
 )
-"""Scripts of charts, in loading order."""
+"""Scripts of charts, in loading order; the first is needed by the player, too."""
 
 PLAYER_SCRIPTS = (
     "clock.js",
@@ -67,67 +67,67 @@ PLAYER_SCRIPTS = (
 """Scripts of the player of meshes."""
 
 POSE_SCRIPTS = ("normals.js", "topology.js", "measures.js", "poses.js")
-"""Scripts that decode streams to poses, with the decoder."""
+"""Scripts that decode streams to poses, besides the decoder."""
 
 
 @cache
-def script(name: str) -> str:
+def read_script(name: str) -> str:
     """Return a file of the folder ``page`` as text, such as ``"charts.js"``."""
     return files("mixseq.viewer").joinpath("page", name).read_text(encoding="utf-8")
 
 
 def chart_scripts() -> str:
-    """Return all scripts of editable charts as one text, for one script element."""
-    return "\n".join(map(script, (*CHART_SCRIPTS, "chart_retiming.js")))
+    """Return the scripts of editable charts as one text."""
+    return "\n".join(map(read_script, (*CHART_SCRIPTS, "chart_retiming.js")))
 
 
 def page_text(description: Mapping[str, Any], data: Sequence[bytes]) -> bytes:
-    """Return a page as bytes."""
-    charts = any(item["signals"] for item in description["items"])
-    parts = (
-        _plain(script("player.css")),
-        _plain(script("player.html")),
+    """Return the bytes of a page from the description and the data of its meshes."""
+    has_charts = any(item["signals"] for item in description["items"])
+    sections = (
+        _minify(read_script("player.css")),
+        _minify(read_script("player.html")),
         decoder_script(),
-        page_scripts(charts),
+        page_scripts(has_charts),
         json.dumps(description, ensure_ascii=False, allow_nan=False, separators=(",", ":")),
     )
-    code = zlib.compress("\0".join(parts).encode(), 9)
-    title, loader = escape(description["title"]), minify(script("loader.js"))
-    shell = _plain(script("page.html")).replace("<title>mixseq</title>", f"<title>{title}</title>")
-    before, after = shell.replace('<script src="loader.js"></script>', f"<script>{loader}</script>").split(
-        _DATA
+    code = zlib.compress("\0".join(sections).encode(), 9)
+    title, loader = escape(description["title"]), minify(read_script("loader.js"))
+    document = _minify(read_script("page.html")).replace("<title>mixseq</title>", f"<title>{title}</title>")
+    before, after = document.replace('<script src="loader.js"></script>', f"<script>{loader}</script>").split(
+        _DATA_PLACEHOLDER
     )
-    elements = [_element(each) for each in (code, *data)]
-    return BYTE_ORDER_MARK + b"".join([before.encode(ENCODING), *elements, after.encode(ENCODING)])
+    elements = [_data_element(stream) for stream in (code, *data)]
+    return BYTE_ORDER_MARK + b"".join([before.encode(PAGE_ENCODING), *elements, after.encode(PAGE_ENCODING)])
 
 
 @cache
 def decoder_script() -> str:
-    """Return the script that decodes streams to poses, for a worker or a script element."""
+    """Return the script that decodes streams to poses, in a worker or in the page."""
     decoder = re.sub(r"^export const ?{.*}=(\w+);$", r"return \1;", bundled(), flags=re.MULTILINE)
     return f"var mixseqDecoder = (() => {{\n{decoder}}})();\n" + "".join(
-        minify(script(name)) for name in POSE_SCRIPTS
+        minify(read_script(name)) for name in POSE_SCRIPTS
     )
 
 
 @cache
-def page_scripts(charts: bool) -> str:
-    """Return the scripts of a page, with charts or without."""
-    names = (*CHART_SCRIPTS[: None if charts else 1], *PLAYER_SCRIPTS)
-    return "".join(minify(script(name)) for name in names)
+def page_scripts(has_charts: bool) -> str:
+    """Return the scripts of a page, with or without charts."""
+    names = (*CHART_SCRIPTS[: None if has_charts else 1], *PLAYER_SCRIPTS)
+    return "".join(minify(read_script(name)) for name in names)
 
 
-_DATA = "<!-- data -->"
+_DATA_PLACEHOLDER = "<!-- data -->"
 
 
-def _plain(text: str) -> str:
-    """Return HTML or CSS without indentation and comments, except for the place of the data."""
+def _minify(text: str) -> str:
+    """Return HTML or CSS without indentation and comments, except for the placeholder of the data."""
     return re.sub(r"\n\s*", "\n", re.sub(r"<!--(?! data).*?-->|/\*.*?\*/", "", text))
 
 
-def _element(data: bytes) -> bytes:
+def _data_element(data: bytes) -> bytes:
     opened, closed = f'<script type="text/plain" data-size="{len(data)}">', "</script>\n"
-    return opened.encode(ENCODING) + as_text(data) + closed.encode(ENCODING)
+    return opened.encode(PAGE_ENCODING) + encode_text(data) + closed.encode(PAGE_ENCODING)
 
 
 def script_json(value: Any) -> str:
@@ -135,22 +135,23 @@ def script_json(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
 
 
-MOST_FRAMES = 20_000
-"""Largest number of frames, to catch wrong rates."""
+MAX_PAGE_FRAMES = 20_000
+"""Limit that catches wrong frame rates."""
 
 
 @dataclass(frozen=True)
 class ExportSettings:
-    """The settings of a page."""
+    """Settings of a page."""
 
     fps: float | None = None  # poses per second, by default those of the meshes
     every: int = 1  # step between stored poses; the page interpolates linearly
-    # Bound of vertex errors, in diagonals of the first pose; compressed meshes keep their own.
-    max_error: float = 1e-3
-    overlaid: bool = False  # whether the meshes initially stand in one place, instead of side by side
-    title: str | None = None  # title of the page, by default the names
+    max_error: float = (
+        1e-3  # bound of vertex errors, in diagonals of the first pose, unless already compressed
+    )
+    overlaid: bool = False  # whether meshes are initially overlaid, instead of side by side
+    title: str | None = None  # title of the page, by default the names of the meshes
     camera: tuple[float, float] | None = None  # initial view, see `mixseq.pictures.scene.resolve_view`
-    following: bool = False  # whether bodies that travel initially stay in the middle
+    following: bool = False  # whether the camera initially follows bodies that travel
 
     def __post_init__(self) -> None:
         for name, value in (("fps", self.fps), ("max_error", self.max_error)):
@@ -158,7 +159,7 @@ class ExportSettings:
                 raise SettingsError(f"{name} is {value}; a positive number is expected")
         if self.every < 1:
             raise SettingsError(
-                f"every {self.every} frames are wanted; give 1 for all of them, 2 for every other one"
+                f"every {self.every} frames cannot be stored; give 1 for all frames, 2 for every other one"
             )
 
 
@@ -167,7 +168,7 @@ class ExportReport:
     """Report on a page."""
 
     size: int  # bytes of the file
-    items: tuple[PageItemReport, ...]  # its meshes
+    items: tuple[PageItemReport, ...]  # reports on the meshes
 
 
 def export_page(
@@ -177,27 +178,27 @@ def export_page(
     progress: Progress = silent,
     workers: Executor | None = None,
 ) -> ExportReport:
-    """Write a page that plays meshes; equal input gives equal bytes, and poses are read once into a temporary array."""
-    chosen = settings or ExportSettings()
+    """Write a page that plays meshes; equal input gives equal bytes."""
+    settings = settings or ExportSettings()
     if not items:
-        raise SettingsError("there is nothing to show; give a sequence or a model")
-    times = [_times(item, chosen) for item in items]
+        raise SettingsError("there is no mesh to show; give a sequence or a model")
+    times = [_times(item, settings) for item in items]
     tops = _tops(items)
     stages = Stages(progress, 2 * len(items), 100)
-    first: tuple[SequenceHeader, Gathered] | None = None
+    first: tuple[SequenceHeader, PagePoses] | None = None
     meshes = []
-    for number, (each, elapsed) in enumerate(zip(items, times, strict=True)):
-        gathered = gather(each.mesh, elapsed, first, stages.at(2 * number), workers, chosen.camera)
-        first = first or (each.mesh.header, gathered)
-        compressing = stages.at(2 * number + 1)
-        meshes.append(page_mesh(each, elapsed, gathered, tops, chosen.max_error, compressing))
-        compressing(1, 1, "compressing")
+    for number, (item, elapsed) in enumerate(zip(items, times, strict=True)):
+        page_poses = collect_poses(item.mesh, elapsed, first, stages.at(2 * number), workers, settings.camera)
+        first = first or (item.mesh.header, page_poses)
+        stage = stages.at(2 * number + 1)
+        meshes.append(encode_mesh(item, elapsed, page_poses, tops, settings.max_error, stage))
+        stage(1, 1, "compressing")
     descriptions, data, reports = zip(*meshes, strict=True)
     description = {
-        "title": chosen.title or ", ".join(each.mesh.name for each in items),
+        "title": settings.title or ", ".join(item.mesh.name for item in items),
         "version": __version__,
-        "overlaid": chosen.overlaid,
-        "following": chosen.following,
+        "overlaid": settings.overlaid,
+        "following": settings.following,
         "period": _period(items, times),
         "items": descriptions,
     }
@@ -207,44 +208,46 @@ def export_page(
 
 
 def _times(item: PageItem, settings: ExportSettings) -> Float:
-    """Return the times ``(n,)`` of stored poses."""
+    """Return the elapsed times ``(n,)`` of stored poses."""
     elapsed = np.asarray(item.mesh.elapsed, dtype=np.float64).reshape(-1)
     if not (elapsed.size and np.isfinite(elapsed).all() and elapsed[0] >= 0 and (np.diff(elapsed) > 0).all()):
-        raise SettingsError(f"the times of {item.mesh.name} are not numbers from zero on that increase")
+        raise SettingsError(
+            f"the times of {item.mesh.name} do not increase from zero; give it regular frame times"
+        )
     if not item.colourings:
-        raise SettingsError(f"{item.mesh.name} has no colours; clay at least is needed")
+        raise SettingsError(f"{item.mesh.name} has no colouring; give it one, such as clay")
     if settings.fps is not None:
         rate = exact_rate(settings.fps)
-        # the last one may be missed by what rounding does to times
+        # the tolerance keeps the last frame despite rounding
         count = np.floor(elapsed[-1] * rate + 1e-6) + 1
         _check_count(item, count)
         elapsed = np.minimum(np.arange(int(count)) / rate, elapsed[-1])
-    chosen = elapsed[:: settings.every]
-    _check_count(item, len(chosen))
-    return np.asarray(chosen)
+    stored = elapsed[:: settings.every]
+    _check_count(item, len(stored))
+    return np.asarray(stored)
 
 
 def _check_count(item: PageItem, count: float) -> None:
-    if count > MOST_FRAMES:
+    if count > MAX_PAGE_FRAMES:
         raise SettingsError(
-            f"{item.mesh.name} would have {count:,.0f} frames, a page has at most {MOST_FRAMES:,}; give a lower "
+            f"{item.mesh.name} would have {count:,.0f} frames, a page at most {MAX_PAGE_FRAMES:,}; give a lower "
             "--fps, or --every 2"
         )
 
 
 def _period(items: Sequence[PageItem], times: Sequence[Float]) -> float:
-    """Return the period in seconds: that of the longest mesh, and one frame; 0 if nothing moves."""
+    """Return the period in seconds, that of the longest mesh and one frame; 0 if nothing moves."""
     return max(
-        float(each.mesh.elapsed[-1]) + 1 / each.mesh.header.fps if len(elapsed) > 1 else 0.0
-        for each, elapsed in zip(items, times, strict=True)
+        float(item.mesh.elapsed[-1]) + 1 / item.mesh.header.fps if len(elapsed) > 1 else 0.0
+        for item, elapsed in zip(items, times, strict=True)
     )
 
 
 def _tops(items: Sequence[PageItem]) -> dict[str, float]:
-    """Return the end of the scale of each colouring, common to all meshes."""
+    """Return the common end of the scale of each colouring."""
     tops: dict[str, float] = {}
     for item in items:
         for name, colouring in item.colourings.items():
-            if not colouring.constant:
+            if not colouring.is_constant:
                 tops[name] = max(tops.get(name, 0.0), colouring.top)
     return tops

@@ -1,14 +1,14 @@
-"""The data of meshes in a page: their poses and extents, compressed streams, stored colours, and binary data as text.
+"""Encode the meshes of a page: poses and extents, compressed streams, stored colours, and binary data as text.
 
 A page is UTF-16 with a byte order mark, which overrides a server's encoding. Two bytes, the lower one first, are one
-code unit. Units that the text of a script element cannot hold (NUL, carriage return, ``<``, surrogates) and U+0001 are
-written as U+0001 and a unit with the highest bit flipped. This adds 3 % to typical bytes; base64 in UTF-8 adds 33 %, 7
-bits a character 14 %. ``page/loader.js`` decodes it.
+code unit. Units that the text of a script element cannot hold (NUL, carriage return, ``<``, surrogates), and U+0001,
+are escaped as U+0001 followed by the unit with its highest bit flipped. This adds 3 % to typical data; base64 in UTF-8
+adds 33 %. ``page/loader.js`` decodes it.
 
-Vertices are numbered for the smallest size, and texture coordinates and other undrawn data are left out. The page
-computes strain and curvature; parts and errors are stored as palette entries. Of rows :math:`q_{tj}` of bytes, a row
-per frame, the page has :math:`s_{tj} = d_{tj} - d_{t,j-1}` with :math:`d_{tj} = q_{tj} - q_{t-1,j}` and zeros before
-the first row and column, modulo 256, deflated (RFC 1950), which browsers decode.
+Vertices are numbered for the smallest size; texture coordinates and other data that is not drawn are left out. The page
+computes strain and curvature, while parts and errors are stored as palette entries. Rows :math:`q_{tj}` of bytes, one
+per frame, are stored as :math:`s_{tj} = d_{tj} - d_{t,j-1}` with :math:`d_{tj} = q_{tj} - q_{t-1,j}` modulo 256, with
+zeros before the first row and column, and deflated (RFC 1950).
 """
 
 from __future__ import annotations
@@ -35,85 +35,79 @@ from mixseq.runtime.progress import Progress, silent
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import LazyFrames, blocks_of, check_block
 from mixseq.types import Float, FloatArray, Index
-from mixseq.viewer.session import signals_of
+from mixseq.viewer.session import chart_data
 from mixseq_io.coded.packing import pack
 
-ENCODING = "utf-16-le"
-"""Encoding of pages."""
-
+PAGE_ENCODING = "utf-16-le"
 BYTE_ORDER_MARK = codecs.BOM_UTF16_LE
-"""First character of pages."""
-
-ESCAPE = 1
-"""The unit before those with a flipped highest bit."""
-
-_UNFIT = np.array([0, ord("\r"), ord("<"), ESCAPE])
-_HALVES = 0xD800, 0xDFFF
+ESCAPE_UNIT = 1
+_FORBIDDEN_UNITS = np.array([0, ord("\r"), ord("<"), ESCAPE_UNIT])
+_MIN_SURROGATE, _MAX_SURROGATE = 0xD800, 0xDFFF
 
 
-def as_text(data: bytes) -> bytes:
-    """Return bytes as UTF-16 text of a script element; an odd number is padded by a zero."""
+def encode_text(data: bytes) -> bytes:
+    """Encode bytes as UTF-16 text of a script element; an odd number is padded with a zero."""
     units = np.frombuffer(data + bytes(len(data) % 2), "<u2")
-    unfit = np.isin(units, _UNFIT) | ((units >= _HALVES[0]) & (units <= _HALVES[1]))
-    text = np.repeat(units, 1 + unfit)
-    seconds = np.cumsum(1 + unfit)[unfit] - 1
-    text[seconds - 1] = ESCAPE
-    text[seconds] ^= 0x8000
+    is_surrogate = (units >= _MIN_SURROGATE) & (units <= _MAX_SURROGATE)
+    is_escaped = np.isin(units, _FORBIDDEN_UNITS) | is_surrogate
+    text = np.repeat(units, 1 + is_escaped)
+    escaped_ids = np.cumsum(1 + is_escaped)[is_escaped] - 1
+    text[escaped_ids - 1] = ESCAPE_UNIT
+    text[escaped_ids] ^= 0x8000
     return text.tobytes()
 
 
-def deflated_rows(rows: Iterable[NDArray[np.uint8]]) -> bytes:
-    """Return rows ``(V,)`` of bytes, joined and deflated."""
-    deflate, parts = zlib.compressobj(9), []
-    before = np.zeros(1, np.uint8)
+def deflate_rows(rows: Iterable[NDArray[np.uint8]]) -> bytes:
+    """Predict rows ``(V,)`` of bytes from the row and column before, and deflate the differences."""
+    deflate, chunks = zlib.compressobj(9), []
+    previous = np.zeros(1, np.uint8)
     for row in rows:
-        steps = row - before
-        parts.append(deflate.compress(np.diff(steps, prepend=np.uint8(0)).tobytes()))
-        before = row
-    return b"".join([*parts, deflate.flush()])
+        changes = row - previous
+        chunks.append(deflate.compress(np.diff(changes, prepend=np.uint8(0)).tobytes()))
+        previous = row
+    return b"".join([*chunks, deflate.flush()])
 
 
-TOGETHER = 2.0
-"""Ratio of joint to smaller box up to which meshes have one scale: metres beside centimetres would be a dot."""
+MAX_COMMON_SIZE_RATIO = 2.0
+"""Size of both meshes relative to the smaller one up to which they share a scale, so that none is only a dot."""
 
 
 @dataclass(frozen=True, eq=False)
 class PageItem:
-    """A mesh in a page, with the poses of its own frames."""
+    """A mesh of a page, with the poses of its own frames."""
 
     mesh: SceneItem  # the moving mesh
     colourings: Mapping[str, Colouring]  # available colourings, the initial one first
-    # The signals of a model, for its charts (mixseq.viewer.session.signals_of).
-    signals: Mapping[str, Any] | None = None
-    coded: CompressedSequence | None = None  # the compressed mesh, if there is one
+    signals: Mapping[str, Any] | None = None  # of a model: chart data (mixseq.viewer.session.chart_data)
+    compressed: CompressedSequence | None = None  # the mesh as it was opened, if it was compressed
 
 
 def page_items(
-    colours: SceneColours, coded: Sequence[CompressedSequence | None] | None = None
+    colours: SceneColours, compressed: Sequence[CompressedSequence | None] | None = None
 ) -> list[PageItem]:
-    """Return the meshes of a scene with all their colourings, and the charts of models."""
+    """Return the meshes of a scene with all their colourings, and the chart data of models."""
     items = colours.scene.items
     return [
         PageItem(
-            item, colours.each(index), None if item.model is None else signals_of(item.model), compressed
+            item, colours.of_mesh(index), None if item.model is None else chart_data(item.model), sequence
         )
-        for index, (item, compressed) in enumerate(zip(items, coded or [None] * len(items), strict=True))
+        for index, (item, sequence) in enumerate(zip(items, compressed or [None] * len(items), strict=True))
     ]
 
 
 @dataclass(frozen=True, eq=False)
 class Extent:
-    """The extent of a mesh over all poses, Y up."""
+    """Bounds of a mesh over all poses, Y up."""
 
     low: Float  # (3,) minimum corner of its bounding box
     high: Float  # (3,) maximum corner of its bounding box
-    # (views, 5) left, right, bottom and top on the screen of each view, whose middle is the origin of space, and the
-    # bottom of what is at height zero below the mesh.
-    seen: Float
+    # (views, 5) left, right, bottom and top on the screen of each view, with the origin of space in its centre, and the
+    # bottom of the mesh's projection to height zero.
+    screen: Float
 
     @property
     def centre(self) -> Float:
-        """Middle of the bounding box."""
+        """Centre ``(3,)`` of the bounding box."""
         return np.asarray((self.low + self.high) / 2)
 
     @property
@@ -121,191 +115,189 @@ class Extent:
         """Longest side of the bounding box."""
         return float((self.high - self.low).max())
 
-    def joined(self, other: Extent | None) -> Extent:
-        """Return the extent of both."""
+    def union(self, other: Extent | None) -> Extent:
+        """Return the bounds of both extents."""
         if other is None:
             return self
         low, high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
-        nearer, farther = np.minimum(self.seen, other.seen), np.maximum(self.seen, other.seen)
-        return Extent(low, high, np.where([True, False, True, False, True], nearer, farther))
+        minima, maxima = np.minimum(self.screen, other.screen), np.maximum(self.screen, other.screen)
+        return Extent(low, high, np.where([True, False, True, False, True], minima, maxima))
 
     def rectangles(self, views: Sequence[View]) -> Float:
-        """Return left, right, bottom and top ``(views, 4)`` of the mesh and of its shadow on the ground."""
+        """Return screen rectangles ``(views, 4)`` around the mesh and its shadow on the ground."""
         floors = [
-            view.rotation[1, 1] * self.low[1] + seen[4] for view, seen in zip(views, self.seen, strict=True)
+            view.rotation[1, 1] * self.low[1] + row[4] for view, row in zip(views, self.screen, strict=True)
         ]
-        left, right, bottom, top, _ = self.seen.T
+        left, right, bottom, top, _ = self.screen.T
         return np.stack([left, right, np.minimum(bottom, floors), top], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
-class Gathered:
-    """The poses of a mesh."""
+class PagePoses:
+    """Poses of a mesh of a page."""
 
-    poses: LargeArray  # (n, V, 3) as they were given
+    poses: LargeArray  # (n, V, 3) points, in the precision of the item
     still: Extent  # extent in space, in both views
-    following: Extent  # extent relative to the mean of the vertices, on the ground, in both views
-    views: tuple[View, View]  # (View, View) their own view, and that of the first mesh of the page
-    # Whether they are seen as the first mesh is: they have its triangles, and about its place and size.
-    like_first: bool
+    following: Extent  # extent relative to the mean of the vertices along the ground, in both views
+    views: tuple[View, View]  # the mesh's own view, and that of the first mesh of the page
+    like_first: bool  # whether it has the triangles and about the size and position of the first mesh
 
 
-def gather(
+def collect_poses(
     item: SceneItem,
     elapsed: Float,
-    first: tuple[SequenceHeader, Gathered] | None,
+    first: tuple[SequenceHeader, PagePoses] | None,
     progress: Progress = silent,
     workers: Executor | None = None,
     camera: tuple[float, float] | None = None,
-) -> Gathered:
-    """Read the poses at times `elapsed` ``(n,)`` once; `first` are those of the page's first mesh, None for itself."""
+) -> PagePoses:
+    """Read the poses at elapsed times ``(n,)``; `first` is the first mesh of the page, None for itself."""
     header = item.header
-    same = first is None or np.array_equal(header.faces, first[0].faces)
+    has_same_faces = first is None or np.array_equal(header.faces, first[0].faces)
     views: tuple[View, View] | None = None
-    table: LargeArray | None = None
+    poses: LargeArray | None = None
     still: Extent | None = None
     following: Extent | None = None
-    done = 0
+    count = 0
     for block in item.poses(elapsed, workers):
-        check_block(header, block, done)
-        if done + len(block) > len(elapsed):
-            raise InvalidSequenceError(f"{item.name} has more poses than the {len(elapsed)} times asked for")
-        if table is None or views is None:
-            table = new_large_array((len(elapsed), header.vertex_count, 3), block.dtype)
-            if first and same:
+        check_block(header, block, count)
+        if count + len(block) > len(elapsed):
+            raise InvalidSequenceError(f"{item.name} has more poses than its {len(elapsed)} times")
+        if poses is None or views is None:
+            poses = new_large_array((len(elapsed), header.vertex_count, 3), block.dtype)
+            if first and has_same_faces:
                 own = first[1].views[0]
             else:
                 end = next(item.poses(elapsed[-1:]))[-1]
                 own = resolve_view(np.stack([block[0], end]), header.up_axis, camera)
             views = own, first[1].views[0] if first else own
-        table[done : done + len(block)] = block
-        done += len(block)
+        poses[count : count + len(block)] = block
+        count += len(block)
         world = to_y_up(block, header.up_axis)
-        still = extent_of(world, views).joined(still)
+        still = measure_extent(world, views).union(still)
         path = world.mean(axis=1, keepdims=True, dtype=np.float64) * [1, 0, 1]
-        following = extent_of(world - path, views).joined(following)
-        progress(done, len(elapsed), "decoding frames")
-    if table is None or still is None or following is None or views is None or done < len(elapsed):
-        raise InvalidSequenceError(f"{item.name} has {done} poses but {len(elapsed)} times were asked for")
-    like_first = same and (first is None or _together(still, first[1].still))
-    return Gathered(table, still, following, views, like_first)
+        following = measure_extent(world - path, views).union(following)
+        progress(count, len(elapsed), "decoding frames")
+    if poses is None or still is None or following is None or views is None or count < len(elapsed):
+        raise InvalidSequenceError(f"{item.name} has {count} poses, but {len(elapsed)} times")
+    like_first = has_same_faces and (first is None or _share_scale(still, first[1].still))
+    return PagePoses(poses, still, following, views, like_first)
 
 
-def extent_of(world: FloatArray, views: Sequence[View]) -> Extent:
-    """Return the extent of poses ``(B, V, 3)``, Y up, in some views."""
-    seen = []
+def measure_extent(world: FloatArray, views: Sequence[View]) -> Extent:
+    """Return the extent of poses ``(B, V, 3)``, Y up, in given views."""
+    rows = []
     for view in views:
         right, up, _ = view.rotation
-        # sums in a fixed order: a page has the same bytes on every machine
+        # summed in a fixed order, for the same page on every machine
         x, y, z = world[..., 0], world[..., 1], world[..., 2]
-        across, flat = x * right[0] + z * right[2], x * up[0] + z * up[2]
-        above = flat + y * up[1]
-        seen.append([across.min(), across.max(), above.min(), above.max(), flat.min()])
-    return Extent(world.min(axis=(0, 1)), world.max(axis=(0, 1)), np.array(seen))
+        horizontal, projected = x * right[0] + z * right[2], x * up[0] + z * up[2]
+        vertical = projected + y * up[1]
+        rows.append([horizontal.min(), horizontal.max(), vertical.min(), vertical.max(), projected.min()])
+    return Extent(world.min(axis=(0, 1)), world.max(axis=(0, 1)), np.array(rows))
 
 
-def _together(one: Extent, other: Extent) -> bool:
-    """Whether both are large enough in a common picture."""
-    return one.joined(other).side <= TOGETHER * min(one.side, other.side)
+def _share_scale(one: Extent, other: Extent) -> bool:
+    """Whether both meshes are large enough in a common picture."""
+    return one.union(other).side <= MAX_COMMON_SIZE_RATIO * min(one.side, other.side)
 
 
-STOP = 15
-"""Step between stored colours of a palette of 256; the page interpolates between them."""
+PALETTE_STEP = 15
+"""Step between stored colours of a measured palette; the page interpolates the others."""
 
-DIGITS = 5
-"""Digits of places relative to the side of a mesh's box, the resolution of a screen."""
+EXTENT_DIGITS = 5
+"""Significant digits of extents, enough for the resolution of a screen."""
 
 
 @dataclass(frozen=True)
 class PageItemReport:
-    """Report on a mesh in a page."""
+    """Report on a mesh of a page."""
 
-    name: str  # what stands above it
-    frames: int  # its poses
-    # No vertex is farther from where it was, in diagonals of the bounding box of the first pose.
-    max_error: float
-    error: float  # the same in units of the mesh
-    positions: int  # size of its mesh and motion in bytes, before conversion to text
-    colours: int  # size of its colours in bytes, before conversion to text
+    name: str  # name above the mesh
+    frames: int  # number of poses
+    max_error: float  # bound of vertex errors, in diagonals of the first pose
+    error: float  # the same bound in units of the mesh
+    positions: int  # bytes of mesh and motion, before encoding as text
+    colours: int  # bytes of colours, before encoding as text
 
 
-def page_mesh(
-    shown: PageItem,
+def encode_mesh(
+    item: PageItem,
     elapsed: Float,
-    gathered: Gathered,
+    page_poses: PagePoses,
     tops: Mapping[str, float],
     max_error: float,
     progress: Progress = silent,
 ) -> tuple[dict[str, Any], list[bytes], PageItemReport]:
-    """Compress poses at `elapsed` ``(n,)`` within `max_error` diagonals; `tops` are ends of colour scales.
+    """Compress the poses at elapsed times ``(n,)`` within `max_error` diagonals; `tops` are the ends of colour scales.
 
-    Returns the description for the page, ready for JSON, and its data: the streams, and colours that are stored.
+    Returns the description for the page, ready for JSON, its data (streams and stored colours), and a report.
     """
-    header = shown.mesh.header
-    if shown.coded is None:
-        centre = gathered.poses[:1][0].mean(axis=0, dtype=np.float64)
-        coded, vertices = _compressed(header, elapsed, gathered, centre, max_error, progress)
+    header = item.mesh.header
+    if item.compressed is None:
+        centre = page_poses.poses[:1][0].mean(axis=0, dtype=np.float64)
+        compressed, vertices = _compress_poses(header, elapsed, page_poses, centre, max_error, progress)
     else:
         centre, vertices = np.zeros(3), np.arange(header.vertex_count)
-        bare = replace(shown.coded.header, surface=Surface(), name="")
-        without_uvs = replace(shown.coded.parameters, uv_steps=None, uv_error=None)
-        coded = replace(shown.coded, header=bare, parameters=without_uvs)
-    container = pack(coded)
+        geometry_header = replace(item.compressed.header, surface=Surface(), name="")
+        without_uvs = replace(item.compressed.parameters, uv_steps=None, uv_error=None)
+        compressed = replace(item.compressed, header=geometry_header, parameters=without_uvs)
+    container = pack(compressed)
     colourings: list[dict[str, Any]] = []
     stored: list[bytes] = []
-    for name, colouring in shown.colourings.items():
-        description, data = _colours(colouring, tops.get(name, 1.0), elapsed, gathered, vertices)
+    for name, colouring in item.colourings.items():
+        description, data = _describe_colouring(colouring, tops.get(name, 1.0), elapsed, page_poses, vertices)
         colourings.append(description if data is None else {**description, "data": 1 + len(stored)})
         stored += [] if data is None else [data]
-    parameters, own = coded.parameters, _own_times(coded.header, elapsed)
+    parameters, has_frame_times = compressed.parameters, _has_frame_times(compressed.header, elapsed)
     error = parameters.max_error * parameters.diagonal
     description = {
-        "name": shown.mesh.name,
+        "name": item.mesh.name,
         "coding": container.text.decode("ascii"),
-        "times": None if own else np.round(elapsed, 9).tolist(),
+        "times": None if has_frame_times else np.round(elapsed, 9).tolist(),
         "start": float(header.times[0]),
         "fps": header.fps,
         "centre": to_y_up(centre, header.up_axis).tolist(),
-        "likeFirst": gathered.like_first,
-        "azimuth": gathered.views[0].azimuth,
-        "elevation": gathered.views[0].elevation,
-        "still": _extent(gathered.still, gathered),
-        "following": _extent(gathered.following, gathered),
+        "likeFirst": page_poses.like_first,
+        "azimuth": page_poses.views[0].azimuth,
+        "elevation": page_poses.views[0].elevation,
+        "still": _describe_extent(page_poses.still, page_poses),
+        "following": _describe_extent(page_poses.following, page_poses),
         "error": float(f"{error:.3g}"),
         "colourings": colourings,
-        "signals": shown.signals,
+        "signals": item.signals,
     }
     sizes = len(container.streams), sum(map(len, stored))
-    report = PageItemReport(shown.mesh.name, len(elapsed), parameters.max_error, error, *sizes)
+    report = PageItemReport(item.mesh.name, len(elapsed), parameters.max_error, error, *sizes)
     return description, [container.streams, *stored], report
 
 
-def _compressed(
+def _compress_poses(
     header: SequenceHeader,
     elapsed: Float,
-    gathered: Gathered,
+    page_poses: PagePoses,
     centre: Float,
     max_error: float,
     progress: Progress,
 ) -> tuple[CompressedSequence, Index]:
-    """Return compressed poses, and the original index of every vertex."""
-    regular, rate = _regular(elapsed, header.fps)
-    plain = replace(header.with_times(regular, rate), surface=Surface(), name="")
-    numbering = cheapest_numbering(plain, "free")
+    """Return the compressed poses, and the original index of each vertex."""
+    times, rate = _regular_times(elapsed, header.fps)
+    geometry_header = replace(header.with_times(times, rate), surface=Surface(), name="")
+    numbering = cheapest_numbering(geometry_header, "free")
     # Around the origin, as the page computes in single precision.
     centred = LazyFrames(
-        plain,
+        geometry_header,
         lambda size: (
-            gathered.poses[start : start + size].astype(np.float64) - centre
-            for start in range(0, plain.frame_count, size)
+            page_poses.poses[start : start + size].astype(np.float64) - centre
+            for start in range(0, geometry_header.frame_count, size)
         ),
     )
     frames = numbering.renumber_frames(centred)
     return compress(frames, max_error=max_error, progress=progress, uvs=False), numbering.vertices
 
 
-def _regular(elapsed: Float, fps: float) -> tuple[Float, float]:
-    """Return times at a constant rate, which take no bytes, if they have one; else unchanged."""
+def _regular_times(elapsed: Float, fps: float) -> tuple[Float, float]:
+    """Return exactly regular times, which take no bytes, and their rate, if times ``(n,)`` are nearly regular."""
     if len(elapsed) > 1:
         rate = (len(elapsed) - 1) / float(elapsed[-1])
         times = np.arange(len(elapsed)) / rate
@@ -314,40 +306,38 @@ def _regular(elapsed: Float, fps: float) -> tuple[Float, float]:
     return elapsed, fps
 
 
-def _own_times(header: SequenceHeader, elapsed: Float) -> bool:
-    """Whether the poses of a page are the frames of the compressed sequence."""
-    own = header.times - header.times[0]
-    return len(own) == len(elapsed) and np.allclose(own, elapsed, rtol=0, atol=1e-6 / header.fps)
+def _has_frame_times(header: SequenceHeader, elapsed: Float) -> bool:
+    """Whether elapsed times ``(n,)`` are those of the frames of a compressed sequence."""
+    frame_times = header.times - header.times[0]
+    tolerance = 1e-6 / header.fps
+    return len(frame_times) == len(elapsed) and np.allclose(frame_times, elapsed, rtol=0, atol=tolerance)
 
 
-def _extent(extent: Extent, gathered: Gathered) -> dict[str, Any]:
-    digits = DIGITS - int(np.ceil(np.log10(extent.side or 1.0)))
-    low, high, seen = (
-        np.round(each, digits).tolist()
-        for each in (extent.low, extent.high, extent.rectangles(gathered.views))
+def _describe_extent(extent: Extent, page_poses: PagePoses) -> dict[str, Any]:
+    digits = EXTENT_DIGITS - int(np.ceil(np.log10(extent.side or 1.0)))
+    low, high, screen = (
+        np.round(values, digits).tolist()
+        for values in (extent.low, extent.high, extent.rectangles(page_poses.views))
     )
-    return {"low": low, "high": high, "seen": seen}
+    return {"low": low, "high": high, "seen": screen}
 
 
-# Colours --------------------------------------------------------------------------------------------------
-
-
-def _colours(
-    colouring: Colouring, top: float, elapsed: Float, gathered: Gathered, vertices: Index
+def _describe_colouring(
+    colouring: Colouring, top: float, elapsed: Float, page_poses: PagePoses, vertices: Index
 ) -> tuple[dict[str, Any], bytes | None]:
-    """Return the description of a colouring for a page, and its stored data."""
-    if not colouring.constant:
-        palette = colouring.palette[::STOP]
-        scaled = {"name": colouring.name, "palette": palette.tolist(), "top": top, "unit": colouring.unit}
+    """Return the description of a colouring for a page, and its stored data, if any."""
+    if not colouring.is_constant:
+        palette = colouring.palette[::PALETTE_STEP]
+        measured = {"name": colouring.name, "palette": palette.tolist(), "top": top, "unit": colouring.unit}
         if colouring.name in MEASURES:
-            return scaled, None
-        ending = colouring.scaled(top)
-        poses = (pose for block in blocks_of(gathered.poses) for pose in block)
+            return measured, None
+        scaled = colouring.with_top(top)
+        poses = (pose for block in blocks_of(page_poses.poses) for pose in block)
         times = elapsed.tolist()
-        entries = (ending.indices(pose, time) for pose, time in zip(poses, times, strict=True))
-        return scaled, deflated_rows(each[vertices] for each in entries)
-    used, places = np.unique(colouring.indices(gathered.poses[:1][0], 0.0), return_inverse=True)
-    fixed = {"name": colouring.name, "palette": colouring.palette[used].tolist()}
+        entries = (scaled.entries(pose, time) for pose, time in zip(poses, times, strict=True))
+        return measured, deflate_rows(row[vertices] for row in entries)
+    used, entry_of_vertex = np.unique(colouring.entries(page_poses.poses[:1][0], 0.0), return_inverse=True)
+    constant = {"name": colouring.name, "palette": colouring.palette[used].tolist()}
     if len(used) == 1:
-        return fixed, None
-    return fixed, deflated_rows([places.astype(np.uint8)[vertices]])
+        return constant, None
+    return constant, deflate_rows([entry_of_vertex.astype(np.uint8)[vertices]])

@@ -1,7 +1,6 @@
-"""Session of setting markers of two meshes: pairs, undo, proposals, and results of a background thread.
+"""Set markers of two meshes: pairs of vertices, undo history, proposals, and background jobs.
 
-Slow work is queued in the background: suggestions, mirror symmetry of both bodies, and the examination of the current
-pairs.
+Background jobs suggest markers, find the mirror symmetry of both bodies, and examine the current pairs.
 """
 
 from __future__ import annotations
@@ -18,35 +17,36 @@ from mixseq.retargeting.mirroring import Mirror
 from mixseq.retargeting.suggestions import Examination, examine_markers, suggest_markers
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float
-from mixseq.viewer.playback import Jobs
+from mixseq.viewer.playback import JobQueue
+from mixseq.viewer.session import UndoHistory
 
 SOURCE, TARGET = 0, 1
-"""Indices of the two sides."""
+"""Indices of the two meshes."""
 
-SAME = 0.03
-"""Distance on either side below which a proposal equals a pair, in diagonals."""
+COINCIDENCE_DISTANCE = 0.03
+"""Distance on either mesh below which a proposal duplicates a pair, in diagonals."""
 
 
 @dataclass(frozen=True)
 class Pair:
     """A vertex of the source and one of the target."""
 
-    vertices: tuple[int, int]  # the two
-    name: str = ""  # what the file calls it; may be empty
+    vertices: tuple[int, int]  # source and target vertex
+    name: str = ""  # name in the file; may be empty
 
 
 @dataclass(frozen=True)
 class Marking:
-    """Pairs that are set."""
+    """State of marking; immutable."""
 
-    pairs: tuple[Pair, ...] = ()  # in the order in which they are numbered
-    begun: tuple[int, int] | None = None  # side and vertex of a point whose partner is not clicked yet
-    chosen: int | None = None  # the pair that the next click moves, or that can be deleted
-    skipped: frozenset[tuple[int, int]] = frozenset()  # vertices of proposals that were not wanted
+    pairs: tuple[Pair, ...] = ()  # numbered in this order
+    started: tuple[int, int] | None = None  # side and vertex of an incomplete pair
+    selected: int | None = None  # pair that the next click moves, or that can be deleted
+    skipped: frozenset[tuple[int, int]] = frozenset()  # vertices of rejected proposals
 
     @classmethod
-    def of(cls, markers: Markers) -> Marking:
-        """Make the state of initial markers."""
+    def from_markers(cls, markers: Markers) -> Marking:
+        """Return the state with initial markers."""
         names = markers.names or ("",) * len(markers)
         rows = zip(markers.source.tolist(), markers.target.tolist(), names, strict=True)
         return cls(tuple(Pair((source, target), name) for source, target, name in rows))
@@ -58,258 +58,238 @@ class Marking:
         vertices = np.array([pair.vertices for pair in self.pairs], np.int64).reshape(-1, 2)
         return Markers.from_pairs(vertices, names if any(names) else ())
 
-    def clicked(self, side: int, vertex: int) -> Marking:
-        """Return the state after a click: the chosen pair is moved there; else a pair begins, or is complete."""
-        if self.chosen is not None:
-            pair = self.pairs[self.chosen]
+    def click(self, side: int, vertex: int) -> Marking:
+        """Return the state after a click, which moves the selected pair, or else starts or completes a pair."""
+        if self.selected is not None:
+            pair = self.pairs[self.selected]
             vertices = (vertex, pair.vertices[1]) if side == SOURCE else (pair.vertices[0], vertex)
             pairs = list(self.pairs)
-            pairs[self.chosen] = replace(pair, vertices=vertices)
-            return replace(self, pairs=tuple(pairs), chosen=None)
-        if self.begun is None or self.begun[0] == side:
-            return replace(self, begun=(side, vertex))
-        first = self.begun[1]
+            pairs[self.selected] = replace(pair, vertices=vertices)
+            return replace(self, pairs=tuple(pairs), selected=None)
+        if self.started is None or self.started[0] == side:
+            return replace(self, started=(side, vertex))
+        first = self.started[1]
         return replace(
-            self.with_pair(Pair((vertex, first) if side == SOURCE else (first, vertex))), begun=None
+            self.with_pair(Pair((vertex, first) if side == SOURCE else (first, vertex))), started=None
         )
 
     def with_pair(self, pair: Pair) -> Marking:
         """Return the state with another pair."""
         return replace(self, pairs=(*self.pairs, pair))
 
-    def choosing(self, number: int) -> Marking:
-        """Return the state with a pair chosen, or released if it was chosen."""
-        return replace(self, chosen=None if number == self.chosen else number)
+    def toggle(self, number: int) -> Marking:
+        """Return the state with a pair selected, or deselected if it was selected."""
+        return replace(self, selected=None if number == self.selected else number)
 
-    def without_chosen(self) -> Marking:
-        """Return the state without the chosen pair, or without the begun one if none is chosen."""
-        if self.chosen is None:
-            return replace(self, begun=None)
-        pairs = (*self.pairs[: self.chosen], *self.pairs[self.chosen + 1 :])
-        return replace(self, pairs=pairs, chosen=None)
+    def delete(self) -> Marking:
+        """Return the state without the selected pair, or without the incomplete one if none is selected."""
+        if self.selected is None:
+            return replace(self, started=None)
+        pairs = (*self.pairs[: self.selected], *self.pairs[self.selected + 1 :])
+        return replace(self, pairs=pairs, selected=None)
 
-    def skipping(self, pair: Pair) -> Marking:
+    def skip(self, pair: Pair) -> Marking:
         """Return the state with a rejected proposal."""
         return replace(self, skipped=self.skipped | {pair.vertices})
 
 
-@dataclass(frozen=True)
-class MarkingHistory:
-    """States and the index of the current one; immutable."""
-
-    states: tuple[Marking, ...]
-    now: int = 0
-
-    @property
-    def marking(self) -> Marking:
-        """The current state."""
-        return self.states[self.now]
-
-    def done(self, marking: Marking) -> MarkingHistory:
-        """Return the history after a step; undone steps are dropped, and a mere choice is no step."""
-        if replace(marking, chosen=None) == replace(self.marking, chosen=None):
-            return MarkingHistory((*self.states[: self.now], marking, *self.states[self.now + 1 :]), self.now)
-        return MarkingHistory((*self.states[: self.now + 1], marking), self.now + 1)
-
-    def undone(self) -> MarkingHistory:
-        """Return the history one step back, or unchanged at its start."""
-        return MarkingHistory(self.states, max(self.now - 1, 0))
-
-    def redone(self) -> MarkingHistory:
-        """Return the history one step ahead, or unchanged at its end."""
-        return MarkingHistory(self.states, min(self.now + 1, len(self.states) - 1))
+def push_marking(history: UndoHistory[Marking], marking: Marking) -> UndoHistory[Marking]:
+    """Return the history with a new state; a change of only the selection is not a step."""
+    if replace(marking, selected=None) == replace(history.current, selected=None):
+        return history.replace(marking)
+    return history.push(marking)
 
 
-@dataclass(frozen=True, eq=False)
-class Places:
-    """Vertices of both meshes, in diagonals of each."""
+def normalize(points: Float) -> Float:
+    """Scale points ``(V, 3)`` so that the diagonal of their bounding box is 1."""
+    return np.asarray(points / (float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0))
 
-    points: tuple[Float, Float]  # ((V, 3), (V', 3) source and target
 
-    @classmethod
-    def of(cls, source: Float, target: Float) -> Places:
-        """Scale points ``(V, 3)`` and ``(V', 3)`` to diagonals."""
-        one, two = (x / (float(np.linalg.norm(np.ptp(x, axis=0))) or 1.0) for x in (source, target))
-        return cls((one, two))
+def filter_proposals(
+    meshes: tuple[Float, Float], marking: Marking, candidates: Iterable[Pair]
+) -> tuple[Pair, ...]:
+    """Return the candidates, in order, without duplicates, set pairs and skipped ones.
 
-    def near(self, one: Pair, other: Pair) -> bool:
-        """Whether two pairs coincide on either side."""
+    `meshes` are normalized points of source ``(V, 3)`` and target ``(V', 3)``.
+    """
+
+    def coincide(one: Pair, other: Pair) -> bool:
         return any(
-            float(np.linalg.norm(x[a] - x[b])) <= SAME
-            for x, a, b in zip(self.points, one.vertices, other.vertices, strict=True)
+            float(np.linalg.norm(points[a] - points[b])) <= COINCIDENCE_DISTANCE
+            for points, a, b in zip(meshes, one.vertices, other.vertices, strict=True)
         )
 
-    def proposals(self, marking: Marking, candidates: Iterable[Pair]) -> tuple[Pair, ...]:
-        """Return the candidates, in order, without duplicates, set pairs and skipped ones."""
-        found: list[Pair] = []
-        for each in candidates:
-            there = any(self.near(each, other) for other in (*marking.pairs, *found))
-            if not there and each.vertices not in marking.skipped:
-                found.append(each)
-        return tuple(found)
+    proposals: list[Pair] = []
+    for candidate in candidates:
+        is_duplicate = any(coincide(candidate, pair) for pair in (*marking.pairs, *proposals))
+        if not is_duplicate and candidate.vertices not in marking.skipped:
+            proposals.append(candidate)
+    return tuple(proposals)
 
 
 class MarkingListener(Protocol):
-    """Callbacks, called on any thread."""
+    """Callbacks of a marking session, called on any thread."""
 
-    def changed(self) -> None:
-        """Handle changed pairs, proposals or examinations."""
+    def on_change(self) -> None:
+        """Handle a change of pairs, proposals, examination or background work."""
 
-    def failed(self, what: str, error: Exception) -> None:
+    def on_failure(self, action: str, error: Exception) -> None:
         """Handle an error."""
 
 
-class MarkingSession(Jobs[Callable[[], None]]):
-    """Markers of two meshes while they are set."""
+class MarkingSession(JobQueue[Callable[[], None]]):
+    """Sets markers of two meshes."""
 
     def __init__(
         self, source: MeshSequence, target: MeshSequence, markers: Markers, listener: MarkingListener
     ) -> None:
         self._meshes = source, target
         self._listener = listener
-        self._places = Places.of(*(np.asarray(mesh.points[0], np.float64) for mesh in self._meshes))
-        self._history = MarkingHistory((Marking.of(markers),))
-        self._saved = self.marking.pairs
-        self._suggested: tuple[Pair, ...] = ()
+        rest_poses = (np.asarray(mesh.points[0], np.float64) for mesh in self._meshes)
+        source_points, target_points = map(normalize, rest_poses)
+        self._normalized_points = source_points, target_points
+        self._history = UndoHistory((Marking.from_markers(markers),))
+        self._saved_pairs = self.marking.pairs
+        self._suggestions: tuple[Pair, ...] = ()
         self._mirrors: tuple[Mirror, Mirror] | None = None
-        self._mirrored: dict[tuple[int, int], Pair | None] = {}
-        self._examined: tuple[tuple[Pair, ...], Examination] | None = None
+        self._mirrored_pairs: dict[tuple[int, int], Pair | None] = {}
+        self._examination: tuple[tuple[Pair, ...], Examination] | None = None
         self.work = ""
-        first = [] if len(markers) else [self._suggest]
-        super().__init__(listener.failed, [*first, self._find_mirrors, self._examine])
+        initial_jobs = [] if len(markers) else [self._suggest]
+        super().__init__(listener.on_failure, [*initial_jobs, self._find_mirrors, self._examine])
 
-    # What there is --------------------------------------------------------------------------------------
+    # State ----------------------------------------------------------------------------------------------
 
     @property
     def marking(self) -> Marking:
         """The current state."""
-        return self._history.marking
+        return self._history.current
 
     @property
     def proposals(self) -> tuple[Pair, ...]:
-        """Pairs to confirm, the next one first: mirrored ones of the newest pairs, then suggestions."""
+        """Pairs to confirm: the mirrored pairs of the newest pairs first, then suggestions."""
         marking = self.marking
-        mirrored = (self._mirrored.get(pair.vertices) for pair in reversed(marking.pairs))
-        return self._places.proposals(marking, [*filter(None, mirrored), *self._suggested])
+        mirrored = (self._mirrored_pairs.get(pair.vertices) for pair in reversed(marking.pairs))
+        candidates = [*filter(None, mirrored), *self._suggestions]
+        return filter_proposals(self._normalized_points, marking, candidates)
 
     @property
     def examination(self) -> Examination | None:
-        """Examination of the current pairs, None until it is computed."""
-        found = self._examined
-        return found[1] if found is not None and found[0] == self.marking.pairs else None
+        """Examination of the current pairs; None until it is computed."""
+        result = self._examination
+        return result[1] if result is not None and result[0] == self.marking.pairs else None
 
     @property
-    def unsaved(self) -> bool:
-        """Whether the pairs differ from those in the file."""
-        return self.marking.pairs != self._saved
+    def has_changes(self) -> bool:
+        """Whether the pairs differ from the saved ones."""
+        return self.marking.pairs != self._saved_pairs
 
-    def kept(self, pairs: tuple[Pair, ...]) -> None:
-        """Mark pairs as saved."""
-        self._saved = pairs
-        self._listener.changed()
+    def mark_saved(self, pairs: tuple[Pair, ...]) -> None:
+        """Remember pairs as saved."""
+        self._saved_pairs = pairs
+        self._listener.on_change()
 
-    # What a person does ---------------------------------------------------------------------------------
+    # User actions ---------------------------------------------------------------------------------------
 
     def click(self, side: int, vertex: int) -> None:
-        """Set a point: a pair begins, is complete, or the chosen one is moved there."""
-        self._step(lambda marking: marking.clicked(side, vertex))
+        """Click a vertex: start or complete a pair, or move the selected one."""
+        self._apply(lambda marking: marking.click(side, vertex))
 
     def click_ball(self, side: int, row: int) -> None:
-        """Choose the pair, or accept the proposal, whose ball was clicked: pairs come first, then the begun one."""
+        """Select the pair, or accept the proposal, of a ball: first pairs, then the incomplete one, then proposals."""
         marking, proposals = self.marking, self.proposals
         count = len(marking.pairs)
-        proposed = row - count - (marking.begun is not None and marking.begun[0] == side)
+        proposal = row - count - (marking.started is not None and marking.started[0] == side)
         if 0 <= row < count:
-            self._step(lambda now: now.choosing(row) if row < len(now.pairs) else now)
-        elif 0 <= proposed < len(proposals):
-            self._step(lambda now: now.with_pair(proposals[proposed]))
+            self._apply(lambda current: current.toggle(row) if row < len(current.pairs) else current)
+        elif 0 <= proposal < len(proposals):
+            self._apply(lambda current: current.with_pair(proposals[proposal]))
 
     def accept(self) -> None:
-        """Set the next proposal."""
-        self._step(lambda marking: marking.with_pair(self.proposals[0]) if self.proposals else marking)
+        """Accept the next proposal."""
+        self._apply(lambda marking: marking.with_pair(self.proposals[0]) if self.proposals else marking)
 
     def accept_all(self) -> None:
-        """Set all proposals."""
-        self._step(lambda marking: replace(marking, pairs=(*marking.pairs, *self.proposals)))
+        """Accept all proposals."""
+        self._apply(lambda marking: replace(marking, pairs=(*marking.pairs, *self.proposals)))
 
     def skip(self) -> None:
         """Reject the next proposal."""
-        self._step(lambda marking: marking.skipping(self.proposals[0]) if self.proposals else marking)
+        self._apply(lambda marking: marking.skip(self.proposals[0]) if self.proposals else marking)
 
     def delete(self) -> None:
-        """Delete the chosen pair, or the begun one."""
-        self._step(Marking.without_chosen)
+        """Delete the selected pair, or the incomplete one."""
+        self._apply(Marking.delete)
 
     def undo(self) -> None:
         """Undo the last step."""
-        self._go(MarkingHistory.undone)
+        self._update_history(UndoHistory.undo)
 
     def redo(self) -> None:
         """Redo the last undone step."""
-        self._go(MarkingHistory.redone)
+        self._update_history(UndoHistory.redo)
 
     def suggest(self) -> None:
-        """Suggest markers, including skipped ones."""
-        self._step(lambda marking: replace(marking, skipped=frozenset()))
-        self._later(self._suggest)
+        """Suggest markers again, including skipped ones."""
+        self._apply(lambda marking: replace(marking, skipped=frozenset()))
+        self._enqueue_once(self._suggest)
 
-    def _step(self, change: Callable[[Marking], Marking]) -> None:
-        self._go(lambda history: history.done(change(history.marking)))
+    def _apply(self, change: Callable[[Marking], Marking]) -> None:
+        self._update_history(lambda history: push_marking(history, change(history.current)))
 
-    def _go(self, change: Callable[[MarkingHistory], MarkingHistory]) -> None:
+    def _update_history(self, change: Callable[[UndoHistory[Marking]], UndoHistory[Marking]]) -> None:
         with self._changed:
             self._history = change(self._history)
         self._mirror_pairs()
-        self._listener.changed()
-        self._later(self._examine)
+        self._listener.on_change()
+        self._enqueue_once(self._examine)
 
-    # What is done beside --------------------------------------------------------------------------------
+    # Background jobs ------------------------------------------------------------------------------------
 
-    def _later(self, job: Callable[[], None]) -> None:
-        self._add(job, needless=lambda waiting: waiting == job)
+    def _enqueue_once(self, job: Callable[[], None]) -> None:
+        self._enqueue(job, is_obsolete=lambda waiting: waiting == job)
 
-    def _do(self, job: Callable[[], None]) -> None:
+    def _run_job(self, job: Callable[[], None]) -> None:
         try:
             job()
         except Exception as error:
-            self._fail("markers", error)
-        self._tell("")
+            self._report_failure("markers", error)
+        self._set_work("")
 
-    def _tell(self, what: str) -> None:
-        self.work = what
-        self._listener.changed()
+    def _set_work(self, work: str) -> None:
+        self.work = work
+        self._listener.on_change()
 
     def _suggest(self) -> None:
-        self._tell("looking for markers to suggest")
-        found = suggest_markers(*self._meshes)
-        self._suggested = Marking.of(found).pairs
+        self._set_work("looking for markers to suggest")
+        self._suggestions = Marking.from_markers(suggest_markers(*self._meshes)).pairs
 
     def _find_mirrors(self) -> None:
-        self._tell("looking for left and right")
-        found = [
+        self._set_work("looking for left and right")
+        mirrors = [
             Mirror.from_mesh(mesh.points[0], Topology(mesh.faces, mesh.vertex_count)) for mesh in self._meshes
         ]
-        if found[0] is not None and found[1] is not None:
-            self._mirrors = found[0], found[1]
+        if mirrors[0] is not None and mirrors[1] is not None:
+            self._mirrors = mirrors[0], mirrors[1]
             self._mirror_pairs()
 
     def _mirror_pairs(self) -> None:
-        """Find the mirrored pairs of those that are set."""
+        """Compute the mirrored pairs of all set pairs."""
         if self._mirrors is None:
             return
         for pair in self.marking.pairs:
-            if pair.vertices not in self._mirrored:
+            if pair.vertices not in self._mirrored_pairs:
                 source, target = (
                     mirror.find_partner(vertex)
                     for mirror, vertex in zip(self._mirrors, pair.vertices, strict=True)
                 )
-                both = None if source is None or target is None else Pair((source, target))
-                self._mirrored[pair.vertices] = both
+                mirrored = None if source is None or target is None else Pair((source, target))
+                self._mirrored_pairs[pair.vertices] = mirrored
 
     def _examine(self) -> None:
         pairs = self.marking.pairs
-        if self._examined is not None and self._examined[0] == pairs:
+        if self._examination is not None and self._examination[0] == pairs:
             return
         if pairs:
-            self._tell("finding a map")
-            self._examined = pairs, examine_markers(*self._meshes, Marking(pairs).markers)
+            self._set_work("finding a map")
+            self._examination = pairs, examine_markers(*self._meshes, Marking(pairs).markers)

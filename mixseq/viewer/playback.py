@@ -1,8 +1,8 @@
-"""Playback of a scene: a clock, a cache of frames decoded in the background, and a thread that passes them to a stage.
+"""Play a scene: a clock, a cache of frames decoded in the background, and a thread that sends them to a stage.
 
-Frames that are not decoded in time are dropped, and a frame is sent when the stage has drawn the one before, so that
-the displayed time is right at any speed of machine and network. The newest requested frame is decoded first; idle
-threads decode the frames after it.
+A frame is sent after the stage has drawn the one before, and frames that are not decoded in time are dropped, so that
+playback keeps its speed on any machine and network. The last requested frame is decoded first; idle threads decode the
+frames after it.
 """
 
 from __future__ import annotations
@@ -23,61 +23,65 @@ from mixseq.types import Single
 
 @dataclass(frozen=True)
 class Clock:
-    """The current frame over time."""
+    """Maps wall-clock time, in seconds, to the current frame; immutable."""
 
-    count: int  # frames of the period
-    fps: float  # frames per second at the speed 1
-    speed: float = 1.0  # how many times as fast it runs
-    frame: float = 0.0  # where it was, in frames, when it was started or stopped
-    since: float | None = None  # when it was started, in seconds of the time of day; None while it stands
+    count: int  # number of frames of the period
+    fps: float  # frames per second at speed 1
+    speed: float = 1.0  # playback speed
+    frame: float = 0.0  # frame or sub-frame at the last start or stop
+    started_at: float | None = None  # time of the last start; None if stopped
 
     @property
-    def runs(self) -> bool:
+    def is_running(self) -> bool:
         """Whether the clock is running."""
-        return self.since is not None
+        return self.started_at is not None
 
-    def at(self, now: float) -> int:
+    def frame_at(self, now: float) -> int:
         """Return the current frame ``0 .. count - 1``."""
-        return int(self._place(now) + 1e-6) % self.count
+        return int(self._position(now) + 1e-6) % self.count
 
-    def next_at(self, now: float) -> float:
-        """Return the seconds until the next frame is due."""
-        place = self._place(now) + 1e-6
-        return (int(place) + 1 - place) / (self.fps * self.speed)
+    def seconds_to_next_frame(self, now: float) -> float:
+        """Return the seconds until the next frame."""
+        position = self._position(now) + 1e-6
+        return (int(position) + 1 - position) / (self.fps * self.speed)
 
-    def started(self, now: float) -> Clock:
-        """Return the clock running from its current time."""
-        return replace(self, frame=self._place(now) % self.count, since=now)
+    def start(self, now: float) -> Clock:
+        """Return the clock running from its current frame."""
+        return replace(self, frame=self._position(now) % self.count, started_at=now)
 
-    def stopped(self, now: float) -> Clock:
+    def stop(self, now: float) -> Clock:
         """Return the clock stopped at its current frame."""
-        return replace(self, frame=float(self.at(now)), since=None)
+        return replace(self, frame=float(self.frame_at(now)), started_at=None)
 
-    def sought(self, frame: float, now: float) -> Clock:
-        """Return the clock at another frame, running if it ran."""
-        inside = float(min(max(frame, 0), self.count - 1))
-        return replace(self, frame=inside, since=None if self.since is None else now)
+    def seek(self, frame: float, now: float) -> Clock:
+        """Return the clock at another frame, running if it was running."""
+        clamped = float(min(max(frame, 0), self.count - 1))
+        return replace(self, frame=clamped, started_at=None if self.started_at is None else now)
 
-    def paced(self, speed: float, now: float) -> Clock:
-        """Return the clock at another speed, with the same current time."""
-        since = None if self.since is None else now
-        return replace(self, frame=self._place(now) % self.count, since=since, speed=speed)
+    def with_speed(self, speed: float, now: float) -> Clock:
+        """Return the clock at another speed and the same frame."""
+        started_at = None if self.started_at is None else now
+        return replace(self, frame=self._position(now) % self.count, started_at=started_at, speed=speed)
 
-    def over(self, count: int, fps: float, now: float) -> Clock:
-        """Return the clock over another period, with the same current time as far as possible."""
-        elapsed = (self._place(now) % self.count) / self.fps
-        frame = elapsed * fps if self.runs else round(min(elapsed * fps, count - 1))
-        return replace(self, count=count, fps=fps).sought(frame, now)
+    def with_period(self, count: int, fps: float, now: float) -> Clock:
+        """Return the clock for another period and frame rate, at the same time if the period has it."""
+        elapsed = (self._position(now) % self.count) / self.fps
+        frame = elapsed * fps if self.is_running else round(min(elapsed * fps, count - 1))
+        return replace(self, count=count, fps=fps).seek(frame, now)
 
-    def _place(self, now: float) -> float:
-        return self.frame if self.since is None else self.frame + (now - self.since) * self.fps * self.speed
+    def _position(self, now: float) -> float:
+        return (
+            self.frame
+            if self.started_at is None
+            else self.frame + (now - self.started_at) * self.fps * self.speed
+        )
 
 
 Job = TypeVar("Job")
 
 
-class Background:
-    """Runs work on threads of its own until it is closed, at the latest by the end of a ``with`` block."""
+class BackgroundWorker:
+    """Runs a function on background threads until it is closed, at the latest at the end of a ``with`` block."""
 
     def __init__(self, work: Callable[[], None], threads: int = 1) -> None:
         self._closed = False
@@ -101,145 +105,148 @@ class Background:
             thread.join()
 
 
-class Jobs(Background, Generic[Job]):
-    """Runs jobs in order until it is closed."""
+class JobQueue(BackgroundWorker, Generic[Job]):
+    """Runs jobs in order on a background thread."""
 
-    def __init__(self, failed: Callable[[str, Exception], None], jobs: Iterable[Job] = ()) -> None:
-        self._failed = failed
+    def __init__(self, on_failure: Callable[[str, Exception], None], jobs: Iterable[Job] = ()) -> None:
+        self._on_failure = on_failure
         self._jobs = deque(jobs)
-        super().__init__(self._work)
+        super().__init__(self._run_jobs)
 
-    def _do(self, job: Job) -> None:
+    def _run_job(self, job: Job) -> None:
         """Run a job, and report its failure."""
         raise NotImplementedError
 
-    def _add(self, job: Job, needless: Callable[[Job], bool]) -> None:
-        """Add a job to the queue, and drop the needless ones before it."""
+    def _enqueue(self, job: Job, is_obsolete: Callable[[Job], bool]) -> None:
+        """Add a job to the queue, and drop waiting jobs that it makes obsolete."""
         with self._changed:
-            self._jobs = deque(each for each in self._jobs if not needless(each))
+            self._jobs = deque(waiting for waiting in self._jobs if not is_obsolete(waiting))
             self._jobs.append(job)
             self._changed.notify_all()
 
-    def _work(self) -> None:
+    def _run_jobs(self) -> None:
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._jobs or self._closed)
                 if self._closed:
                     return
                 job = self._jobs.popleft()
-            self._do(job)
+            self._run_job(job)
 
-    def _fail(self, what: str, error: Exception) -> None:
-        if not isinstance(error, MixseqError | MixseqWarning):  # a bug, but the work goes on
+    def _report_failure(self, action: str, error: Exception) -> None:
+        if not isinstance(error, MixseqError | MixseqWarning):  # a bug; later jobs still run
             print_exception(error)
         try:
-            self._failed(what, error)
-        except Exception as again:
-            print_exception(again)
+            self._on_failure(action, error)
+        except Exception as callback_error:
+            print_exception(callback_error)
 
 
-MEMORY = 1 << 30
-"""Size of the cache, in bytes."""
+DEFAULT_CACHE_BYTES = 1 << 30
 
 Key = tuple[SceneItem, float]
 
 
-class FrameCache(Background):
-    """Frames of scenes, decoded in the background."""
+class FrameCache(BackgroundWorker):
+    """Cache of poses that are decoded in the background."""
 
-    def __init__(self, ready: Callable[[], None], threads: int = 2, memory: int = MEMORY) -> None:
-        self._ready = ready
-        self._memory = memory
-        self._kept: OrderedDict[Key, Single | MixseqError] = OrderedDict()
+    def __init__(
+        self, on_decoded: Callable[[], None], threads: int = 2, max_bytes: int = DEFAULT_CACHE_BYTES
+    ) -> None:
+        self._on_decoded = on_decoded
+        self._max_bytes = max_bytes
+        self._poses: OrderedDict[Key, Single | MixseqError] = OrderedDict()
         self._size = 0
-        self._busy: set[Key] = set()
-        self._wish: tuple[Scene, int, bool] | None = None  # a frame, and whether those after it are wanted
+        self._decoding: set[Key] = set()
+        self._request: tuple[Scene, int, bool] | None = (
+            None  # scene, frame, and whether to decode the frames after it
+        )
         super().__init__(self._decode, threads)
 
-    def want(self, scene: Scene, frame: int, ahead: bool = True) -> tuple[Single, ...] | None:
-        """Request a frame, and return its poses ``(V, 3)``, None if they are not decoded yet."""
+    def request(self, scene: Scene, frame: int, ahead: bool = True) -> tuple[Single, ...] | None:
+        """Return the poses ``(V, 3)`` of a frame, or request them and return None if they are not decoded yet."""
         elapsed = scene.elapsed(frame)
         with self._changed:
-            self._wish = scene, frame, ahead
+            self._request = scene, frame, ahead
             self._changed.notify_all()
             poses = []
             for item in scene.items:
                 key = item, elapsed
-                pose = self._kept.get(key)
+                pose = self._poses.get(key)
                 if pose is None:
                     return None
                 if isinstance(pose, MixseqError):
-                    del self._kept[key]  # another try may do better, and should be possible
+                    del self._poses[key]  # so that it can be requested again
                     raise pose
-                self._kept.move_to_end(key)
+                self._poses.move_to_end(key)
                 poses.append(pose)
             return tuple(poses)
 
     def _decode(self) -> None:
         while True:
             with self._changed:
-                while (key := self._next()) is None and not self._closed:
+                while (key := self._next_key()) is None and not self._closed:
                     self._changed.wait()
                 if self._closed or key is None:
                     return
-                self._busy.add(key)
+                self._decoding.add(key)
             item, elapsed = key
-            found: Single | MixseqError
+            result: Single | MixseqError
             try:
                 with one_blas_thread():
-                    found = item.pose(elapsed)
+                    result = item.pose(elapsed)
             except MixseqError as error:
-                found = error
-            except Exception as error:  # a bug, or no memory: this frame cannot be shown, others may be
+                result = error
+            except Exception as error:  # a bug or lack of memory, which other frames may not have
                 print_exception(error)
-                found = ReconstructionError(f"{type(error).__name__}: {error}")
+                result = ReconstructionError(f"{type(error).__name__}: {error}")
             with self._changed:
-                self._busy.discard(key)
-                self._keep(key, found)
-            self._ready()
+                self._decoding.discard(key)
+                self._store(key, result)
+            self._on_decoded()
 
-    def _next(self) -> Key | None:
-        """Return the next pose to decode: a requested one, or the first missing one after it."""
-        if self._wish is None:
+    def _next_key(self) -> Key | None:
+        """Return the next pose to decode, of the requested frame or else of the first missing frame after it."""
+        if self._request is None:
             return None
-        scene, first, ahead = self._wish
-        for step in range(self._horizon(scene) if ahead else 1):
+        scene, first, ahead = self._request
+        for step in range(self._frames_ahead(scene) if ahead else 1):
             elapsed = scene.elapsed((first + step) % scene.count)
             for item in scene.items:
                 key = item, elapsed
-                if key not in self._kept and key not in self._busy:
+                if key not in self._poses and key not in self._decoding:
                     return key
         return None
 
-    def _horizon(self, scene: Scene) -> int:
-        """Return the number of frames in three quarters of the memory."""
+    def _frames_ahead(self, scene: Scene) -> int:
+        """Return the number of frames that fill three quarters of the cache."""
         size = sum(12 * item.header.vertex_count for item in scene.items)
-        return max(1, min(scene.count, 3 * self._memory // (4 * size)))
+        return max(1, min(scene.count, 3 * self._max_bytes // (4 * size)))
 
-    def _keep(self, key: Key, found: Single | MixseqError) -> None:
-        self._kept[key] = found
-        self._size += _bytes(found)
-        while self._size > self._memory and len(self._kept) > 1:
-            self._size -= _bytes(self._kept.popitem(last=False)[1])
-
-
-def _bytes(found: Single | MixseqError) -> int:
-    return 0 if isinstance(found, MixseqError) else found.nbytes
+    def _store(self, key: Key, result: Single | MixseqError) -> None:
+        self._poses[key] = result
+        self._size += _bytes(result)
+        while self._size > self._max_bytes and len(self._poses) > 1:
+            self._size -= _bytes(self._poses.popitem(last=False)[1])
 
 
-PATIENCE = 0.25
-"""Seconds after which a frame counts as drawn without confirmation."""
+def _bytes(result: Single | MixseqError) -> int:
+    return 0 if isinstance(result, MixseqError) else result.nbytes
 
-IDLE = 0.5
-"""Seconds after which an idle stage is polled."""
+
+DRAW_TIMEOUT_SECONDS = 0.25
+"""Time after which a frame counts as drawn without confirmation."""
+
+POLL_SECONDS = 0.5
+"""Interval at which an idle playback thread wakes up."""
 
 
 class Stage(Protocol):
     """Draws moments of a scene."""
 
     @property
-    def busy(self) -> bool:
-        """Whether it is still drawing the last moment; it calls `Playback.drawn` afterwards."""
+    def is_busy(self) -> bool:
+        """Whether the last moment is still being drawn; `Playback.wake` is called afterwards."""
 
     def show(self, moment: Moment) -> None:
         """Draw a moment."""
@@ -247,33 +254,33 @@ class Stage(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """The scene at a time."""
+    """A frame of a scene."""
 
-    scene: Scene  # what is shown
-    frame: int  # which frame of it
-    poses: tuple[Single, ...]  # the points of its items
+    scene: Scene  # scene that is shown
+    frame: int  # frame of the scene
+    poses: tuple[Single, ...]  # points (V, 3) of each item
 
 
-class Playback(Background):
+class Playback(BackgroundWorker):
     """Plays a scene on a stage."""
 
     def __init__(
         self,
         scene: Scene,
         stage: Stage,
-        failed: Callable[[Exception], None],
+        on_failure: Callable[[Exception], None],
         threads: int = 2,
-        memory: int = MEMORY,
+        max_bytes: int = DEFAULT_CACHE_BYTES,
     ) -> None:
-        self._shot = scene
+        self._scene = scene
         self._stage = stage
-        self._failed = failed
+        self._on_failure = on_failure
         self._clock = Clock(scene.count, scene.fps)
-        self._settled = True
+        self._decode_ahead = True
         self._shown: tuple[Scene, int] | None = None
         self._stale = False
-        self._sent = 0.0
-        self._frames = FrameCache(self.drawn, threads, memory)
+        self._sent_at = 0.0
+        self._frames = FrameCache(self.wake, threads, max_bytes)
         super().__init__(self._run)
 
     def close(self) -> None:
@@ -284,126 +291,130 @@ class Playback(Background):
     @property
     def scene(self) -> Scene:
         """The current scene."""
-        return self._shot
+        return self._scene
 
     @property
-    def plays(self) -> bool:
-        """Whether it is playing."""
-        return self._clock.runs
+    def is_playing(self) -> bool:
+        """Whether the scene is playing."""
+        return self._clock.is_running
 
     @property
     def frame(self) -> int:
         """The current frame."""
-        return self._clock.at(monotonic())
+        return self._clock.frame_at(monotonic())
 
     def play(self) -> None:
-        """Play, from the start if it is at the end."""
+        """Play, from the start if stopped at the end."""
 
-        def started(clock: Clock, now: float) -> Clock:
-            at_end = not clock.runs and clock.at(now) == clock.count - 1
-            return (clock.sought(0, now) if at_end else clock).started(now)
+        def start(clock: Clock, now: float) -> Clock:
+            is_at_end = not clock.is_running and clock.frame_at(now) == clock.count - 1
+            return (clock.seek(0, now) if is_at_end else clock).start(now)
 
-        self._set(started)
+        self._update_clock(start)
 
     def pause(self) -> None:
-        """Stop at the frame that was shown last."""
+        """Stop at the last frame that was shown."""
         with self._changed:
-            if not self._clock.runs:
+            if not self._clock.is_running:
                 return
             now = monotonic()
-            frame = self._shown[1] if self._shown and self._shown[0] is self._shot else self._clock.at(now)
-            self._clock = self._clock.stopped(now).sought(frame, now)
+            frame = (
+                self._shown[1] if self._shown and self._shown[0] is self._scene else self._clock.frame_at(now)
+            )
+            self._clock = self._clock.stop(now).seek(frame, now)
             self._changed.notify_all()
 
     def seek(self, frame: int) -> None:
         """Go to a frame."""
-        self._set(lambda clock, now: clock.sought(frame, now))
+        self._update_clock(lambda clock, now: clock.seek(frame, now))
 
-    def pace(self, speed: float) -> None:
-        """Set the speed."""
-        self._set(lambda clock, now: clock.paced(speed, now))
+    def set_speed(self, speed: float) -> None:
+        """Set the playback speed."""
+        self._update_clock(lambda clock, now: clock.with_speed(speed, now))
 
-    def _set(self, change: Callable[[Clock, float], Clock]) -> None:
+    def _update_clock(self, change: Callable[[Clock, float], Clock]) -> None:
         with self._changed:
             self._clock = change(self._clock, monotonic())
             self._changed.notify_all()
 
-    def rate(self, fps: float) -> None:
-        """Set the frames per second: models at all of them, sequences at the nearest frames."""
+    def set_frame_rate(self, fps: float) -> None:
+        """Set the frames per second; sequences are shown at their nearest frames."""
         with self._changed:
-            self.change(replace(self._shot, rate=fps))
+            self.set_scene(replace(self._scene, rate=fps))
 
-    def change(self, scene: Scene, settled: bool = True) -> None:
-        """Show another scene at the same time."""
+    def set_scene(self, scene: Scene, decode_ahead: bool = True) -> None:
+        """Show another scene at the same time; previews are not decoded ahead."""
         with self._changed:
-            self._clock = self._clock.over(scene.count, scene.fps, monotonic())
-            self._shot, self._settled = scene, settled
+            self._clock = self._clock.with_period(scene.count, scene.fps, monotonic())
+            self._scene, self._decode_ahead = scene, decode_ahead
             self._changed.notify_all()
 
     def refresh(self) -> None:
-        """Show the current moment again, in other colours."""
+        """Send the current frame again, after a change of colours."""
         with self._changed:
             self._shown, self._stale = None, True
             self._changed.notify_all()
 
-    def caught_up(self, patience: float) -> bool:
-        """Wait some seconds until the current scene was sent to the stage, and return whether it was."""
+    def wait_until_shown(self, timeout: float) -> bool:
+        """Wait until the current scene was sent to the stage; return False after a timeout in seconds."""
         with self._changed:
             return self._changed.wait_for(
-                lambda: self._closed or (self._shown is not None and self._shown[0] is self._shot), patience
+                lambda: self._closed or (self._shown is not None and self._shown[0] is self._scene), timeout
             )
 
-    def drawn(self) -> None:
-        """Wake the thread: the stage is ready, or a frame was decoded."""
+    def wake(self) -> None:
+        """Wake the thread after the stage has drawn, or a frame was decoded."""
         with self._changed:
             self._changed.notify_all()
 
     def _run(self) -> None:
-        awaited: tuple[Scene, int] | None = None
+        pending: tuple[Scene, int] | None = None
         while True:
             with self._changed:
                 if self._closed:
                     return
                 now = monotonic()
-                if self._stage.busy and now - self._sent < PATIENCE:
-                    self._changed.wait(PATIENCE - (now - self._sent))
+                if self._stage.is_busy and now - self._sent_at < DRAW_TIMEOUT_SECONDS:
+                    self._changed.wait(DRAW_TIMEOUT_SECONDS - (now - self._sent_at))
                     continue
-                # a frame that took long is shown late rather than never
-                if awaited is None or awaited[0] is not self._shot or not self._clock.runs:
-                    awaited = self._shot, self._clock.at(now)
-                if awaited == self._shown:
-                    awaited = None
-                    self._changed.wait(self._clock.next_at(now) if self._clock.runs else IDLE)
+                # a frame that is decoded late is still shown
+                if pending is None or pending[0] is not self._scene or not self._clock.is_running:
+                    pending = self._scene, self._clock.frame_at(now)
+                if pending == self._shown:
+                    pending = None
+                    self._changed.wait(
+                        self._clock.seconds_to_next_frame(now) if self._clock.is_running else POLL_SECONDS
+                    )
                     continue
-                scene, frame = awaited
-                ahead = self._settled
+                scene, frame = pending
+                ahead = self._decode_ahead
                 try:
-                    poses = self._frames.want(scene, frame, ahead)
+                    poses = self._frames.request(scene, frame, ahead)
                 except MixseqError as error:
-                    self._clock = self._clock.stopped(now)
-                    self._shown, awaited = (scene, frame), None
+                    self._clock = self._clock.stop(now)
+                    self._shown, pending = (scene, frame), None
                     failure: MixseqError | None = error
                 else:
                     failure = None
                     if poses is None:
-                        self._changed.wait(IDLE)
+                        self._changed.wait(POLL_SECONDS)
                         continue
                     self._stale = False
             if failure is not None:
-                self._failed(failure)
+                self._on_failure(failure)
                 continue
             assert poses is not None
-            self._sent = monotonic()
+            self._sent_at = monotonic()
             try:
                 self._stage.show(Moment(scene, frame, poses))
             except Exception as error:
-                # scales of colours look at frames of their own; or a bug, but playing goes on
+                # colour scales may decode other frames, which fails; anything else is a bug
                 if not isinstance(error, MixseqError):
                     print_exception(error)
                 self.pause()
-                self._failed(error)
+                self._on_failure(error)
             with self._changed:
-                # whether it was asked for again while it was sent, maybe in the colours of before
+                # a refresh while it was sent may have come after its colours were computed
                 self._shown = None if self._stale else (scene, frame)
                 self._changed.notify_all()
-            awaited = None
+            pending = None

@@ -1,9 +1,9 @@
-r"""Session of editing the models of a scene: messages of the page, picking, undo, chart data, and the thread for edits.
+r"""Edit the models of a scene: messages of the page, picking, undo history, chart data, and a thread for edits.
 
-Edits run in order. Of previews, which follow the mouse, only the newest runs, after the one before was shown.
+Edits run in order. Previews follow the mouse; only the newest one runs, after the one before was shown.
 
-Picking finds the first triangle that a ray from the pointer meets (Möller & Trumbore 1997). A point of the ray is
-:math:`o + t\,d`, one of the triangle :math:`a + u\,(b - a) + v\,(c - a)`; they meet where :math:`t > 0`,
+Picking intersects a ray from the pointer with all triangles (Möller & Trumbore 1997). A point of the ray is
+:math:`o + t\,d`, one of the triangle :math:`a + u\,(b - a) + v\,(c - a)`; they intersect if :math:`t > 0`,
 :math:`u, v \ge 0` and :math:`u + v \le 1`.
 """
 
@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Thread
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,239 +26,220 @@ from mixseq.pictures.charts import dense_times, largest_coordinates
 from mixseq.pictures.scene import Scene
 from mixseq.signals.model import Model
 from mixseq.signals.pose import Plane
-from mixseq.types import Float, IntArray, evenly
-from mixseq.viewer.playback import Jobs, Playback
+from mixseq.types import Float, IntArray, evenly_spaced
+from mixseq.viewer.playback import JobQueue, Playback
 
-MOST_POINTS = 5000
-"""Largest number of points of a stroke, or keys of a retiming."""
+MAX_MESSAGE_POINTS = 5000
+"""Largest number of points of a sketch, or keys of a retiming."""
 
 
-LARGEST = 1e6
+MAX_MESSAGE_NUMBER = 1e6
 """Largest time in seconds, and largest coordinate in diagonals."""
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """The page has drawn a frame."""
+    """Confirmation that the page has drawn a frame."""
 
 
 @dataclass(frozen=True)
 class Seek:
-    """Go to a time of the model, in seconds."""
+    """Request to go to a time of the model, in seconds."""
 
     time: float
 
 
 @dataclass(frozen=True, eq=False)
 class Drag:
-    """A drag of the time curve at a time to a place ``(2,)`` of the embedding; `done` at its end."""
+    """Drag of the time curve at a time to a point ``(2,)`` of the embedding."""
 
     time: float
-    to: Float
-    done: bool
+    target: Float
+    is_done: bool
 
 
 @dataclass(frozen=True, eq=False)
 class Sketch:
-    """A curve ``(N, 2)`` drawn in the embedding."""
+    """Curve ``(N, 2)`` drawn in the embedding."""
 
     points: Float
 
 
 @dataclass(frozen=True, eq=False)
 class Retime:
-    """Keys ``(n, 2)`` of a retiming, output and source times; `done` at the end of a drag."""
+    """Keys ``(n, 2)`` of a retiming: output and source times."""
 
     keys: Float
-    done: bool
+    is_done: bool
 
 
 Message = Drawn | Seek | Drag | Sketch | Retime
+State = TypeVar("State")
 
 
-def message_of(text: str) -> Message | None:
-    """Parse a message, None if it is not valid."""
+def parse_message(text: str) -> Message | None:
+    """Parse a message of the page; None if it is not valid."""
     try:
-        said = json.loads(text)
-        match said:
+        message = json.loads(text)
+        match message:
             case {"kind": "drawn"}:
                 return Drawn()
             case {"kind": "seek", "time": time}:
-                return Seek(_number(time))
+                return Seek(_parse_number(time))
             case {"kind": "drag", "time": time, "to": to, "done": bool(done)}:
-                return Drag(_number(time), _pairs([to])[0], done)
+                return Drag(_parse_number(time), _parse_pairs([to])[0], done)
             case {"kind": "sketch", "points": points}:
-                return Sketch(_pairs(points))
+                return Sketch(_parse_pairs(points))
             case {"kind": "retime", "keys": keys, "done": bool(done)}:
-                return Retime(_pairs(keys), done)
+                return Retime(_parse_pairs(keys), done)
     except (ValueError, TypeError, RecursionError):
         return None
     return None
 
 
-def _number(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST:
+def _parse_number(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= MAX_MESSAGE_NUMBER:
         raise ValueError
     return float(value)
 
 
-def _pairs(rows: Any) -> Float:
-    if not isinstance(rows, list) or not 0 < len(rows) <= MOST_POINTS:
+def _parse_pairs(rows: Any) -> Float:
+    if not isinstance(rows, list) or not 0 < len(rows) <= MAX_MESSAGE_POINTS:
         raise ValueError
     if any(not isinstance(row, list) or len(row) != 2 for row in rows):
         raise ValueError
-    return np.array([[_number(value) for value in row] for row in rows])
+    return np.array([[_parse_number(value) for value in row] for row in rows])
 
 
-class Picked(NamedTuple):
-    """The first intersection of a ray."""
+class RayHit(NamedTuple):
+    """First intersection of a ray with a mesh."""
 
-    face: int  # the triangle
-    vertex: int  # the nearest of its corners
-    distance: float  # how far along the ray, in lengths of its direction
+    face: int  # index of the triangle
+    vertex: int  # its corner nearest to the intersection
+    distance: float  # ray parameter of the intersection
 
 
-def pick(
+def intersect_ray(
     points: NDArray[np.floating], faces: IntArray, origin: ArrayLike, direction: ArrayLike
-) -> Picked | None:
-    """Return the first triangle on a ray ``(3,)``, from either side, or None: points ``(V, 3)``; faces ``(F, 3)``."""
-    start, along = np.asarray(origin, dtype=np.float64), np.asarray(direction, dtype=np.float64)
+) -> RayHit | None:
+    """Return the first hit of a ray ``(3,)`` on two-sided triangles ``(F, 3)`` of points ``(V, 3)``, or None."""
+    start, ray = np.asarray(origin, dtype=np.float64), np.asarray(direction, dtype=np.float64)
     corners = np.asarray(points, dtype=np.float64)[faces]
     a, b, c = np.moveaxis(corners, 1, 0)
     first, second = b - a, c - a
-    across = np.cross(along, second)
-    volume = np.einsum("fi,fi->f", first, across)
-    with np.errstate(
-        divide="ignore", over="ignore", invalid="ignore"
-    ):  # triangles seen edge on, no direction
+    normal = np.cross(ray, second)
+    volume = np.einsum("fi,fi->f", first, normal)
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # rays in the plane of a triangle
         offset = start - a
-        u = np.einsum("fi,fi->f", offset, across) / volume
-        turned = np.cross(offset, first)
-        v = turned @ along / volume
-        t = np.einsum("fi,fi->f", second, turned) / volume
-        met = (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0) & np.isfinite(t)
-    if not met.any():
+        u = np.einsum("fi,fi->f", offset, normal) / volume
+        cross = np.cross(offset, first)
+        v = cross @ ray / volume
+        t = np.einsum("fi,fi->f", second, cross) / volume
+        is_hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0) & np.isfinite(t)
+    if not is_hit.any():
         return None
-    face = int(np.where(met, t, np.inf).argmin())
-    nearest = np.linalg.norm(corners[face] - (start + t[face] * along), axis=1).argmin()
-    return Picked(face, int(faces[face, nearest]), float(t[face]))
+    face = int(np.where(is_hit, t, np.inf).argmin())
+    nearest = np.linalg.norm(corners[face] - (start + t[face] * ray), axis=1).argmin()
+    return RayHit(face, int(faces[face, nearest]), float(t[face]))
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A model and the edit that made it."""
+    """A state of an edited model."""
 
-    name: str  # what was done, such as repeat; that of the first step is empty
-    model: Model  # what came of it
-    # Of a retiming, its keys: times of the output and of the source, in seconds.
-    keys: tuple[tuple[float, float], ...] = ()
+    name: str  # name of the edit, such as "repeat"; empty for the opened model
+    model: Model  # model after the edit
+    keys: tuple[tuple[float, float], ...] = ()  # of a retiming: output and source times, in seconds
 
 
 @dataclass(frozen=True, eq=False)
-class History:
-    """Steps and the index of the current one; immutable."""
+class UndoHistory(Generic[State]):
+    """States and the index of the current one; immutable."""
 
-    steps: tuple[Step, ...]  # the first is the model as it was opened
-    now: int = 0  # which of them is seen
-
-    @classmethod
-    def of(cls, model: Model) -> History:
-        """Make the history of an unedited model."""
-        return cls((Step("", model),))
+    states: tuple[State, ...]  # the first is the initial one
+    index: int = 0
 
     @property
-    def model(self) -> Model:
-        """The current model."""
-        return self.steps[self.now].model
+    def current(self) -> State:
+        """The current state."""
+        return self.states[self.index]
 
-    @property
-    def changed(self) -> bool:
-        """Whether the current model is edited."""
-        return self.now > 0
+    def push(self, state: State) -> UndoHistory[State]:
+        """Return the history with a new current state; undone states are dropped."""
+        return UndoHistory((*self.states[: self.index + 1], state), self.index + 1)
 
-    def done(self, name: str, model: Model, keys: tuple[tuple[float, float], ...] = ()) -> History:
-        """Return the history after an edit; undone steps are dropped."""
-        return History((*self.steps[: self.now + 1], Step(name, model, keys)), self.now + 1)
+    def replace(self, state: State) -> UndoHistory[State]:
+        """Return the history with the current state replaced."""
+        return UndoHistory((*self.states[: self.index], state, *self.states[self.index + 1 :]), self.index)
 
-    @property
-    def before_retiming(self) -> History:
-        """The history without its last step if that is a retiming, so that its keys can be moved."""
-        return self.undone() if self.steps[self.now].keys else self
+    def undo(self) -> UndoHistory[State]:
+        """Return the history one state back, or unchanged at its start."""
+        return UndoHistory(self.states, max(self.index - 1, 0))
 
-    def retimed(self, model: Model, keys: tuple[tuple[float, float], ...]) -> History:
-        """Return the history with a retiming of `before_retiming` as its last step."""
-        return self.before_retiming.done("retime", model, keys)
-
-    @property
-    def undoes(self) -> str | None:
-        """Name of the edit that `undone` undoes, if any."""
-        return self.steps[self.now].name if self.now else None
-
-    @property
-    def redoes(self) -> str | None:
-        """Name of the edit that `redone` redoes, if any."""
-        return self.steps[self.now + 1].name if self.now + 1 < len(self.steps) else None
-
-    def undone(self) -> History:
-        """Return the history one step back, or unchanged at its start."""
-        return History(self.steps, max(self.now - 1, 0))
-
-    def redone(self) -> History:
-        """Return the history one step ahead, or unchanged at its end."""
-        return History(self.steps, min(self.now + 1, len(self.steps) - 1))
+    def redo(self) -> UndoHistory[State]:
+        """Return the history one state ahead, or unchanged at its end."""
+        return UndoHistory(self.states, min(self.index + 1, len(self.states) - 1))
 
 
-POINTS = 800
-"""Points of a line, about two for every pixel of a chart."""
+EditHistory = UndoHistory[Step]
 
-FRAMES = 300
-"""Largest number of dots."""
 
-HANDLES = 13
-"""Draggable points of the curve, evenly spaced in time, distinguishable on a small chart."""
+def before_retiming(history: EditHistory) -> EditHistory:
+    """Return the history before its current step if that is a retiming, which then can be replaced."""
+    return history.undo() if history.current.keys else history
 
-KEYS = 5
-"""Initial number of keys of the retiming."""
 
-DIGITS = 5
+MAX_CHART_POINTS = 800
+"""Largest number of points of a line, about two per pixel of a chart."""
+
+MAX_CHART_FRAMES = 300
+"""Largest number of frames that are drawn as dots."""
+
+HANDLE_COUNT = 13
+"""Number of draggable points of the time curve, evenly spaced in time, few enough for a small chart."""
+
+INITIAL_KEY_COUNT = 5
+"""Initial number of keys of a retiming."""
+
+SIGNIFICANT_DIGITS = 5
 """Digits of the largest number, enough for a screen of 4000 pixels."""
 
 
-def signals_of(model: Model, plane: Plane | None = None) -> dict[str, Any]:
+def chart_data(model: Model, plane: Plane | None = None) -> dict[str, Any]:
     """Return the chart data of a model, ready for JSON."""
     start, end = model.start, model.end
-    moves = end > start and model.time.dim > 0
+    has_motion = end > start and model.time.dim > 0
     times = dense_times(model) if end > start else np.array([start])
-    times = times[evenly(len(times), POINTS)]
-    frames = model.times[evenly(len(model.times), FRAMES)]
-    handles = np.linspace(start, end, HANDLES) if moves else np.zeros(0)
-    chosen, units = largest_coordinates(model)
-    lines = model.time(times)[:, chosen] * units
-    keys = np.linspace(start, end, KEYS).tolist() if end > start else []
+    times = times[evenly_spaced(len(times), MAX_CHART_POINTS)]
+    frames = model.times[evenly_spaced(len(model.times), MAX_CHART_FRAMES)]
+    handles = np.linspace(start, end, HANDLE_COUNT) if has_motion else np.zeros(0)
+    coordinate_ids, units = largest_coordinates(model)
+    lines = model.time(times)[:, coordinate_ids] * units
+    keys = np.linspace(start, end, INITIAL_KEY_COUNT).tolist() if end > start else []
     path = model.embedding(times, plane)
-    step = float(np.abs(path).max(initial=0.0))
-    places = _rounded(model.embedding(handles, plane), step)
+    extent = float(np.abs(path).max(initial=0.0))
+    positions = _round(model.embedding(handles, plane), extent)
     return {
         "start": start,
         "end": end,
         "fps": model.header.fps,
-        "times": _rounded(times, end - start),
-        "path": _rounded(path, step),
-        "frames": _rounded(model.embedding(frames, plane), step),
-        "frameTimes": _rounded(frames, end - start),
-        "handles": [{"time": time, "at": at} for time, at in zip(handles.tolist(), places, strict=True)],
+        "times": _round(times, end - start),
+        "path": _round(path, extent),
+        "frames": _round(model.embedding(frames, plane), extent),
+        "frameTimes": _round(frames, end - start),
+        "handles": [{"time": time, "at": at} for time, at in zip(handles.tolist(), positions, strict=True)],
         "reach": default_reach(model),
         "coefficients": [
-            {"name": f"coordinate {number + 1}", "values": _rounded(line, float(np.abs(lines).max()))}
-            for number, line in zip(chosen.tolist(), lines.T, strict=True)
+            {"name": f"coordinate {number + 1}", "values": _round(line, float(np.abs(lines).max()))}
+            for number, line in zip(coordinate_ids.tolist(), lines.T, strict=True)
         ],
         "keys": [[time, time] for time in keys],
     }
 
 
-def _rounded(values: Float, largest: float) -> list[Any]:
-    """Return values as lists, rounded to `DIGITS` digits of the largest."""
-    decimals = DIGITS - int(np.ceil(np.log10(largest))) if largest > 0 else DIGITS
+def _round(values: Float, largest: float) -> list[Any]:
+    """Return values as lists, rounded to `SIGNIFICANT_DIGITS` digits of the largest."""
+    decimals = SIGNIFICANT_DIGITS - int(np.ceil(np.log10(largest))) if largest > 0 else SIGNIFICANT_DIGITS
     rounded: list[Any] = (np.round(values, min(max(decimals, 0), 15)) + 0.0).tolist()
     return rounded
 
@@ -267,64 +248,64 @@ Edit = Callable[[Model], Model]
 
 
 Save = Callable[[Path, Model, bool], str]
-"""Writes a model to a file, also over an existing one if that is true, and returns a sentence about it."""
+"""Function that saves a model, replaces an existing file if its last argument is true, and returns a message."""
 
-PATIENCE = 1.0
-"""Seconds after which the next preview runs although the last one was not shown."""
+PREVIEW_TIMEOUT_SECONDS = 1.0
+"""Time after which the next preview runs even if the last one was not shown."""
 
-MOST_WRITTEN = 8
-"""Largest number of files written at a time."""
+MAX_CONCURRENT_SAVES = 8
+"""Largest number of files that are written at the same time."""
 
 
 class SessionListener(Protocol):
-    """Callbacks, called on another thread."""
+    """Callbacks of a session, called on background threads."""
 
-    def edited(self, session: Session) -> None:
-        """Handle a changed model."""
+    def on_edit(self, session: Session) -> None:
+        """Handle a change of the edited model."""
 
-    def chosen(self, session: Session) -> None:
-        """Handle another choice of the edited model."""
+    def on_select(self, session: Session) -> None:
+        """Handle the selection of another model."""
 
-    def failed(self, what: str, error: Exception) -> None:
+    def on_failure(self, action: str, error: Exception) -> None:
         """Handle an error."""
 
-    def saved(self, what: str) -> None:
-        """Handle a written file; `what` is its description."""
+    def on_save(self, message: str) -> None:
+        """Handle a saved file."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Job:
     name: str
     index: int
-    change: Callable[[History], History]
-    preview: bool
+    change: Callable[[EditHistory], EditHistory]
+    is_preview: bool
 
 
-class Session(Jobs[_Job]):
-    """Editing of the models of a scene."""
+class Session(JobQueue[_Job]):
+    """Edits the models of a scene."""
 
     def __init__(self, playback: Playback, listener: SessionListener, save: Save) -> None:
         self._playback = playback
         self._listener = listener
         self._save = save
         self._histories = {
-            index: History.of(item.motion)
+            index: UndoHistory((Step("", item.motion),))
             for index, item in enumerate(playback.scene.items)
             if isinstance(item.motion, Model)
         }
         self._saved: dict[int, Model] = {}
-        self._writing: list[Thread] = []
+        self._save_threads: list[Thread] = []
         self._index = min(self._histories, default=-1)
-        super().__init__(listener.failed)
+        super().__init__(listener.on_failure)
 
     def close(self) -> None:
-        """End the threads, after the current edit and files."""
+        """End the threads after the current edit and all saves."""
         super().close()
-        for writing in self._writing:
-            writing.join()
+        for thread in self._save_threads:
+            thread.join()
 
     @property
-    def editable(self) -> list[int]:
+    def editable_ids(self) -> list[int]:
         """Indices of the scene's items that are models."""
         return list(self._histories)
 
@@ -334,104 +315,115 @@ class Session(Jobs[_Job]):
         return self._index
 
     @property
-    def history(self) -> History:
-        """History of the edited model."""
+    def history(self) -> EditHistory:
+        """Undo history of the edited model."""
         return self._histories[self._index]
 
     @property
     def model(self) -> Model:
         """Current state of the edited model."""
-        return self.history.model
+        return self.history.current.model
 
     @property
     def unsaved(self) -> dict[str, Model]:
-        """Edited models without a file, by name."""
+        """Edited models that are not saved, by name."""
         return {
-            self._playback.scene.items[index].name: history.model
+            self._playback.scene.items[index].name: history.current.model
             for index, history in self._histories.items()
-            if history.changed and self._saved.get(index) is not history.model
+            if history.index > 0 and self._saved.get(index) is not history.current.model
         }
 
-    def choose(self, index: int) -> None:
+    def select(self, index: int) -> None:
         """Edit another item."""
         if index in self._histories:
             self._index = index
-            self._listener.chosen(self)
+            self._listener.on_select(self)
 
     def edit(self, name: str, edit: Edit, preview: bool = False) -> None:
-        """Edit the model on another thread, as a step that can be undone; a preview is shown, unless a newer job is."""
-        self._ask(name, lambda history: history.done(name, edit(history.model)), preview)
+        """Edit the model on the background thread; a preview is only shown, and dropped if another job follows."""
+
+        def change(history: EditHistory) -> EditHistory:
+            return history.push(Step(name, edit(history.current.model)))
+
+        self._enqueue_change(name, change, preview)
 
     def retime(self, keys: Float, preview: bool = False) -> None:
-        """Retime the model by keys ``(n, 2)`` of output and source seconds, in place of a retiming as last step."""
+        """Retime the model by keys ``(n, 2)`` of output and source seconds; replaces a retiming as last step."""
 
-        def change(history: History) -> History:
-            model = retime(history.before_retiming.model, keys)
-            return history.retimed(model, tuple((float(output), float(source)) for output, source in keys))
+        def change(history: EditHistory) -> EditHistory:
+            before = before_retiming(history)
+            key_times = tuple((float(output), float(source)) for output, source in keys)
+            return before.push(Step("retime", retime(before.current.model, keys), key_times))
 
-        self._ask("retime", change, preview)
+        self._enqueue_change("retime", change, preview)
 
     def undo(self) -> None:
         """Undo the last step, after the queued edits."""
-        self._ask("undo", History.undone)
+        self._enqueue_change("undo", UndoHistory.undo)
 
     def redo(self) -> None:
         """Redo the last undone step."""
-        self._ask("redo", History.redone)
+        self._enqueue_change("redo", UndoHistory.redo)
 
-    def settle(self) -> None:
+    def discard_preview(self) -> None:
         """Show the current model in place of a preview."""
         if self._histories:
-            self._ask("settle", lambda history: history)
+            self._enqueue_change("discard preview", lambda history: history)
 
     def save(self, path: Path, replace: bool = False) -> None:
-        """Write the model to a file on its own thread, over an existing one if `replace`; ignored once closed."""
-        writing = Thread(target=self._write, args=(path, self._index, self.model, replace), daemon=True)
+        """Save the model on a thread of its own; `replace` an existing file. Does nothing after `close`."""
+        thread = Thread(target=self._write, args=(path, self._index, self.model, replace), daemon=True)
         with self._changed:
-            if self._closed:  # nobody would wait for it, and a process that ends while HDF5 writes may hang
+            if self._closed:  # a process that ends while HDF5 writes may hang
                 return
-            self._writing = [thread for thread in self._writing if thread.is_alive()]
-            begins = len(self._writing) < MOST_WRITTEN
-            if begins:
-                self._writing.append(writing)
-                writing.start()
-        if not begins:
-            self._fail(
-                "save", OutputError(f"{MOST_WRITTEN} files are being written; save again when one is done")
+            self._save_threads = [running for running in self._save_threads if running.is_alive()]
+            has_capacity = len(self._save_threads) < MAX_CONCURRENT_SAVES
+            if has_capacity:
+                self._save_threads.append(thread)
+                thread.start()
+        if not has_capacity:
+            self._report_failure(
+                "save",
+                OutputError(
+                    f"{MAX_CONCURRENT_SAVES} files are still being saved; try again when one is done"
+                ),
             )
 
     def _write(self, path: Path, index: int, model: Model, replace: bool) -> None:
         try:
-            what = self._save(path, model, replace)
+            message = self._save(path, model, replace)
         except Exception as error:
-            self._fail("save", error)
+            self._report_failure("save", error)
         else:
             self._saved[index] = model
-            self._listener.saved(what)
+            self._listener.on_save(message)
 
-    def _ask(self, name: str, change: Callable[[History], History], preview: bool = False) -> None:
-        self._add(_Job(name, self._index, change, preview), needless=lambda waiting: waiting.preview)
+    def _enqueue_change(
+        self, name: str, change: Callable[[EditHistory], EditHistory], preview: bool = False
+    ) -> None:
+        job = _Job(name, self._index, change, preview)
+        self._enqueue(job, is_obsolete=lambda waiting: waiting.is_preview)
 
-    def _do(self, job: _Job) -> None:
+    def _run_job(self, job: _Job) -> None:
         try:
             history = job.change(self._histories[job.index])
-            scene = self._playback.scene.with_item(job.index, history.model).validated()
+            scene = self._playback.scene.with_item(job.index, history.current.model).validated()
         except Exception as error:
-            model = self._histories[job.index].model
-            self._playback.change(self._playback.scene.with_item(job.index, model))
-            if not job.preview:  # the mouse goes on, and what comes of the last one is reported
-                self._fail(job.name, error)
+            model = self._histories[job.index].current.model
+            self._playback.set_scene(self._playback.scene.with_item(job.index, model))
+            if not job.is_preview:  # the edit after the previews reports its own error
+                self._report_failure(job.name, error)
         else:
-            self._see(job, history, scene)
+            self._show(job, history, scene)
 
-    def _see(self, job: _Job, history: History, scene: Scene) -> None:
-        if job.preview:
-            self._playback.change(scene, settled=False)
-            self._playback.caught_up(PATIENCE)
+    def _show(self, job: _Job, history: EditHistory, scene: Scene) -> None:
+        if job.is_preview:
+            self._playback.set_scene(scene, decode_ahead=False)
+            self._playback.wait_until_shown(PREVIEW_TIMEOUT_SECONDS)
             return
         self._histories[job.index] = history
-        self._playback.change(scene)
+        self._playback.set_scene(scene)
         try:
-            self._listener.edited(self)
+            self._listener.on_edit(self)
         except Exception as error:
-            self._fail("drawing charts", error)
+            self._report_failure("drawing charts", error)

@@ -34,7 +34,7 @@ SIDE = 245  # vertices of the side of the sheet: 60 025 in all
 class Watch:
     """A stage that only takes notes."""
 
-    busy = False
+    is_busy = False
 
     def __init__(self) -> None:
         self.shown: list[tuple[float, int]] = []
@@ -63,7 +63,7 @@ def rounds(scene: Scene) -> list[str]:
     """Play a scene and return the share of its frames that was seen in every round."""
     watch, period = Watch(), scene.count / scene.fps
     with Playback(scene, watch, lambda error: None, threads=thread_count()) as playback:
-        playback.caught_up(60.0)
+        playback.wait_until_shown(60.0)
         begin = time.monotonic()
         playback.play()
         time.sleep(ROUNDS * period)
@@ -94,7 +94,7 @@ def sending(item: SceneItem, colour: str) -> float:
     with redirect_stdout(StringIO()):
         server = ViserServer("127.0.0.1", 8500, verbose=False)
         stage = LiveStage(server, SceneColours(scene), "standard", False, lambda moment: None)
-        stage.colour(colour)
+        stage.set_colour(colour)
         moments = [
             Moment(scene, frame, (item.pose(scene.elapsed(frame)),)) for frame in scene.sample_frames(24)
         ]

@@ -9,7 +9,6 @@ import sys
 import tomllib
 import zipfile
 from base64 import urlsafe_b64encode
-from collections.abc import Sequence
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from click.testing import CliRunner
 import mixseq
 from mixseq.blender import extension
 from mixseq.blender.extension import (
-    ADDON,
+    ADDON_FOLDER,
     PLATFORMS,
     RELEASES,
     Release,
@@ -38,11 +37,11 @@ LIBRARY = "h5py-3.16.0-cp311-cp311-manylinux_2_28_x86_64.whl"
 def downloaded(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have pip download one wheel."""
 
-    def download(folder: Path, python: str, numpy: str, tags: Sequence[str]) -> list[Path]:
+    def download_wheels(folder: Path, release: Release, platform: str) -> list[Path]:
         (folder / LIBRARY).write_bytes(b"a wheel")
         return [folder / LIBRARY]
 
-    monkeypatch.setattr(extension, "download", download)
+    monkeypatch.setattr(extension, "download_wheels", download_wheels)
 
 
 @pytest.fixture
@@ -52,13 +51,13 @@ def archive(downloaded: None, tmp_path: Path) -> zipfile.ZipFile:
     return zipfile.ZipFile(path)
 
 
-def told(release: Release) -> dict[str, Any]:
+def read_manifest(release: Release) -> dict[str, Any]:
     return tomllib.loads(manifest("linux-x64", release, [LIBRARY]))
 
 
 @pytest.mark.parametrize("release", RELEASES.values(), ids=RELEASES)
-def test_the_manifest_has_what_blender_asks_for(release: Release) -> None:
-    found = told(release)
+def test_the_manifest_has_the_fields_blender_requires(release: Release) -> None:
+    found = read_manifest(release)
     assert found["schema_version"] == "1.0.0"
     assert found["type"] == "add-on"
     assert re.fullmatch(r"[a-z][a-z0-9_]*", found["id"])
@@ -75,15 +74,20 @@ def test_the_manifest_has_what_blender_asks_for(release: Release) -> None:
 
 def test_releases_follow_each_other() -> None:
     first, last = RELEASES.values()
-    assert told(first)["blender_version_max"] == told(last)["blender_version_min"]
-    assert "blender_version_max" not in told(last)
+    assert read_manifest(first)["blender_version_max"] == read_manifest(last)["blender_version_min"]
+    assert "blender_version_max" not in read_manifest(last)
 
 
 def test_the_archive_holds_all_that_its_manifest_names(archive: zipfile.ZipFile) -> None:
     inside = set(archive.namelist())
     found = tomllib.loads(archive.read("blender_manifest.toml").decode())
     named = {wheel.removeprefix("./") for wheel in found["wheels"]}
-    assert inside == {"blender_manifest.toml", "LICENSE", *(each.name for each in ADDON.glob("*.py")), *named}
+    assert inside == {
+        "blender_manifest.toml",
+        "LICENSE",
+        *(each.name for each in ADDON_FOLDER.glob("*.py")),
+        *named,
+    }
     assert archive.read("LICENSE").startswith(b"MIT License")
     assert archive.read(f"wheels/{LIBRARY}") == b"a wheel"
 
@@ -95,8 +99,8 @@ def test_the_same_archive_is_made_twice(downloaded: None, tmp_path: Path) -> Non
     assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
-def test_our_own_wheel_holds_what_its_record_says(tmp_path: Path) -> None:
-    with zipfile.ZipFile(extension.own_wheel(tmp_path)) as wheel:
+def test_the_wheel_matches_its_record(tmp_path: Path) -> None:
+    with zipfile.ZipFile(extension.build_wheel(tmp_path)) as wheel:
         records = csv.reader(
             wheel.read(f"mixseq-{mixseq.__version__}.dist-info/RECORD").decode().splitlines()
         )
@@ -114,11 +118,9 @@ def test_our_own_wheel_holds_what_its_record_says(tmp_path: Path) -> None:
     }
 
 
-def test_our_own_wheel_decodes_models_without_anything_but_its_libraries(
-    tmp_path: Path, golden: Path
-) -> None:
-    """What else is imported would have to be bundled, too."""
-    path = extension.own_wheel(tmp_path)
+def test_the_wheel_decodes_models_with_only_its_libraries(tmp_path: Path, golden: Path) -> None:
+    """Any other import would have to be bundled as well."""
+    path = extension.build_wheel(tmp_path)
     code = "import sys, mixseq; mixseq.load(sys.argv[1])(0); print(*sorted({n.partition('.')[0] for n in sys.modules}))"
     words = [sys.executable, "-c", code, str(golden)]
     environment = {
@@ -142,11 +144,11 @@ def test_libraries_are_among_what_mixseq_requires() -> None:
     assert [re.split(r"[^\w.-]", line)[0] for line in extension.requirements()] == list(extension.LIBRARIES)
 
 
-def test_what_pip_says_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_errors_of_pip_are_reported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("PIP_NO_INDEX", "1")
     monkeypatch.setenv("PIP_FIND_LINKS", str(tmp_path))
     with pytest.raises(OutputError, match=r"pip cannot download the libraries .*PIP_FIND_LINKS"):
-        extension.download(tmp_path, "3.11", "numpy==1.26.4", ["win_amd64"])
+        extension.download_wheels(tmp_path, RELEASES["4.2"], "windows-x64")
 
 
 def test_platforms_are_named_as_blender_names_them(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -155,7 +157,9 @@ def test_platforms_are_named_as_blender_names_them(monkeypatch: pytest.MonkeyPat
         monkeypatch.setattr("platform.machine", lambda machine=machine: machine)
         assert this_platform() == name
     monkeypatch.setattr("platform.machine", lambda: "riscv64")
-    with pytest.raises(SettingsError, match=r"no wheels for macos-riscv64; platforms are linux-x64"):
+    with pytest.raises(
+        SettingsError, match=r"no extension for macos-riscv64; choose a platform from linux-x64"
+    ):
         this_platform()
 
 

@@ -12,15 +12,14 @@ import pytest
 
 import mixseq
 from mixseq.blender.motion import (
-    Frames,
+    FrameCache,
     MeshParts,
-    Models,
+    ModelCache,
     Motion,
     Placement,
-    fitting,
+    find_placement,
     part_names,
-    part_of,
-    seconds,
+    part_slices,
 )
 from mixseq.errors import FormatError, SettingsError
 from mixseq.mesh.polygons import Polygons
@@ -50,11 +49,6 @@ def pair() -> Model:
     return mixseq.fit(sequence, space="vertex", exact=True)
 
 
-def test_seconds_are_those_of_caches_in_blender() -> None:
-    assert seconds(36, 12, 24) == 1
-    assert seconds(0.5, 0, 25) == 0.02
-
-
 def test_points_are_turned_and_scaled(pair: Model) -> None:
     points = Motion(pair, Placement("Y", 0.01)).points(1 / 2)
     assert points.dtype == np.float32
@@ -68,16 +62,22 @@ def test_points_are_turned_and_scaled(pair: Model) -> None:
 @pytest.mark.parametrize(("time", "shown"), [(-1, 0), (0.25, 0.25), (7, 1)])
 def test_ends_are_held(pair: Model, time: float, shown: float) -> None:
     motion = Motion(pair, Placement("Z", 1))
-    assert motion.held(time) == shown
+    assert motion.clamp_time(time) == shown
     assert motion.points(time)[0, 0] == pytest.approx(3 * shown, abs=1e-6)
 
 
 def test_parts_are_found_by_path_and_by_name(pair: Model) -> None:
     assert part_names(pair.header) == ["/rig/body", "/rig/sword"]
-    assert part_of(pair.header, "") == (slice(0, 6), slice(0, 2))
-    assert part_of(pair.header, "/rig/sword") == part_of(pair.header, "sword") == (slice(3, 6), slice(1, 2))
-    with pytest.raises(SettingsError, match=r"no mesh 'shield'; its meshes are /rig/body, /rig/sword"):
-        part_of(pair.header, "shield")
+    assert part_slices(pair.header, "") == (slice(0, 6), slice(0, 2))
+    assert (
+        part_slices(pair.header, "/rig/sword")
+        == part_slices(pair.header, "sword")
+        == (slice(3, 6), slice(1, 2))
+    )
+    with pytest.raises(
+        SettingsError, match=r"no mesh 'shield'; choose one of its meshes: /rig/body, /rig/sword"
+    ):
+        part_slices(pair.header, "shield")
 
 
 def test_one_mesh_needs_no_name(bar_model: Model) -> None:
@@ -85,16 +85,18 @@ def test_one_mesh_needs_no_name(bar_model: Model) -> None:
 
 
 @pytest.mark.parametrize(
-    "placing", [Placement("Y", 0.01), Placement("Z", 0.01), Placement("Y", 1), Placement("Z", 1)]
+    "placement", [Placement("Y", 0.01), Placement("Z", 0.01), Placement("Y", 1), Placement("Z", 1)]
 )
-def test_a_mesh_is_found_as_importers_leave_it(pair: Model, placing: Placement) -> None:
-    mesh = placing.conversion(pair.header).values(pair(2 / 3))[3:]
-    assert fitting(pair, mesh.astype(np.float64)) == ("/rig/sword", placing)
+def test_a_mesh_is_found_as_importers_leave_it(pair: Model, placement: Placement) -> None:
+    mesh = placement.conversion(pair.header).values(pair(2 / 3))[3:]
+    assert find_placement(pair, mesh.astype(np.float64)) == ("/rig/sword", placement)
 
 
 def test_another_number_of_vertices_is_told(pair: Model) -> None:
-    with pytest.raises(SettingsError, match=r"has 5 vertices, the model 6, 3, 3; import it as a new object"):
-        fitting(pair, np.zeros((5, 3)))
+    with pytest.raises(
+        SettingsError, match=r"has 5 vertices, the model 6, 3, 3; import the model as a new object"
+    ):
+        find_placement(pair, np.zeros((5, 3)))
 
 
 def test_a_model_that_does_not_tell_more_stands_upright_in_metres(bar_model: Model) -> None:
@@ -124,7 +126,7 @@ class Counted:
 
 
 def test_frames_are_made_once() -> None:
-    frames, counted = Frames(), Counted()
+    frames, counted = FrameCache(), Counted()
     for _ in range(2):
         np.testing.assert_array_equal(frames.get("here", counted(7)), [[7, 7, 7]])
     assert counted.made == [7]
@@ -132,7 +134,7 @@ def test_frames_are_made_once() -> None:
 
 
 def test_those_used_last_are_kept() -> None:
-    frames, counted = Frames(2 * SIZE), Counted()
+    frames, counted = FrameCache(2 * SIZE), Counted()
     for number in (0, 1, 0, 2, 0, 1):
         frames.get(number, counted(number))
     assert counted.made == [0, 1, 2, 1]
@@ -140,7 +142,7 @@ def test_those_used_last_are_kept() -> None:
 
 
 def test_one_frame_is_kept_however_large_it_is() -> None:
-    frames, counted = Frames(1), Counted()
+    frames, counted = FrameCache(1), Counted()
     for number in (0, 0, 1, 1):
         frames.get(number, counted(number))
     assert counted.made == [0, 1]
@@ -148,11 +150,11 @@ def test_one_frame_is_kept_however_large_it_is() -> None:
 
 def test_a_frame_cannot_be_changed() -> None:
     with pytest.raises(ValueError, match="read-only"):
-        Frames().get(0, Counted()(0))[0] = 1
+        FrameCache().get(0, Counted()(0))[0] = 1
 
 
 def test_what_is_forgotten_is_made_again() -> None:
-    frames, counted = Frames(), Counted()
+    frames, counted = FrameCache(), Counted()
     frames.get(0, counted(0))
     frames.clear()
     assert frames.size == 0
@@ -167,7 +169,7 @@ def test_models_are_read_again_when_their_files_change(tmp_path: Path, bar_model
         read.append(path.read_text())
         return bar_model
 
-    models = Models(load)
+    models = ModelCache(load)
     for text in ("one", "three"):
         path.write_text(text)
         assert models.get(path) is models.get(path) is bar_model
@@ -181,7 +183,7 @@ def test_damage_is_read_once_and_told_every_time(tmp_path: Path) -> None:
         tries.append(path)
         raise FormatError(f"{path} is damaged")
 
-    models = Models(load)
+    models = ModelCache(load)
     path.write_text("damage")
     for _ in range(2):
         with pytest.raises(FormatError, match="is damaged"):
@@ -195,7 +197,7 @@ def test_damage_is_read_once_and_told_every_time(tmp_path: Path) -> None:
 
 def test_a_missing_file_is_told(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match=r"none\.h5: No such file or directory; choose the file again"):
-        Models(lambda path: pytest.fail("nothing to read")).get(tmp_path / "none.h5")
+        ModelCache(lambda path: pytest.fail("nothing to read")).get(tmp_path / "none.h5")
 
 
 # Polygons, texture coordinates, materials and hard edges, as Blender's meshes take them
@@ -234,12 +236,12 @@ def corners(*groups: int) -> Index:
 def test_edges_are_hard_where_corners_beside_them_do_not_share_a_normal(
     groups: Index, hard: list[int]
 ) -> None:
-    parts = MeshParts.of(roof(hard_edges=groups), "")
-    assert np.flatnonzero(parts.sharp(EDGES)).tolist() == hard
+    parts = MeshParts.from_header(roof(hard_edges=groups), "")
+    assert np.flatnonzero(parts.sharp_edges(EDGES)).tolist() == hard
 
 
 def test_without_hard_edges_all_are_smooth() -> None:
-    assert MeshParts.of(roof(), "").sharp(EDGES).tolist() == 7 * [False]
+    assert MeshParts.from_header(roof(), "").sharp_edges(EDGES).tolist() == 7 * [False]
 
 
 def test_colours_of_corners_of_one_mesh_of_two() -> None:
@@ -249,26 +251,26 @@ def test_colours_of_corners_of_one_mesh_of_two() -> None:
         colours=CornerValues(values, np.arange(16)),
         objects=(MeshObject("a", "/a", 6, 2), MeshObject("b", "/b", 6, 2)),
     )
-    colours = MeshParts.of(header, "/b").colours
+    colours = MeshParts.from_header(header, "/b").colours
     assert colours is not None
     np.testing.assert_array_equal(colours, values[8:])
-    assert MeshParts.of(roof(), "").colours is None
+    assert MeshParts.from_header(roof(), "").colours is None
 
 
 def test_polygons_begin_where_the_last_ended() -> None:
-    parts = MeshParts.of(roof(), "")
+    parts = MeshParts.from_header(roof(), "")
     assert parts.starts.tolist() == [0, 4]
     assert parts.corners.tolist() == np.array(ROOF).reshape(-1).tolist()
 
 
 def test_materials_are_those_of_the_face_sets() -> None:
     sets = (FaceSet("walls", np.array([1]), "/looks/brick"), FaceSet("floor", np.array([0])))
-    parts = MeshParts.of(roof(face_sets=sets), "")
+    parts = MeshParts.from_header(roof(face_sets=sets), "")
     assert [parts.materials[number] for number in parts.material_of_polygon] == ["floor", "brick"]
 
 
 def test_polygons_in_no_face_set_have_the_material_of_none() -> None:
-    parts = MeshParts.of(roof(face_sets=(FaceSet("walls", np.array([1])),)), "")
+    parts = MeshParts.from_header(roof(face_sets=(FaceSet("walls", np.array([1])),)), "")
     assert [parts.materials[number] for number in parts.material_of_polygon] == ["", "walls"]
 
 
@@ -276,7 +278,7 @@ def test_one_of_several_meshes() -> None:
     objects = tuple(MeshObject(name, f"/{name}", 6, 2) for name in ("house", "barn"))
     values = CornerValues(np.arange(32.0).reshape(16, 2), np.arange(16))
     sets = (FaceSet("hay", np.array([3])), FaceSet("brick", np.array([0, 1])))
-    parts = MeshParts.of(roof(2, objects=objects, uvs=values, face_sets=sets), "barn")
+    parts = MeshParts.from_header(roof(2, objects=objects, uvs=values, face_sets=sets), "barn")
     assert parts.corners.tolist() == np.array(ROOF).reshape(-1).tolist()
     assert parts.uvs is not None
     assert parts.uvs[0].tolist() == [16, 17]

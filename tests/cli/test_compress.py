@@ -295,8 +295,8 @@ def test_verify_finds_damage(run: Run, small: Path) -> None:
     [
         ("verify none.h5", "none.h5 does not exist"),
         ("verify bar.npz", "bar.npz"),
-        ("verify model.h5", "model.h5 is no compressed model; make one with mixseq encode --max-error"),
-        ("verify bar_sequence.h5", "bar_sequence.h5 is no compressed model"),
+        ("verify model.h5", "model.h5 is not a compressed model; make one with mixseq encode --max-error"),
+        ("verify bar_sequence.h5", "bar_sequence.h5 is not a compressed model"),
         ("verify cut_model.h5", "cut_model.h5"),
         ("verify small.h5 none.npz", "none.npz"),
         ("verify small.h5 other.npz", "the reference has 4 vertices, the other sequence 77"),

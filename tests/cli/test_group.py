@@ -20,7 +20,7 @@ from click.testing import Result
 
 import mixseq
 from mixseq.cli import group
-from mixseq.cli.group import FLOOR, exit_code, is_short_of_memory, make_do
+from mixseq.cli.group import MIN_ADDRESS_SPACE, exit_code, is_short_of_memory, limit_threads
 from mixseq.errors import MissingExtraError, MixseqError, SettingsError
 
 Run = Callable[..., Result]
@@ -280,19 +280,19 @@ def limited(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     """Give the process little more than the floor."""
     monkeypatch.setattr(os, "environ", dict(os.environ))
     os.environ.pop("MIXSEQ_THREADS", None)
-    monkeypatch.setattr("resource.getrlimit", lambda _: (FLOOR + 1, FLOOR + 1))
+    monkeypatch.setattr("resource.getrlimit", lambda _: (MIN_ADDRESS_SPACE + 1, MIN_ADDRESS_SPACE + 1))
     return monkeypatch
 
 
 def test_one_thread_where_there_is_a_limit(limited: pytest.MonkeyPatch) -> None:
     limited.setitem(os.environ, "OPENBLAS_NUM_THREADS", "3")
-    make_do()
+    limit_threads()
     assert (os.environ["MIXSEQ_THREADS"], os.environ["OPENBLAS_NUM_THREADS"]) == ("1", "3")
 
 
 def test_nothing_changes_without_one(limited: pytest.MonkeyPatch) -> None:
     limited.setattr("resource.getrlimit", lambda _: (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-    make_do()
+    limit_threads()
     assert "MIXSEQ_THREADS" not in os.environ
     assert not is_short_of_memory(RuntimeError("can't start new thread"))
 
@@ -302,7 +302,7 @@ def test_too_little(limited: pytest.MonkeyPatch) -> None:
     with pytest.raises(
         SettingsError, match=r"limited to 300 MiB \(ulimit -v\), .* need 2000 MiB .*; raise the limit"
     ):
-        make_do()
+        limit_threads()
 
 
 @pytest.mark.usefixtures("limited")
@@ -338,7 +338,7 @@ def test_other_errors_are_bugs() -> None:
 def test_in_a_process(tmp_path: Path, line: str, code: int) -> None:
     ended = subprocess.run(
         [sys.executable, "-m", "mixseq", *line.split()],
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (group.FLOOR // 4,) * 2),
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (group.MIN_ADDRESS_SPACE // 4,) * 2),
         capture_output=True,
         text=True,
         timeout=60,

@@ -65,7 +65,7 @@ PATIENCE = 60.0
         ("view bar.npz --every 2", "--every is about pages; give --export as well"),
         ("view bar.npz --max-error 0.1", "--max-error is about pages; give --export as well"),
         ("view bar.npz --against none.npz", "none.npz.* does not exist"),
-        ("view bar.npz --against other.npz", "none of the meshes has .* errors need one mesh"),
+        ("view bar.npz --against other.npz", "none of the meshes has .* errors need the same topology"),
         ("view bar.npz --prim /mesh", "none of the files is read with an option 'prim'"),
         ("view bar.usdc --prim /none", "/none"),
         (
@@ -83,7 +83,7 @@ PATIENCE = 60.0
         ("view bar.npz --export new.html --max-error -1", "-1"),
         ("view bar.npz --export new.html --max-error 1e-30", "max_error"),
         ("view none.npz --export new.html", "none.npz.* does not exist"),
-        ("view bar.npz --export new.html --against other.npz", "errors need one mesh"),
+        ("view bar.npz --export new.html --against other.npz", "errors need the same topology"),
     ],
 )
 def test_failure(

@@ -48,7 +48,7 @@ class Room:
         self.settings: ViewSettings
         self.save: Callable[[Markers], str]
         self.marking = Marking()
-        self.unsaved = False
+        self.has_changes = False
         monkeypatch.setattr(live, "run_marking_viewer", self._viewer)
         monkeypatch.setattr(module, "threading", SimpleNamespace(Event=lambda: self))
 
@@ -121,7 +121,7 @@ def test_markers_are_saved_to_the_file(run: Run, room: Room) -> None:
 
 @pytest.mark.usefixtures("folder")
 def test_what_is_not_saved_is_kept(run: Run, room: Room) -> None:
-    room.marking, room.unsaved = Marking((Pair((1, 2)),)), True
+    room.marking, room.has_changes = Marking((Pair((1, 2)),)), True
     result = run("view", "bar.npz", "thick.obj", "--markers", "pairs.txt", "--no-browser")
     assert "the markers were not saved; they are in pairs-unsaved.txt" in result.stderr
     assert mixseq.read_markers("pairs-unsaved.txt").source.tolist() == [1]

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 import mixseq
 from mixseq.errors import SettingsError
 from mixseq.operations import drag, exaggerate, sculpt, transition
-from mixseq.operations.sections import snapped
+from mixseq.operations.sections import snap_time
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.curve import Curve
 from mixseq.signals.fitting import fit
@@ -51,7 +51,7 @@ def test_the_point_arrives_and_what_is_out_of_reach_stays(
 ) -> None:
     for model in (bar_motion(), bar_motion(knots=2), bar_motion("vertex")):
         to = np.random.default_rng(seed).normal(size=2)
-        time = snapped(model, time)
+        time = snap_time(model, time)
         pulled = drag(model, time, to, reach)
         np.testing.assert_allclose(place_of(pulled, time, model.plane), to, atol=1e-9)
         dense = np.linspace(0, 0.8, 101)
@@ -204,7 +204,7 @@ class Still:
     ("time", "to", "reach", "message"),
     [
         (0.9, [0.0, 0.0], None, "time is 0.9 s; the model is from 0 to 0.8 s"),
-        (0.4, [0.0], None, r"to has shape \(1,\); a place in the embedding, \(2,\), is expected"),
+        (0.4, [0.0], None, r"to has shape \(1,\); a point of the embedding, \(2,\), is expected"),
         (0.4, [0.0, np.nan], None, r"to is \(0.0, nan\); two finite numbers are expected"),
         (0.4, [0.0, 0.0], 0.0, r"reach is 0 s; a number of seconds is expected, at least 0.0001"),
         (0.4, [0.0, 0.0], -1.0, r"reach is -1 s"),

@@ -14,8 +14,8 @@ from mixseq.compression.bitstream.compressed_sequence import to_model
 from mixseq.creature import walk_cycle
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.operations import concatenate, cut, reverse, shift, swap_key
-from mixseq.operations.sculpt import edited_difference, sculpt
-from mixseq.operations.transitions import together
+from mixseq.operations.sculpt import encode_edit, sculpt
+from mixseq.operations.transitions import match_spaces
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
@@ -43,7 +43,7 @@ def test_room_changes_nothing_but_the_space(model: Model) -> None:
     time = float(model.times[3])
     edited = model(time)
     edited[5] += (0.3, -0.2, 0.1)
-    roomy, _ = edited_difference(model, time, edited)
+    roomy, _ = encode_edit(model, time, edited)
     assert roomy.space.dim == model.space.dim + 9
     for t in (model.times[0], 0.5 * (model.times[2] + model.times[3])):
         np.testing.assert_allclose(roomy(t), model(t), atol=1e-12 * model.space.scale)
@@ -52,7 +52,7 @@ def test_room_changes_nothing_but_the_space(model: Model) -> None:
 def test_displacement_along_one_axis_takes_one_field(model: Model) -> None:
     edited = model(model.times[3])
     edited[5, 1] += 0.3
-    assert edited_difference(model, model.times[3], edited)[0].space.dim == model.space.dim + 3
+    assert encode_edit(model, model.times[3], edited)[0].space.dim == model.space.dim + 3
 
 
 def test_sculpted_vertex_is_where_it_was_put(model: Model) -> None:
@@ -68,12 +68,12 @@ def test_sculpted_vertex_is_where_it_was_put(model: Model) -> None:
 
 def test_other_spaces_have_room() -> None:
     fitted = mixseq.fit(walk_cycle(frames=4), space="vertex")
-    assert edited_difference(fitted, 0.0, fitted(0.0))[0].space is fitted.space
+    assert encode_edit(fitted, 0.0, fitted(0.0))[0].space is fitted.space
 
 
 def test_points_of_another_mesh_are_refused(model: Model) -> None:
     with pytest.raises(InvalidSequenceError, match="shape"):
-        edited_difference(model, 0.0, np.zeros((3, 3)))
+        encode_edit(model, 0.0, np.zeros((3, 3)))
 
 
 def test_residual_layers_stay_with_their_times(model: Model) -> None:
@@ -97,7 +97,7 @@ def warped() -> MeshSequence:
 def test_motions_of_two_files_keep_their_shapes(model: Model) -> None:
     """A basis has the shapes of its own motion; together they have those of both."""
     other = compressed(warped())
-    both = together(replace(model, residual_layer=None), replace(other, residual_layer=None))
+    both = match_spaces(replace(model, residual_layer=None), replace(other, residual_layer=None))
     for mine, original in zip(both, (model, other), strict=True):
         signals = replace(original, residual_layer=None)
         for time in (model.times[2], 0.5 * (model.times[4] + model.times[5])):
@@ -112,14 +112,14 @@ def test_the_same_file_twice_is_one_space(model: Model) -> None:
     space = model.space
     assert isinstance(space, BasisSpace)
     again = replace(model, space=BasisSpace(np.array(space.basis), space.scale))
-    first, second = together(model, again)
+    first, second = match_spaces(model, again)
     assert first.space is second.space is model.space
     np.testing.assert_array_equal(first.shapes, model.shapes)
 
 
 def test_a_motion_in_another_space_takes_the_first_along(model: Model) -> None:
     fitted = mixseq.fit(warped(), space="vertex", exact=True)
-    first, second = together(replace(model, residual_layer=None), fitted)
+    first, second = match_spaces(replace(model, residual_layer=None), fitted)
     assert first.space is second.space is fitted.space
     signals = replace(model, residual_layer=None)
     np.testing.assert_allclose(first(model.times[3]), signals(model.times[3]), atol=1e-9)

@@ -10,21 +10,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixseq.choices import SpaceName
-from mixseq.mesh.rotations import matrices, rotations_of, vectors
+from mixseq.mesh.rotations import matrix_to_rotvec, quat_to_matrix, rotvec_to_matrix
 from mixseq.operations.sections import (
-    ROUNDS,
+    MAX_BISECTIONS,
     CurveSection,
     Seam,
-    correction_measure,
-    join,
-    mean,
-    mean_placements,
-    moved,
-    placement_measure,
-    refined,
-    sampled,
-    shape_measure,
-    sites_of,
+    blend_placements,
+    correction_norm,
+    interpolate_adaptively,
+    join_curves,
+    lerp,
+    map_curve_times,
+    merge_sites,
+    placement_norm,
+    shape_norm,
+    subdivide,
 )
 from mixseq.signals.curve import Curve
 from mixseq.signals.fitting import fit
@@ -51,7 +51,7 @@ def test_sections_of_one_curve_make_that_curve(seed: int, cuts: list[float], kno
     edges = [edge for edge, after in zip(edges, [*edges[1:], np.inf], strict=True) if after - edge > 1e-2]
     sections = [CurveSection(curve, start, end) for start, end in pairwise(edges)]
     shortest = min(end - start for _, start, end in sections)
-    whole = join(sections, [Seam(shortest)] * (len(sections) - 1))
+    whole = join_curves(sections, [Seam(shortest)] * (len(sections) - 1))
     times = np.linspace(0, 2, 301)
     sizes = np.abs(jets(curve, times)).max(axis=(1, 2))
     errors = np.abs(jets(whole, times) - jets(curve, times)).max(axis=(1, 2))
@@ -62,7 +62,7 @@ def test_sections_of_one_curve_make_that_curve(seed: int, cuts: list[float], kno
 @given(seed=seeds, fade=st.floats(0.05, 1.0), share=st.sampled_from([0.0, 0.3, 0.5, 1.0]))
 def test_a_jump_is_taken_up_within_the_fade(seed: int, fade: float, share: float) -> None:
     before, after = wild(seed, start=0, end=1), wild(seed + 1, start=1, end=2)
-    whole = join([CurveSection(before, 0, 1), CurveSection(after, 1, 2)], [Seam(fade, share)])
+    whole = join_curves([CurveSection(before, 0, 1), CurveSection(after, 1, 2)], [Seam(fade, share)])
     assert (jumps(whole) < 1e-9).all()
     reach = 1.02 * fade  # its end may move to a knot
     for piece, times in ((before, np.linspace(0, 1 - reach, 50)), (after, np.linspace(1 + reach, 2, 50))):
@@ -77,10 +77,14 @@ def test_a_jump_is_taken_up_within_the_fade(seed: int, fade: float, share: float
 def test_without_a_share_a_side_stays_as_it_is() -> None:
     before, after = wild(1, start=0, end=1), wild(2, start=1, end=2)
     times = np.linspace(0, 1, 50)
-    kept = join([CurveSection(before, 0, 1), CurveSection(after, 1, 2)], [Seam(0.5, share=0.0)])
+    kept = join_curves(
+        [CurveSection(before, 0, 1), CurveSection(after, 1, 2)], [Seam(0.5, fraction_before=0.0)]
+    )
     np.testing.assert_allclose(kept(times), before(times), atol=1e-12)
     assert np.abs(kept(1 + times) - after(1 + times)).max() > 0.1
-    kept = join([CurveSection(before, 0, 1), CurveSection(after, 1, 2)], [Seam(0.5, share=1.0)])
+    kept = join_curves(
+        [CurveSection(before, 0, 1), CurveSection(after, 1, 2)], [Seam(0.5, fraction_before=1.0)]
+    )
     np.testing.assert_allclose(kept(1 + times), after(1 + times), atol=1e-12)
 
 
@@ -88,7 +92,7 @@ def test_a_step_closes_by_the_formula() -> None:
     """From 0 to 1: up to the middle at the seam, level there, by three cubics of length 1 each."""
     flat = Curve(np.array([0.0, 10.0]), np.array([[0.0], [0.0]]))
     high = Curve(flat.times, flat.values + 1)
-    whole = join([CurveSection(flat, 0, 5), CurveSection(high, 5, 10)], [Seam(3.0)])
+    whole = join_curves([CurveSection(flat, 0, 5), CurveSection(high, 5, 10)], [Seam(3.0)])
     np.testing.assert_allclose(jets(whole, np.array([5.0]))[:, 0, 0], [0.5, 0, 0], atol=1e-12)
     # a (r^3) = 1/2 with sum a r^2 = sum a r = 0 for r = 1, 2, 3: a = 1/4, -1/4, 1/12.
     np.testing.assert_allclose(whole([4.0, 3.0])[:, 0], [8 / 12 - 1 / 4, 1 / 12], atol=1e-12)
@@ -97,26 +101,28 @@ def test_a_step_closes_by_the_formula() -> None:
 
 def test_curves_of_no_coordinates() -> None:
     nothing = Curve(np.arange(5.0), np.zeros((5, 0)))
-    whole = join([CurveSection(nothing, 0, 2), CurveSection(nothing, 2, 4)], [Seam(1)])
+    whole = join_curves([CurveSection(nothing, 0, 2), CurveSection(nothing, 2, 4)], [Seam(1)])
     assert whole.values.shape == (len(whole.times), 0)
     assert (whole.start, whole.end) == (0, 4)
 
 
 def test_sites_hold_all_breakpoints_and_two_more() -> None:
-    sites = sites_of(np.array([0.0, 4.0]), np.array([3.0, 1.0, 1.0 + 1e-12, 1e-12]))
+    sites = merge_sites(np.array([0.0, 4.0]), np.array([3.0, 1.0, 1.0 + 1e-12, 1e-12]))
     np.testing.assert_allclose(sites, [0, 0.5, 1, 3, 3.5, 4], atol=1e-9)
-    np.testing.assert_allclose(sites_of(np.array([0.0, 3.0]), np.zeros(0)), [0, 1, 2, 3])
+    np.testing.assert_allclose(merge_sites(np.array([0.0, 3.0]), np.zeros(0)), [0, 1, 2, 3])
 
 
 def test_refined_times() -> None:
-    np.testing.assert_allclose(refined(np.array([0.0, 1, 3]), 2), [0, 0.5, 1, 2, 3])
-    np.testing.assert_array_equal(refined(np.array([0.0, 0.1, 0.3]), 1), [0, 0.1, 0.3])
+    np.testing.assert_allclose(subdivide(np.array([0.0, 1, 3]), 2), [0, 0.5, 1, 2, 3])
+    np.testing.assert_array_equal(subdivide(np.array([0.0, 0.1, 0.3]), 1), [0, 0.1, 0.3])
 
 
 @pytest.mark.parametrize("scale", [0.5, 3.0, -1.0])
 def test_moved_curves(scale: float) -> None:
     curve, times = wild(3), np.linspace(0, 2, 40)
-    np.testing.assert_allclose(moved(curve, scale, 0.3)(scale * times + 0.3), curve(times), atol=1e-12)
+    np.testing.assert_allclose(
+        map_curve_times(curve, 0.3, scale)(scale * times + 0.3), curve(times), atol=1e-12
+    )
 
 
 # Means of placements: turns in proportion
@@ -135,7 +141,7 @@ def test_all_or_nothing_gives_one_of_them(space: SpaceName, share: float) -> Non
     """Also the length of quaternions: curves through more knots are the same curves."""
     model = bar_motion(space)
     both = 1.1 * model.placement(TIMES), model.placement(LATER)
-    found, expected = mean_placements(model.space, *both, shares(share)), both[int(share)]
+    found, expected = blend_placements(model.space, *both, shares(share)), both[int(share)]
     turns, others = (model.space.unpack_placements(each).rotations for each in (found, expected))
     signs = np.where(np.einsum("tgi,tgi->tg", turns, others) < 0, -1.0, 1.0)[:, :, None]
     np.testing.assert_allclose(signs * turns, others, atol=1e-12)
@@ -149,14 +155,14 @@ def test_all_or_nothing_gives_one_of_them(space: SpaceName, share: float) -> Non
 def test_a_body_turns_along_the_shortest_way() -> None:
     model = chain()
     one, other = (model.placement(times) for times in (TIMES, LATER))
-    found = model.space.unpack_placements(mean_placements(model.space, one, other, shares(0.3)))
+    found = model.space.unpack_placements(blend_placements(model.space, one, other, shares(0.3)))
     turns, others = (
-        rotations_of(model.space.unpack_placements(each).rotations[:, 0]) for each in (one, other)
+        quat_to_matrix(model.space.unpack_placements(each).rotations[:, 0]) for each in (one, other)
     )
-    expected = turns @ matrices(0.3 * vectors(np.swapaxes(turns, 1, 2) @ others))
-    np.testing.assert_allclose(rotations_of(found.rotations[:, 0]), expected, atol=1e-12)
+    expected = turns @ rotvec_to_matrix(0.3 * matrix_to_rotvec(np.swapaxes(turns, 1, 2) @ others))
+    np.testing.assert_allclose(quat_to_matrix(found.rotations[:, 0]), expected, atol=1e-12)
     here, there = (model.space.unpack_placements(each).centres[:, 0] for each in (one, other))
-    np.testing.assert_allclose(found.centres[:, 0], mean(here, there, shares(0.3)), atol=1e-12)
+    np.testing.assert_allclose(found.centres[:, 0], lerp(here, there, shares(0.3)), atol=1e-12)
 
 
 def test_whole_turns_count() -> None:
@@ -164,7 +170,7 @@ def test_whole_turns_count() -> None:
     times = model.placement.times
     turning = model.placement.values
     still = np.repeat(turning[:1], len(times), axis=0)
-    found = mean_placements(model.space, turning, still, np.full((len(times), 1), 0.5))
+    found = blend_placements(model.space, turning, still, np.full((len(times), 1), 0.5))
     cosines = np.abs(model.space.unpack_placements(found).rotations[:, 0] @ turning[0, :4])
     np.testing.assert_allclose(
         cosines, np.abs(np.cos(np.pi * times / 2)), atol=1e-9
@@ -180,7 +186,7 @@ def largest(deviations: Float) -> Float:
 
 def test_a_cubic_needs_no_more_sites() -> None:
     sites = np.array([0.0, 0.4, 1.0, 2.0])
-    curve = sampled(lambda t: t[:, None] ** 3, sites, 1e-12, largest)
+    curve = interpolate_adaptively(lambda t: t[:, None] ** 3, sites, 1e-12, largest)
     np.testing.assert_array_equal(curve.times, sites)
 
 
@@ -188,19 +194,21 @@ def test_sites_go_where_the_function_bends() -> None:
     def function(times: Float) -> Float:
         return np.asarray(np.tanh(20.0 * (times - 0.2))[:, None])
 
-    curve = sampled(function, np.linspace(0, 1, 9), 1e-4, largest)
+    curve = interpolate_adaptively(function, np.linspace(0, 1, 9), 1e-4, largest)
     dense = np.linspace(0, 1, 501)
     assert np.abs(curve(dense) - function(dense)).max() < 3e-4
     assert np.count_nonzero(curve.times < 0.5) > 2 * np.count_nonzero(curve.times > 0.5)
 
 
 def test_kinks_end_it() -> None:
-    curve = sampled(lambda t: np.abs(t - 0.31)[:, None], np.linspace(0, 1, 5), 1e-12, largest)
-    assert np.diff(curve.times).min() >= 0.25 / 2**ROUNDS
+    curve = interpolate_adaptively(lambda t: np.abs(t - 0.31)[:, None], np.linspace(0, 1, 5), 1e-12, largest)
+    assert np.diff(curve.times).min() >= 0.25 / 2**MAX_BISECTIONS
 
 
 def test_one_site_stays_one() -> None:
-    assert sampled(lambda t: t[:, None], np.array([2.0]), 1e-3, largest).times.tolist() == [2.0]
+    assert interpolate_adaptively(lambda t: t[:, None], np.array([2.0]), 1e-3, largest).times.tolist() == [
+        2.0
+    ]
 
 
 def test_lengths_of_steps_are_those_of_scores() -> None:
@@ -210,7 +218,7 @@ def test_lengths_of_steps_are_those_of_scores() -> None:
         model = fit(sequence, exact=True, pose=pose)
         steps = np.diff(model.time(model.times), axis=0)
         expected = np.linalg.norm(steps, axis=1) / np.sqrt(sequence.vertex_count)
-        np.testing.assert_allclose(shape_measure(model)(steps), expected, rtol=1e-9)
+        np.testing.assert_allclose(shape_norm(model)(steps), expected, rtol=1e-9)
 
 
 def test_vertices_that_move_alike_move_by_the_length() -> None:
@@ -218,20 +226,20 @@ def test_vertices_that_move_alike_move_by_the_length() -> None:
     moved = np.stack([sequence.points[0], sequence.points[0] + np.array([0.3, 0.0, 0.4])])
     model = fit(sequence.with_points(moved), exact=True, space="vertex")
     step = np.diff(model.time(model.times), axis=0)
-    np.testing.assert_allclose(shape_measure(model)(step), 0.5 / sequence.diagonal)
-    assert placement_measure(model)(np.zeros((3, 0))).tolist() == [0.0, 0.0, 0.0]
+    np.testing.assert_allclose(shape_norm(model)(step), 0.5 / sequence.diagonal)
+    assert placement_norm(model)(np.zeros((3, 0))).tolist() == [0.0, 0.0, 0.0]
 
 
 def test_the_size_of_a_placement_is_its_largest_number() -> None:
     model = fit(bar(sides=5, rings=15, frames=3), exact=True, parts=2)
     changes = np.zeros((2, model.space.placement_dim))
     changes[1, 4] = -0.25  # of the centre, after the quaternion
-    np.testing.assert_allclose(placement_measure(model)(changes), [0.0, 0.25])
+    np.testing.assert_allclose(placement_norm(model)(changes), [0.0, 0.25])
 
 
 def test_the_size_of_a_correction_is_its_largest_number() -> None:
     model = fit(bar(sides=5, rings=15, frames=3), exact=True, parts=2)
     changes = np.zeros((2, model.space.correction_dim))
     changes[1, 3 * 2] = -0.25  # of a shift, after the turns of both parts
-    np.testing.assert_allclose(correction_measure(model)(changes), [0.0, 0.25])
-    assert correction_measure(fit(bar(sides=5, rings=15, frames=2), space="lri"))(np.zeros((1, 0))) == [0.0]
+    np.testing.assert_allclose(correction_norm(model)(changes), [0.0, 0.25])
+    assert correction_norm(fit(bar(sides=5, rings=15, frames=2), space="lri"))(np.zeros((1, 0))) == [0.0]

@@ -188,9 +188,9 @@ def test_a_model_may_last_longer_than_its_frames(model: Model) -> None:
         ({"fps": 1e300}, "more than"),
         (
             {"retiming": Retiming.through([0, 1], [0.2, 1])},
-            "the retiming asks for more than there is: time 0.84 s is outside the sequence, 0 to 0.8 s",
+            "the retiming goes beyond the source: time 0.84 s is outside the sequence, 0 to 0.8 s",
         ),
-        ({"retiming": Retiming.hold(-1, 0, 1)}, "asks for more than there is: time -1 s is outside"),
+        ({"retiming": Retiming.hold(-1, 0, 1)}, "goes beyond the source: time -1 s is outside"),
         ({"retiming": Retiming.hold(0, 0, 1), "speed": 2}, "leave out start, end, speed and reverse"),
         ({"retiming": Retiming.hold(0, 0, 1), "reverse": True}, "leave out start, end, speed and reverse"),
         ({"retiming": Retiming.hold(0, 0, 1), "start": 0}, "leave out start, end, speed and reverse"),

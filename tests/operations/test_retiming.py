@@ -14,7 +14,7 @@ import mixseq
 from mixseq.choices import SpaceName
 from mixseq.errors import SettingsError
 from mixseq.operations import Retiming, cut, repeat, resample, retime, reverse, shift, speed
-from mixseq.operations.sections import shape_measure
+from mixseq.operations.sections import shape_norm
 from mixseq.sequence.sequence import bounding_diagonal
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
@@ -103,7 +103,7 @@ def test_times_outside(time: float) -> None:
     retiming = Retiming.section(1, 3)
     for ask in (retiming, retiming.slope):
         with pytest.raises(
-            SettingsError, match=f"from 1 to 3 s of the output, and tells nothing of {time:g} s"
+            SettingsError, match=f"{time:g} s is outside the retiming, which is from 1 to 3 s of the output"
         ):
             ask([2, time])
 
@@ -193,7 +193,7 @@ def test_signals_are_those_of_the_source(seed: int, smooth: bool, knots: int | N
     retiming = Retiming.through(*keys.T, smooth)  # type: ignore[call-arg]
     found = retime(model, keys, smooth)
     times = np.linspace(keys[0, 0], keys[-1, 0], 301)
-    apart = shape_measure(model)(found.time(times) - model.time(retiming(times)))
+    apart = shape_norm(model)(found.time(times) - model.time(retiming(times)))
     assert apart.max() < 5e-5
     whole, source = found.curves[1], model.curves[1]
     np.testing.assert_allclose(whole(times), source(retiming(times)), atol=3e-4)
@@ -276,7 +276,7 @@ def test_residual_layers_come_along() -> None:
         ([[0.0, 0.0], [1.0, np.nan]], "must be finite"),
         (
             [[0.0, 0.0], [1.0, 0.9]],
-            "asks for more than there is: time 0.9 s is outside the sequence, 0 to 0.8 s",
+            "goes beyond the source: time 0.9 s is outside the sequence, 0 to 0.8 s",
         ),
         ([[0.0, 0.0], [1e8, 0.8]], r"1e\+08 s at .* make more than 10,000,000 frames"),
     ],

@@ -40,12 +40,12 @@ def test_files(tmp_path: Path, name: str, text: str) -> None:
         ("a.csv", "", "a.csv has 0 points; a retiming needs two or more"),
         ("a.csv", "output,source\n", "a.csv has 0 points"),
         ("a.csv", "0,1", "a.csv has 1 points"),
-        ("a.csv", "time,value\n0,1\n1,2", "a.csv, line 1: 'time,value' is no point"),
-        ("a.csv", "0,1\noutput,source\n1,2", "a.csv, line 2: 'output,source' is no point"),
-        ("a.csv", "0,1\n\n1,two", "a.csv, line 3: '1,two' is no point of a retiming; two times"),
-        ("a.csv", "0,1\n1", "a.csv, line 2: '1' is no point"),
-        ("a.csv", "0,1\n1,2,3", "a.csv, line 2: '1,2,3' is no point"),
-        ("a.csv", "0;1\n1;2", "a.csv, line 1: '0;1' is no point"),
+        ("a.csv", "time,value\n0,1\n1,2", "a.csv, line 1: 'time,value' is not a point"),
+        ("a.csv", "0,1\noutput,source\n1,2", "a.csv, line 2: 'output,source' is not a point"),
+        ("a.csv", "0,1\n\n1,two", "a.csv, line 3: '1,two' is not a point of a retiming; two times"),
+        ("a.csv", "0,1\n1", "a.csv, line 2: '1' is not a point"),
+        ("a.csv", "0,1\n1,2,3", "a.csv, line 2: '1,2,3' is not a point"),
+        ("a.csv", "0;1\n1;2", "a.csv, line 1: '0;1' is not a point"),
         ("a.csv", "0,1\n2,1\n# no\n2,3", "a.csv, line 4: the output time 2 is not after 2 of line 2"),
         ("a.csv", "0,1\nnan,1", "a.csv, line 2: the times nan, 1 are not finite"),
         ("a.csv", "0,1\n1,inf", "a.csv, line 2: the times 1, inf are not finite"),
@@ -103,7 +103,7 @@ def test_times_may_be_frames(tmp_path: Path, name: str, text: str) -> None:
     np.testing.assert_allclose(read([0.5, 0.9]), [100.1, 100.5])
     same = read_retiming(tmp_path / name, source_fps=10)
     assert (same.start, same.end) == (1.0, 1.8)
-    with pytest.raises(SettingsError, match="speaks in frames; give source_fps"):
+    with pytest.raises(SettingsError, match="is in frames; give source_fps"):
         read_retiming(tmp_path / name)
 
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from mixseq import operations
 from mixseq.errors import FormatError, SettingsError
 from mixseq.operations import blend, drag, exaggerate, repeat, retime, reverse, script, shift, transition
-from mixseq.operations.script import OPERATIONS, Edit, Readers, function_of, keys_of, read_script
+from mixseq.operations.script import OPERATIONS, Edit, Readers, load_operation, read_script, script_keys
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
@@ -117,14 +117,14 @@ def test_keys_of_a_retiming_are_lists_or_files(edits: Edits, tmp_path: Path, key
         ('[edit]\noperation = "loop"', "has no edits; write each as a table"),
         ('name = "walk"\n' + table('operation = "loop"'), "the key 'name' is outside the tables"),
         (table("times = 3"), "edit 1 has no key 'operation'; it is one of cut, "),
-        (table('operation = "lop"'), "edit 1: the operation 'lop' is not known; known are cut, "),
-        (table("operation = [3]"), r"edit 1: the operation \[3\] is not known; known are cut"),
+        (table('operation = "lop"'), "edit 1: there is no operation 'lop'; use one of cut, "),
+        (table("operation = [3]"), r"edit 1: there is no operation \[3\]; use one of cut"),
         (
             table('operation = "loop"') + table('operation = "loop"\nfad = 1'),
-            r"edit 2 \(loop\): the key 'fad' is not known; its keys are fade, travel$",
+            r"edit 2 \(loop\): there is no key 'fad'; its keys are fade, travel$",
         ),
-        (table('operation = "reverse"\nfade = 1'), "the key 'fade' is not known; it has none"),
-        (table('operation = "loop"\nmodel = "a"'), "the key 'model' is not known"),
+        (table('operation = "reverse"\nfade = 1'), "there is no key 'fade'; it has none"),
+        (table('operation = "loop"\nmodel = "a"'), "there is no key 'model'"),
         (
             table('operation = "repeat"\nstart = 0'),
             r"edit 1 \(repeat\): the key 'end' is missing; a number is expected",
@@ -277,11 +277,11 @@ def test_all_times_may_be_frames() -> None:
     told = {
         (name, key.parameter)
         for name in OPERATIONS
-        for key in keys_of(function_of(name)).values()
-        if key.in_seconds is not None
+        for key in script_keys(load_operation(name)).values()
+        if key.to_seconds is not None
     }
     named = {"start", "end", "at", "time", "duration", "fade", "seconds", "reach", "keys", "weight"}
-    every = {(name, each) for name in OPERATIONS for each in signature(function_of(name)).parameters}
+    every = {(name, each) for name in OPERATIONS for each in signature(load_operation(name)).parameters}
     assert told == {(name, each) for name, each in every if each in named}
 
 
@@ -339,8 +339,8 @@ def operation(
 
 
 def test_keys_are_parameters_and_their_types(tmp_path: Path) -> None:
-    keys = keys_of(operation)
-    assert {key: (k.parameter, k.required, k.holds) for key, k in keys.items()} == {
+    keys = script_keys(operation)
+    assert {key: (k.parameter, k.is_required, k.expected) for key, k in keys.items()} == {
         "mesh": ("points", True, "the file of a mesh"),
         "curve": ("curve", True, "pairs of x and y, as a list or a CSV file,"),
         "part": ("part", True, "a whole number"),
@@ -361,7 +361,7 @@ def test_keys_are_parameters_and_their_types(tmp_path: Path) -> None:
 
 
 def test_weights_become_curves(tmp_path: Path) -> None:
-    weight = keys_of(blend)["weight"].read([[0, 0.5], [1, 1]], tmp_path, Readers(load, read))
+    weight = script_keys(blend)["weight"].read([[0, 0.5], [1, 1]], tmp_path, Readers(load, read))
     assert isinstance(weight, Curve)
     np.testing.assert_array_equal(weight.values, [[0.5], [1]])
 
@@ -370,13 +370,13 @@ def test_the_example_is_a_script() -> None:
     """The one at the head of the module."""
     text = (script.__doc__ or "").split("::\n")[1].split("\n\nOperations")[0]
     for edit in tomllib.loads(text.replace("\n    ", "\n"))["edit"]:
-        assert set(edit) - {"operation"} <= set(keys_of(function_of(edit["operation"])))
+        assert set(edit) - {"operation"} <= set(script_keys(load_operation(edit["operation"])))
 
 
 @pytest.mark.parametrize("name", OPERATIONS)
 def test_scripts_can_give_all_that_an_operation_needs(name: str) -> None:
-    function = function_of(name)
+    function = load_operation(name)
     assert getattr(operations, name) is function
-    given = {key.parameter for key in keys_of(function).values()}
+    given = {key.parameter for key in script_keys(function).values()}
     _, *parameters = signature(function).parameters.values()
     assert {p.name for p in parameters if p.default is p.empty} <= given

@@ -11,7 +11,7 @@ import pytest
 
 import mixseq
 from mixseq.errors import InvalidSequenceError, MixseqWarning, SettingsError
-from mixseq.mesh.measures import dihedral_angles, wrap
+from mixseq.mesh.measures import dihedral_angles, wrap_angles
 from mixseq.mesh.rigid import kabsch
 from mixseq.operations.sculpt import Where, sculpt
 from mixseq.operations.sections import smoothstep
@@ -228,7 +228,7 @@ def test_angles_take_the_short_way() -> None:
     edges, hinges = space.block_sizes[:2]
     angles = space.shape_difference(model.curve([0.2])[0], points, folded)[edges : edges + hinges]
     before = dihedral_angles(points, space.topology.hinges[space.hinge_ids])
-    np.testing.assert_allclose(angles, wrap(-2.0 * before), atol=1e-9)
+    np.testing.assert_allclose(angles, wrap_angles(-2.0 * before), atol=1e-9)
     assert (np.abs(angles) <= np.pi).all()
     assert np.abs(before).max() > np.pi / 2
 
@@ -239,7 +239,7 @@ def test_angles_take_the_short_way() -> None:
         ({"where": "here"}, "where is 'here'; 'everywhere', 'window', 'similar' is expected"),
         ({"where": "window"}, "a window needs a start or an end"),
         ({"end": 0.5}, "start and end are of a window"),
-        ({"radius": 0.5}, "radius tells what is similar"),
+        ({"radius": 0.5}, "radius is of where='similar'"),
         ({"where": "similar", "radius": 0.0}, "radius is 0.0; a positive fraction"),
         ({"where": "similar", "radius": np.nan}, "radius is nan"),
         (
@@ -315,7 +315,7 @@ def test_meshes_with_other_edges_are_refused() -> None:
     renumbered = MeshSequence.from_arrays(sequence.points[:1, order], place[sequence.faces])
     with pytest.raises(
         InvalidSequenceError,
-        match=r"other edges than the model, polygon \d+ of the edited mesh \(.*\) is .* the model: vertices must keep",
+        match=r"other edges than the model, polygon \d+ of the edited mesh \(.*\) is .* the model; export it again",
     ):
         sculpt(model, 0.0, renumbered)
     with pytest.raises(SettingsError, match="has 4 frames; one is expected"):

@@ -115,7 +115,7 @@ def test_frames_that_share_a_place_but_differ_are_told() -> None:
     points = np.concatenate([model.sample().points, model.sample().points + 5.0])
     twice = fit(MeshSequence.from_arrays(points, model.header.polygons, fps=10), exact=True, parts=2)
     with pytest.warns(
-        MixseqWarning, match="12 frames share their place in the embedding with an earlier frame"
+        MixseqWarning, match="12 frames share their position in the embedding with an earlier frame"
     ):
         sketched = sketch(twice, twice.embedding(twice.times[:5]), 1.0)
     np.testing.assert_allclose(sketched(0.0), points[0], atol=1e-9)

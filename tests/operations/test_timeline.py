@@ -177,11 +177,11 @@ def test_a_spinning_body_loops_as_it_is() -> None:
         ({"end": np.nan}, r"end is nan s; the model is from"),
         ({"start": 0.6}, r"no time between the start, 0.6 s, and the end, 0.6 s"),
         ({"start": 0.7}, r"no time between the start, 0.7 s, and the end, 0.6 s"),
-        ({"times": 0}, r"times is 0; a section is shown 1 to 10,000 times"),
-        ({"times": 10**8}, r"times is 100000000; a section is shown 1 to 10,000 times"),
-        ({"fade": 0.0}, r"fade is 0 s; 4e-07 to 0.4 s"),
-        ({"fade": 1e-9}, r"fade is 1e-09 s; 4e-07 to 0.4 s"),
-        ({"fade": 0.5}, r"fade is 0.5 s; 4e-07 to 0.4 s"),
+        ({"times": 0}, r"times is 0; give 1 to 10,000 repetitions"),
+        ({"times": 10**8}, r"times is 100000000; give 1 to 10,000 repetitions"),
+        ({"fade": 0.0}, r"fade is 0 s; give 4e-07 to 0.4 s"),
+        ({"fade": 1e-9}, r"fade is 1e-09 s; give 4e-07 to 0.4 s"),
+        ({"fade": 0.5}, r"fade is 0.5 s; give 4e-07 to 0.4 s"),
         ({"fade": np.nan}, r"fade is nan s"),
     ],
 )
@@ -191,12 +191,12 @@ def test_refusals(settings: dict[str, float], message: str) -> None:
 
 
 def test_what_has_no_placement_does_not_travel() -> None:
-    with pytest.raises(SettingsError, match="the vertex space does not say where parts are"):
+    with pytest.raises(SettingsError, match="the vertex space has no positions of bodies"):
         repeat(bar_motion("vertex"), 0.2, 0.6, travel=True)
 
 
 def test_other_refusals() -> None:
-    with pytest.raises(SettingsError, match=r"fade is 0.5 s; 4e-07 to 0.4 s"):
+    with pytest.raises(SettingsError, match=r"fade is 0.5 s; give 4e-07 to 0.4 s"):
         loop(bar_motion(), 0.5)
     with pytest.raises(SettingsError, match="no time between"):
         loop(bar_motion(frames=1))

@@ -11,10 +11,10 @@ import pytest
 
 from mixseq.choices import SpaceName
 from mixseq.errors import InvalidSequenceError, SettingsError
-from mixseq.mesh.rotations import rotations_of
+from mixseq.mesh.rotations import quat_to_matrix
 from mixseq.operations import blend, concatenate, cut, into, repeat, reverse, shift, transition
-from mixseq.operations.sections import mean_placements
-from mixseq.operations.transitions import together
+from mixseq.operations.sections import blend_placements
+from mixseq.operations.transitions import match_spaces
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.curve import Curve
 from mixseq.signals.fitting import fit
@@ -56,7 +56,7 @@ def test_another_space_has_the_same_frames(space: SpaceName) -> None:
 
 
 def test_both_have_the_key_shapes_of_both() -> None:
-    first, second = together(bar_motion(), swing())
+    first, second = match_spaces(bar_motion(), swing())
     assert first.space is second.space
     np.testing.assert_array_equal(first.shapes, second.shapes)
     assert first.pose is second.pose
@@ -69,7 +69,7 @@ def test_both_have_the_key_shapes_of_both() -> None:
 
 def test_sections_of_one_model_share_already() -> None:
     model = bar_motion()
-    first, second = together(cut(model, 0, 0.4), cut(model, 0.3, 0.8))
+    first, second = match_spaces(cut(model, 0, 0.4), cut(model, 0.3, 0.8))
     assert len(first.shapes) == len(model.shapes)
     np.testing.assert_array_equal(second.time.values, cut(model, 0.3, 0.8).time.values)
 
@@ -130,7 +130,7 @@ def test_a_transition(space: SpaceName, at: float, duration: float) -> None:
     over = transition(a, b, at, duration)
     assert over.end == pytest.approx(at + 0.5)
     outside = np.linspace(0, at, 20), np.linspace(at + duration, at + 0.5, 20)
-    one, other = together(a, shift(b, at))
+    one, other = match_spaces(a, shift(b, at))
     for curve, before, after in zip(over.curves, one.curves, other.curves, strict=True):
         assert (jumps(curve) < 1e-9).all()
         for times, kept in zip(outside, (before, after), strict=True):
@@ -144,9 +144,9 @@ def test_a_transition(space: SpaceName, at: float, duration: float) -> None:
         if curve is over.placement:
             found = over.space.unpack_placements(curve(inside))
             means = over.space.unpack_placements(
-                mean_placements(over.space, before(inside), after(inside), weight)
+                blend_placements(over.space, before(inside), after(inside), weight)
             )
-            turns, others = (rotations_of(poses.rotations) for poses in (found, means))
+            turns, others = (quat_to_matrix(poses.rotations) for poses in (found, means))
             np.testing.assert_allclose(turns, others, atol=1e-4)
             np.testing.assert_allclose(found.centres, means.centres, atol=1e-4)
         else:
@@ -231,11 +231,11 @@ def test_parts_stay_together_however_a_body_turns(angle: float) -> None:
     ("at", "duration", "message"),
     [
         (0.9, 0.1, "at is 0.9 s; the model is from 0 to 0.8 s"),
-        (0.5, 0.4, "duration is 0.4 s; the first model lasts for 0.3 s"),
-        (0.1, 0.6, "duration is 0.6 s; the second model lasts for 0.5 s"),
+        (0.5, 0.4, "duration is 0.4 s; the first model has 0.3 s"),
+        (0.1, 0.6, "duration is 0.6 s; the second model has 0.5 s"),
         (0.1, 0.0, "duration is 0.0; a positive number"),
         (0.1, np.nan, "duration is nan; a positive number"),
-        (0.1, 1e-6, "duration is 1e-06 s, next to no time"),
+        (0.1, 1e-6, "duration is 1e-06 s; give a longer one"),
         (np.nan, 0.1, "at is nan s"),
     ],
 )
@@ -305,5 +305,5 @@ def test_blends_need_time_and_a_weight() -> None:
         blend(a, b, np.nan)
     with pytest.raises(SettingsError, match="weight is a curve of 2 coordinates; one is expected"):
         blend(a, b, Curve(np.array([0.0, 1.0]), np.zeros((2, 2))))
-    with pytest.raises(SettingsError, match=r"weight is known from 0.2 to 1 s; 0 to 0.5 s are expected"):
+    with pytest.raises(SettingsError, match=r"weight is a curve from 0.2 to 1 s; 0 to 0.5 s are expected"):
         blend(a, b, Curve(np.array([0.2, 1.0]), np.zeros((2, 1))))

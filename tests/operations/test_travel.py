@@ -153,7 +153,7 @@ EDITS: list[Callable[[Model], object]] = [
 @pytest.mark.parametrize("edit", EDITS)
 def test_what_has_no_placement_does_not_travel(edit: Callable[[Model], object]) -> None:
     with pytest.raises(
-        SettingsError, match="the vertex space does not say where parts are, so nothing can travel"
+        SettingsError, match="the vertex space has no positions of bodies, so nothing can travel"
     ):
         edit(bar_motion("vertex"))
 

@@ -12,8 +12,8 @@ import mixseq
 from mixseq.creature import walk_cycle
 from mixseq.mesh.rigid import kabsch
 from mixseq.operations import drag, exaggerate, exaggerate_part, hold, sculpt, swap_key
-from mixseq.operations.limbs import limb_of
-from mixseq.operations.sections import moved
+from mixseq.operations.limbs import find_limb
+from mixseq.operations.sections import map_curve_times
 from mixseq.signals.curve import Curve
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
@@ -81,7 +81,7 @@ def test_a_drag_reaches_the_farthest_frame(made: Made) -> None:
 
 def test_the_time_signal_backwards_shows_the_frames_backwards(made: Made) -> None:
     model, rank = made
-    backwards = replace(model, time=moved(model.time, -1.0, model.start + model.end))
+    backwards = replace(model, time=map_curve_times(model.time, model.start + model.end, -1.0))
     if rank is not None:  # the correction is of the pose that was there
         model, backwards = uncorrected(model), uncorrected(backwards)
     forth, back = (standing(each).sample().points for each in (model, backwards))
@@ -140,7 +140,7 @@ def test_a_limb_moves_in_its_joint_and_all_else_stays(made: Made, kind: str) -> 
     between = np.linspace(model.start, model.end, 2 * len(times) - 1)
     before, after = (each.sample(between).points / space.scale for each in (model, edited))
     away = np.linalg.norm(after - before, axis=2).max(axis=0)
-    limb = limb_of(model, part).parts
+    limb = find_limb(model, part).part_mask
     follows = space.skinning_weights @ limb.astype(np.float64)
     at_joints = np.isin(np.arange(space.vertex_count), space.joint_projection.moving_vertex_ids) & (
         space.projection.share > 0

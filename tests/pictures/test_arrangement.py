@@ -13,15 +13,15 @@ from hypothesis import strategies as st
 from mixseq.errors import SettingsError
 from mixseq.pictures.page import draw_mesh
 from mixseq.pictures.scene import (
-    FIELD,
-    GAP,
-    HEIGHT,
-    MARGIN,
+    FIELD_OF_VIEW_DEGREES,
+    FRAMING_RATIO,
+    MESH_GAP_RATIO,
+    SCENE_SIZE,
     Arrangement,
     Scene,
     SceneItem,
     View,
-    arranged,
+    arrange_meshes,
     front_azimuth,
     shared_limits,
     three_quarter_view,
@@ -47,7 +47,7 @@ def placed(scene: Scene, found: Arrangement) -> list[Float]:
     """Points (T, V, 3) of all meshes over the scene."""
     return [
         np.stack(
-            [found.placed(index, item.pose(scene.elapsed(frame))) for frame in range(scene.count)]
+            [found.to_scene(index, item.pose(scene.elapsed(frame))) for frame in range(scene.count)]
         ).astype(np.float64)
         for index, item in enumerate(scene.items)
     ]
@@ -73,7 +73,7 @@ SHOTS = {
 @pytest.mark.parametrize("name", SHOTS)
 def test_side_by_side(name: str) -> None:
     scene = scene_of(*SHOTS[name])
-    found = arranged(scene, side_by_side=True)
+    found = arrange_meshes(scene, side_by_side=True)
     meshes = placed(scene, found)
     ends = [(float((mesh @ across(found)).min()), float((mesh @ across(found)).max())) for mesh in meshes]
     for (_, right), (left, _) in pairwise(ends):
@@ -86,22 +86,22 @@ def test_side_by_side(name: str) -> None:
 @pytest.mark.parametrize("name", SHOTS)
 def test_the_box_is_around_everything(name: str, side_by_side: bool) -> None:
     scene = scene_of(*SHOTS[name])
-    found = arranged(scene, side_by_side)
+    found = arrange_meshes(scene, side_by_side)
     points = np.concatenate([mesh.reshape(-1, 3) for mesh in placed(scene, found)])
     np.testing.assert_allclose(points.min(axis=0), found.low, atol=1e-5)
     np.testing.assert_allclose(points.max(axis=0), found.high, atol=1e-5)
-    assert (found.high - found.low).max() == pytest.approx(HEIGHT)
+    assert (found.high - found.low).max() == pytest.approx(SCENE_SIZE)
     assert found.low[1] == pytest.approx(0)
     np.testing.assert_allclose((found.low + found.high)[[0, 2]], 0, atol=1e-12)  # around the origin
 
 
 def test_two_boxes_in_closed_form() -> None:
     scene = scene_of(box((2, 4, 0.5), at=(9, 9, 9)), box((1, 1, 1), at=(-5, 0, 2)))
-    found = arranged(scene, side_by_side=True)
+    found = arrange_meshes(scene, side_by_side=True)
     right = np.array([np.sqrt(3) / 2, 0, -0.5])  # seen from 30 degrees
     np.testing.assert_allclose(across(found), right, atol=1e-12)
     widths = [np.sqrt(3) + 0.25, np.sqrt(3) / 2 + 0.5]
-    apart = (sum(widths) / 2 + GAP * max(widths)) * right  # from middle to middle
+    apart = (sum(widths) / 2 + MESH_GAP_RATIO * max(widths)) * right  # from middle to middle
     first, second = (mesh.reshape(-1, 3) for mesh in placed(scene, found))
     centres = [(mesh.min(axis=0) + mesh.max(axis=0)) / 2 for mesh in (first, second)]
     np.testing.assert_allclose(
@@ -111,7 +111,7 @@ def test_two_boxes_in_closed_form() -> None:
 
 def test_in_one_place_they_stay_where_they_are() -> None:
     scene = scene_of(box((2, 4, 1)), box((1, 1, 1), at=(0.5, 3, 0.25)))
-    found = arranged(scene, side_by_side=False)
+    found = arrange_meshes(scene, side_by_side=False)
     np.testing.assert_array_equal(found.offsets[0], found.offsets[1])
     first, second = (mesh.reshape(-1, 3) for mesh in placed(scene, found))
     assert first[:, 1].min() == pytest.approx(0, abs=1e-6)
@@ -123,9 +123,9 @@ def test_any_axis_may_point_up(axis: str, order: list[int]) -> None:
     points, faces = tube(5, 7)
     sequence = MeshSequence.from_arrays(points[None], faces, up_axis=axis)
     scene = scene_of(sequence)
-    found = arranged(scene, side_by_side=True)
+    found = arrange_meshes(scene, side_by_side=True)
     turned = points[:, order]
-    moved = found.placed(0, sequence.points[0])
+    moved = found.to_scene(0, sequence.points[0])
     assert moved.dtype == np.float32
     shift = moved - found.scale * turned
     np.testing.assert_allclose(shift - shift[0], 0, atol=1e-5)
@@ -134,12 +134,12 @@ def test_any_axis_may_point_up(axis: str, order: list[int]) -> None:
 
 def test_names_stand_above() -> None:
     scene = scene_of(*SHOTS["unlike"])
-    found = arranged(scene, side_by_side=True)
-    for label, mesh in zip(found.labels, placed(scene, found), strict=True):
+    found = arrange_meshes(scene, side_by_side=True)
+    for label, mesh in zip(found.label_positions, placed(scene, found), strict=True):
         points = mesh.reshape(-1, 3)
         low, high = points.min(axis=0), points.max(axis=0)
         np.testing.assert_allclose(label[[0, 2]], ((low + high) / 2)[[0, 2]], atol=1e-5)
-        assert high[1] < label[1] < high[1] + 0.1 * HEIGHT
+        assert high[1] < label[1] < high[1] + 0.1 * SCENE_SIZE
 
 
 def shares(found: Arrangement, aspect: float) -> Float:
@@ -152,7 +152,7 @@ def shares(found: Arrangement, aspect: float) -> Float:
     corners = np.array(list(product(*zip(found.low, found.high, strict=True)))) - place
     depth = -corners @ near
     assert (depth > 0).all()
-    tangent = np.tan(np.radians(FIELD) / 2)
+    tangent = np.tan(np.radians(FIELD_OF_VIEW_DEGREES) / 2)
     seen = np.stack([corners @ right / aspect, corners @ up], axis=1) / (tangent * depth[:, None])
     return np.asarray(np.abs(seen))
 
@@ -160,8 +160,8 @@ def shares(found: Arrangement, aspect: float) -> Float:
 @pytest.mark.parametrize("aspect", [0.4, 0.78, 1.0, 16 / 9, 3.5])
 @pytest.mark.parametrize("name", SHOTS)
 def test_the_camera_sees_everything(name: str, aspect: float) -> None:
-    seen = shares(arranged(scene_of(*SHOTS[name]), side_by_side=True), aspect)
-    assert seen.max() == pytest.approx(1 / MARGIN)  # everything, and no farther away than that takes
+    seen = shares(arrange_meshes(scene_of(*SHOTS[name]), side_by_side=True), aspect)
+    assert seen.max() == pytest.approx(1 / FRAMING_RATIO)  # everything, and no farther away than that takes
 
 
 @given(
@@ -175,7 +175,7 @@ def test_the_camera_sees_any_box(
 ) -> None:
     box = np.array([[at, np.add(at, size)]])
     found = Arrangement(("Y",), 1.0, box, np.zeros((1, 3)), View(azimuth))
-    assert shares(found, aspect).max() == pytest.approx(1 / MARGIN)
+    assert shares(found, aspect).max() == pytest.approx(1 / FRAMING_RATIO)
     place, centre = found.camera(aspect)
     assert place[1] > centre[1]  # from above
     toward = place - centre
@@ -186,7 +186,7 @@ def test_the_camera_sees_any_box(
 def test_the_camera_is_where_it_was_asked_for() -> None:
     """What stays where it is has its front towards +z; 90 degrees to its left is +x."""
     still = MeshSequence.from_arrays(bar().points[:1], bar().faces)
-    place, centre = arranged(Scene((SceneItem("bar", still),)), True, (90.0, 0.0)).camera(1.0)
+    place, centre = arrange_meshes(Scene((SceneItem("bar", still),)), True, (90.0, 0.0)).camera(1.0)
     np.testing.assert_allclose((place - centre) / np.linalg.norm(place - centre), [1, 0, 0], atol=1e-12)
 
 
@@ -194,8 +194,8 @@ def test_the_camera_is_where_it_was_asked_for() -> None:
 @pytest.mark.parametrize("name", ["two", "moving", "unlike", "up"])
 def test_a_row_turns_with_the_camera(name: str, azimuth: float) -> None:
     scene = scene_of(*SHOTS[name])
-    before = arranged(scene, side_by_side=True)
-    found = before.turned(azimuth, np.zeros(3), 10.0)
+    before = arrange_meshes(scene, side_by_side=True)
+    found = before.with_azimuth(azimuth, np.zeros(3), 10.0)
     right = across(found)
     ends = [(float((mesh @ right).min()), float((mesh @ right).max())) for mesh in placed(scene, found)]
     assert all(left > end for (_, end), (left, _) in pairwise(ends))
@@ -204,13 +204,13 @@ def test_a_row_turns_with_the_camera(name: str, azimuth: float) -> None:
 
 
 def test_what_is_looked_at_stays() -> None:
-    before = arranged(scene_of(*SHOTS["two"]), side_by_side=True)
-    for index, middle in enumerate(before.middles):
-        found = before.turned(before.view.azimuth + 70.0, middle, 1.0)
+    before = arrange_meshes(scene_of(*SHOTS["two"]), side_by_side=True)
+    for index, middle in enumerate(before.centres):
+        found = before.with_azimuth(before.view.azimuth + 70.0, middle, 1.0)
         np.testing.assert_allclose(found.offsets[index], before.offsets[index], atol=1e-12)
         assert np.abs(found.offsets[1 - index] - before.offsets[1 - index]).max() > 0.1
-    found = before.turned(before.view.azimuth + 70.0, before.middles[0], 10.0)
-    np.testing.assert_allclose(found.middles.mean(axis=0), before.middles.mean(axis=0), atol=1e-12)
+    found = before.with_azimuth(before.view.azimuth + 70.0, before.centres[0], 10.0)
+    np.testing.assert_allclose(found.centres.mean(axis=0), before.centres.mean(axis=0), atol=1e-12)
 
 
 # The camera: where it stands and what it frames

@@ -53,13 +53,13 @@ def test_a_model_without_parts(bent_bar: MeshSequence) -> None:
     model = mixseq.fit(bent_bar, space="vertex", rank=2)
     colours = SceneColours(Scene((SceneItem("model", model),)))
     assert colours.names == without("parts", "error")
-    assert colours.of(0, "parts").name == "clay"
+    assert colours.on_one_scale("parts")[0].name == "clay"
 
 
 def test_names_promise_what_there_is(bent_bar: MeshSequence, bar_model: Model) -> None:
     for items in ([item_of(bent_bar)], [SceneItem("model", bar_model)], [item_of(grown(2))]):
         colours = SceneColours(Scene(tuple(items)), original_of(bent_bar))
-        assert colours.names == tuple(colours.each(0))
+        assert colours.names == tuple(colours.of_mesh(0))
 
 
 def test_own_colours_where_there_are_some(bent_bar: MeshSequence) -> None:
@@ -67,36 +67,35 @@ def test_own_colours_where_there_are_some(bent_bar: MeshSequence) -> None:
     surface = Surface(colours=CornerValues(values, bent_bar.polygons.indices))
     colours = SceneColours(Scene((item_of(bent_bar), item_of(replace(bent_bar, surface=surface)))))
     assert colours.names == ("clay", "own", "strain", "curvature")
-    assert [each.name for each in colours.shared("own")] == ["clay", "own"]
-    assert "own" not in colours.each(0)
+    assert [each.name for each in colours.on_one_scale("own")] == ["clay", "own"]
+    assert "own" not in colours.of_mesh(0)
 
 
 def test_clay_where_a_mesh_has_no_such_colours(bent_bar: MeshSequence, bar_model: Model) -> None:
     colours = SceneColours(Scene((item_of(bent_bar), SceneItem("model", bar_model))))
-    assert [each.name for each in colours.shared("parts")] == ["clay", "parts"]
-    assert [each.name for each in colours.shared("error")] == ["clay", "clay"]
+    assert [each.name for each in colours.on_one_scale("parts")] == ["clay", "parts"]
+    assert [each.name for each in colours.on_one_scale("error")] == ["clay", "clay"]
 
 
 def test_colours_are_worked_out_once(bent_bar: MeshSequence) -> None:
     colours = SceneColours(Scene((item_of(bent_bar),)))
-    assert colours.of(0, "clay") is colours.of(0, "clay")
-    assert colours.shared("clay")[0] is colours.of(0, "clay")
+    assert colours.on_one_scale("clay")[0] is colours.on_one_scale("clay")[0]
 
 
 def test_one_scale_for_all() -> None:
     colours = SceneColours(Scene((item_of(grown(1.5)), item_of(grown(2.0)))))
-    tops = [colours.of(index, "strain").top for index in range(2)]
+    tops = [colours.of_mesh(index)["strain"].top for index in range(2)]
     assert tops == pytest.approx([50.0, 100.0])  # percent
-    shared = colours.shared("strain")
+    shared = colours.on_one_scale("strain")
     assert [each.top for each in shared] == pytest.approx([100.0, 100.0])
     points = tetrahedron()[0]
     for each, by, entry in ((shared[0], 1.5, 128), (shared[1], 2.0, 255)):
-        np.testing.assert_allclose(each.indices(by * points, 1.0).astype(float), entry, atol=1)
+        np.testing.assert_allclose(each.entries(by * points, 1.0).astype(float), entry, atol=1)
 
 
 def test_strain_is_against_the_first_frame() -> None:
     colours = SceneColours(Scene((item_of(grown(2.0)),)))
-    assert not colours.of(0, "strain").indices(tetrahedron()[0], 0.0).any()
+    assert not colours.of_mesh(0)["strain"].entries(tetrahedron()[0], 0.0).any()
 
 
 def test_errors_are_against_the_original_at_the_same_time() -> None:
@@ -104,7 +103,7 @@ def test_errors_are_against_the_original_at_the_same_time() -> None:
     shift = np.array([0.3, 0.0, 0.4])
     moved = sequence.with_points(sequence.points + shift)
     colours = SceneColours(Scene((item_of(moved),)), original_of(sequence))
-    errors = colours.of(0, "error")
+    errors = colours.of_mesh(0)["error"]
     assert errors.measure is not None
     share = 0.5 / bounding_diagonal(sequence.points[0])
     for frame in (0, 4, 10):
@@ -115,9 +114,9 @@ def test_errors_are_against_the_original_at_the_same_time() -> None:
 
 def test_an_edited_model_has_the_scale_that_it_had(bar_model: Model) -> None:
     colours = SceneColours(Scene((SceneItem("model", bar_model),)))
-    strain = colours.of(0, "strain")
-    assert not strain.indices(bar_model(bar_model.start), 0.0).any()
-    assert strain.indices(bar_model(bar_model.end), 0.0).max() == 255
+    strain = colours.of_mesh(0)["strain"]
+    assert not strain.entries(bar_model(bar_model.start), 0.0).any()
+    assert strain.entries(bar_model(bar_model.end), 0.0).max() == 255
 
 
 def test_an_original_of_some_of_the_meshes(bent_bar: MeshSequence) -> None:
@@ -127,7 +126,7 @@ def test_an_original_of_some_of_the_meshes(bent_bar: MeshSequence) -> None:
 
 def test_another_mesh_is_no_original(bent_bar: MeshSequence) -> None:
     scene = Scene((item_of(bent_bar),))
-    with pytest.raises(SettingsError, match=r"none .* 4 vertices and 4 triangles .* one mesh"):
+    with pytest.raises(SettingsError, match=r"none .* 4 vertices and 4 triangles .* same topology"):
         check_original(scene, original_of(grown(2)))
     with_a_stray = MeshSequence.from_arrays(
         np.concatenate([bent_bar.points, bent_bar.points[:, :1]], axis=1), bent_bar.faces, fps=10
@@ -139,5 +138,5 @@ def test_another_mesh_is_no_original(bent_bar: MeshSequence) -> None:
 def test_an_original_begins_at_the_same_time() -> None:
     sequence = bar(frames=4)
     later = MeshSequence.from_arrays(sequence.points, sequence.faces, times=sequence.times + 0.5)
-    with pytest.raises(SettingsError, match=r"late begins at 0.5 s, the original at 0 s"):
+    with pytest.raises(SettingsError, match=r"late starts at 0.5 s, the original at 0 s"):
         check_original(Scene((item_of(later, "late"),)), original_of(sequence))

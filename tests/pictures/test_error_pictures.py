@@ -9,9 +9,9 @@ import pytest
 
 from mixseq.errors import SettingsError
 from mixseq.pictures.models import (
-    ROUNDING,
+    MIN_DRAWN_ERROR,
     VertexErrors,
-    _hidden,
+    _is_hidden,
     add_error_bar,
     draw_frame_errors,
     draw_vertex_errors,
@@ -62,7 +62,7 @@ def test_errors_tell_how_far_they_are(model: Model, original: MeshSequence) -> N
 
 def test_another_mesh_is_refused(model: Model, original: MeshSequence) -> None:
     turned = MeshSequence.from_arrays(original.points, original.faces[:, ::-1], fps=10)
-    with pytest.raises(SettingsError, match="in another order; errors need one mesh"):
+    with pytest.raises(SettingsError, match="in another order; errors need the same topology"):
         vertex_errors(model, turned)
 
 
@@ -77,8 +77,8 @@ def test_chart_of_frames(model: Model, original: MeshSequence, ax: Any) -> None:
     errors = vertex_errors(model, original)
     draw_frame_errors(ax, errors, original.times, tolerance=0.05)
     largest, rms, tolerance, worst = ax.get_lines()
-    np.testing.assert_allclose(largest.get_ydata(), np.maximum(errors.largest, ROUNDING))
-    np.testing.assert_allclose(rms.get_ydata(), np.maximum(errors.rms, ROUNDING))
+    np.testing.assert_allclose(largest.get_ydata(), np.maximum(errors.largest, MIN_DRAWN_ERROR))
+    np.testing.assert_allclose(rms.get_ydata(), np.maximum(errors.rms, MIN_DRAWN_ERROR))
     assert set(tolerance.get_ydata()) == {0.05}
     np.testing.assert_allclose(worst.get_xydata(), [[1.1, 0.2]])
     assert ax.get_yscale() == "log"
@@ -92,7 +92,7 @@ def test_no_error_at_all_is_drawn(original: MeshSequence, ax: Any) -> None:
     errors = vertex_errors(fit(original, exact=True, space="vertex"), original)
     zero = type(errors)(0 * errors.largest, 0 * errors.rms, 0 * errors.by_vertex, 0, errors.by_frame)
     draw_frame_errors(ax, zero, original.times)
-    assert ax.get_ylim()[0] <= ROUNDING
+    assert ax.get_ylim()[0] <= MIN_DRAWN_ERROR
 
 
 def test_pictures_of_vertices() -> None:
@@ -133,8 +133,8 @@ TRIANGLE = np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]])
 @pytest.mark.parametrize("face", [[0, 1, 2], [2, 1, 0]])
 def test_what_hides_a_vertex(vertex: tuple[float, ...], hidden: bool, face: list[int]) -> None:
     screen = np.concatenate([TRIANGLE, [vertex]])
-    assert _hidden(3, screen, np.array([face], dtype=np.int32)) is hidden
+    assert _is_hidden(3, screen, np.array([face], dtype=np.int32)) is hidden
 
 
 def test_a_face_does_not_hide_its_own_corner() -> None:
-    assert not _hidden(0, TRIANGLE, np.array([[0, 1, 2]], dtype=np.int32))
+    assert not _is_hidden(0, TRIANGLE, np.array([[0, 1, 2]], dtype=np.int32))

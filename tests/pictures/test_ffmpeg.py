@@ -101,7 +101,7 @@ def test_ffmpeg_is_ended_when_drawing_fails(
 
 def test_no_ffmpeg(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(MissingExtraError, match=r"there is none on the PATH; install one .* \.webp or \.gif"):
+    with pytest.raises(MissingExtraError, match=r"is not on the PATH; install it .* \.webp or \.gif"):
         check_film("mp4", (64, 64))
 
 

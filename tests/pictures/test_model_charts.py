@@ -13,11 +13,11 @@ from mixseq.errors import OutputError, SettingsError
 from mixseq.pictures.charts import (
     Format,
     chart_style,
+    check_frames,
     draw_coefficients,
     draw_embedding,
     draw_singular_values,
     embedding_limits,
-    existing_frames,
     log_axis,
     new_page,
     picture_format,
@@ -126,10 +126,10 @@ def test_layout_numbers_the_frames_that_are_chosen(model: Model, ax: Any) -> Non
 
 
 def test_layout_refuses_frames_that_are_not_there(model: Model, ax: Any) -> None:
-    with pytest.raises(SettingsError, match="there is no frame 8; frames are 0 to 7"):
+    with pytest.raises(SettingsError, match="there is no frame 8; choose frames from 0 to 7"):
         draw_embedding(ax, model, [0, 8])
     with pytest.raises(SettingsError, match="there is no frame -1"):
-        existing_frames([-1], FRAMES)
+        check_frames([-1], FRAMES)
 
 
 def test_coefficients_with_knots(model: Model, ax: Any) -> None:

@@ -10,7 +10,13 @@ import pytest
 
 from mixseq.errors import SettingsError
 from mixseq.pictures.colours import JOINT_RED, part_colours
-from mixseq.pictures.models import LISTED, _number_places, draw_parts, draw_parts_legend, legend_rows
+from mixseq.pictures.models import (
+    MAX_LEGEND_PARTS,
+    _number_positions,
+    draw_parts,
+    draw_parts_legend,
+    legend_rows,
+)
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
@@ -22,7 +28,7 @@ pytest.importorskip("matplotlib")
 def test_numbers_are_in_the_middle_of_what_is_seen() -> None:
     points, faces = grid(4, 8)
     part = (points[faces, 0].mean(axis=1) > 4).astype(np.int64)
-    places = _number_places(points, faces.astype(np.int32), part, (-1.0, 9.0, -1.0, 5.0))
+    places = _number_positions(points, faces.astype(np.int32), part, (-1.0, 9.0, -1.0, 5.0))
     np.testing.assert_allclose(places[0], (2, 2), atol=0.1)
     np.testing.assert_allclose(places[1], (6, 2), atol=0.1)
 
@@ -33,15 +39,15 @@ def test_hidden_parts_and_joints_have_no_number() -> None:
     both = np.concatenate([faces, faces + len(points)]).astype(np.int32)
     part = np.repeat([300, -1], len(faces))  # a joint in front of a part
     limits = (-1.0, 9.0, -1.0, 5.0)
-    assert _number_places(np.concatenate([points, before]), both, part, limits) == {}
-    behind = _number_places(np.concatenate([before, points]), both, part, limits)
+    assert _number_positions(np.concatenate([points, before]), both, part, limits) == {}
+    behind = _number_positions(np.concatenate([before, points]), both, part, limits)
     assert list(behind) == [300]
 
 
 def test_parts_too_small_for_a_number_have_none() -> None:
     points, faces = grid(2, 2)
     part = np.zeros(len(faces), dtype=np.int64)
-    assert _number_places(points, faces.astype(np.int32), part, (-500.0, 500.0, -500.0, 500.0)) == {}
+    assert _number_positions(points, faces.astype(np.int32), part, (-500.0, 500.0, -500.0, 500.0)) == {}
 
 
 def test_picture_of_the_parts(bar_model: Model, bent_bar: MeshSequence) -> None:
@@ -80,7 +86,7 @@ def test_legend_counts_vertices(bar_model: Model, ax: Any) -> None:
 
 def test_legend_of_very_many_parts(bar_model: Model, ax: Any) -> None:
     parts = bar_model.decomposition
-    count = LISTED + 7
+    count = MAX_LEGEND_PARTS + 7
     many = replace(
         parts,
         part_of_face=np.arange(len(parts.part_of_face)) % count,
@@ -88,7 +94,7 @@ def test_legend_of_very_many_parts(bar_model: Model, ax: Any) -> None:
         joints=(),
     )
     draw_parts_legend(ax, many, 5)
-    assert list(legend(ax))[-2:] == [f"part {LISTED - 1}: 1 vertex", "and 7 more parts"]
+    assert list(legend(ax))[-2:] == [f"part {MAX_LEGEND_PARTS - 1}: 1 vertex", "and 7 more parts"]
     assert legend_rows(many, 5) == 13
 
 

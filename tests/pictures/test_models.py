@@ -14,9 +14,9 @@ from mixseq.choices import PICTURES, PictureKind
 from mixseq.errors import MissingExtraError, OutputError, SettingsError
 from mixseq.pictures.charts import Format
 from mixseq.pictures.models import (
-    MOST_ROWS,
-    _content,
+    MAX_ERROR_FRAMES,
     _embedding,
+    _page_section,
     _parts,
     check_settings,
     plot_model,
@@ -65,7 +65,7 @@ def test_overview_has_a_row_for_what_there_is(
     bar_model: Model, vertex_model: Model, bent_bar: MeshSequence
 ) -> None:
     def height(model: Model, against: MeshSequence | None = None) -> float:
-        return _content(model, None, against, None, None, None, silent).height
+        return _page_section(model, None, against, None, None, None, silent).height
 
     signals = [max(_embedding(model, None).height, 5.4) for model in (vertex_model, bar_model)]
     ends = np.stack([bar_model(bar_model.start), bar_model(bar_model.end)])
@@ -130,7 +130,7 @@ def test_summary_counts(vertex_model: Model) -> None:
         ("error-vertices", True, None, 0.1, "tolerance is for error-frames, not for error-vertices"),
         (None, True, None, 0.0, "tolerance is 0.0; a positive number"),
         (None, True, None, np.nan, "tolerance is nan; a positive number"),
-        ("error-vertices", True, range(MOST_ROWS + 1), None, "errors of 1 to 12 frames fit on a page"),
+        ("error-vertices", True, range(MAX_ERROR_FRAMES + 1), None, "errors of 1 to 12 frames fit on a page"),
         ("error-vertices", True, [], None, "errors of 1 to 12 frames fit on a page"),
     ],
 )

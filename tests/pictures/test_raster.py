@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mixseq.pictures.raster import blank, ground_shadow, render_mesh
+from mixseq.pictures.raster import blank_picture, ground_shadow, render_mesh
 from mixseq.pictures.scene import Limits, View, shared_limits, three_quarter_view
 from mixseq.sequence.sequence import MeshSequence
 from tests.meshes import torus
@@ -21,7 +21,7 @@ Picture = NDArray[np.uint8]
 
 def flat(points: NDArray[np.float64], faces: NDArray[np.int64], colours: object = (0.0, 0.0, 0.0)) -> Picture:
     """Draw without light on 8 x 8 pixels."""
-    picture = blank(8, 8)
+    picture = blank_picture(8, 8)
     render_mesh(picture, points, faces, FRONT, UNIT, np.asarray(colours), ground=FAR_BELOW, contrast=0)
     return picture
 
@@ -35,7 +35,7 @@ HALVES = np.array([[0, 1, 2], [0, 2, 3]])
 
 def test_a_square_covers_its_pixels_and_no_others() -> None:
     picture = flat(square(0.25, 0.75, 0.5, 1.0), HALVES)
-    expected = blank(8, 8)
+    expected = blank_picture(8, 8)
     expected[:4, 2:6] = 0
     assert np.array_equal(picture, expected)
 
@@ -90,7 +90,7 @@ def test_what_is_outside_the_picture_is_left_out() -> None:
 
 def test_light_comes_from_above() -> None:
     points, faces = torus(24, 12)
-    picture = blank(64, 64)
+    picture = blank_picture(64, 64)
     render_mesh(picture, points[:, [0, 2, 1]] * [1, 1, -1], faces, FRONT, (-3, 3, -3, 3), ground=FAR_BELOW)
     drawn = np.flatnonzero((picture[:, 32] < 255).any(axis=1))
     assert picture[drawn[1], 32].sum() > picture[drawn[-2], 32].sum()
@@ -99,7 +99,7 @@ def test_light_comes_from_above() -> None:
 def test_the_shadow_is_on_the_ground_and_below(gem: MeshSequence) -> None:
     points, view = gem.points[0], View(30, 30)
     limits = shared_limits(points, "Y", view)
-    without, with_shadow = blank(80, 60), blank(80, 60)
+    without, with_shadow = blank_picture(80, 60), blank_picture(80, 60)
     render_mesh(without, points, gem.faces, view, limits, ground=FAR_BELOW)
     render_mesh(with_shadow, points, gem.faces, view, limits)
     paper = (without == 255).all(axis=2)
@@ -112,7 +112,7 @@ def test_the_shadow_is_on_the_ground_and_below(gem: MeshSequence) -> None:
 def test_a_part_of_a_picture_can_be_drawn_on(gem: MeshSequence) -> None:
     points, view = gem.points[0], three_quarter_view(gem.points[0])
     limits = shared_limits(points, "Y", view)
-    whole, alone = blank(50, 40), blank(30, 20)
+    whole, alone = blank_picture(50, 40), blank_picture(30, 20)
     for picture in (whole[10:30, 5:35], alone):
         render_mesh(picture, points, gem.faces, view, limits)
     assert np.array_equal(whole[10:30, 5:35], alone)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from mixseq.errors import MissingExtraError, SettingsError
-from mixseq.pictures.sheets import common_frames, contact_sheet, draw_segmentation, frames_between
+from mixseq.pictures.sheets import common_frames, contact_sheet, draw_segmentation, frames_halfway
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Index
 
@@ -112,6 +112,6 @@ def test_times_must_meet(gem: MeshSequence) -> None:
 
 
 def test_frames_between(gem: MeshSequence) -> None:
-    assert frames_between(gem, gem, [0, 4, 8]) == {}
-    assert frames_between(gem, halved(gem), [0, 4, 8]) == {0: 1, 1: 9}
-    assert frames_between(gem, halved(gem, frames=3), [0, 4, 8]) == {0: 1}
+    assert frames_halfway(gem, gem, [0, 4, 8]) == {}
+    assert frames_halfway(gem, halved(gem), [0, 4, 8]) == {0: 1, 1: 9}
+    assert frames_halfway(gem, halved(gem, frames=3), [0, 4, 8]) == {0: 1}

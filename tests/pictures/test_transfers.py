@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mixseq.errors import SettingsError
-from mixseq.pictures.sheets import heading, parts_of_both, transfer_sheet
+from mixseq.pictures.sheets import common_parts, heading_degrees, transfer_sheet
 from mixseq.retargeting.markers import Correspondence
 from mixseq.retargeting.transfer import Transfer, TransferSettings, plan_transfer
 from mixseq.sequence.sequence import MeshSequence
@@ -70,7 +70,7 @@ def test_of_a_turned_target_the_sheet_is_the_same_but_for_its_size(body: MeshSeq
 def test_heading(body: MeshSequence, degrees: float) -> None:
     turn = rotation((0, np.radians(degrees), 0))
     made = planned(body, 3.0 * body.points[0] @ turn.T + [1, 2, 3])
-    assert np.cos(np.radians(heading(made) - degrees)) == pytest.approx(1)
+    assert np.cos(np.radians(heading_degrees(made) - degrees)) == pytest.approx(1)
 
 
 def test_points_of_another_mesh_or_too_few_are_refused(body: MeshSequence) -> None:
@@ -83,7 +83,7 @@ def test_points_of_another_mesh_or_too_few_are_refused(body: MeshSequence) -> No
 @pytest.mark.parametrize("method", ["mixed", "gradients"])
 def test_the_same_mesh_has_the_same_parts(body: MeshSequence, method: str) -> None:
     given = (body.points[0][body.faces].mean(axis=1)[:, 2] > 2).astype(np.int64)
-    source, target = parts_of_both(planned(body, body.points[0], method=method, parts=given))
+    source, target = common_parts(planned(body, body.points[0], method=method, parts=given))
     np.testing.assert_array_equal(source, target)
     assert len(np.unique(source[given == 0])) == len(np.unique(source[given == 1])) == 1
 
@@ -105,6 +105,6 @@ def test_what_follows_has_the_colour_of_what_it_follows() -> None:
     )
     settings = TransferSettings(mapping=mapping, method="gradients", parts=[0, 1, 1, 1])
     made = plan_transfer(source, target, settings)
-    own, carried = parts_of_both(made)
+    own, carried = common_parts(made)
     assert own.tolist() == [0, 1, 1, 1]
     assert carried.tolist() == [0, 1, 1, 1, 1, 1, 1, 1]  # vertex 3 is in faces 1, 2, 3

@@ -13,9 +13,9 @@ import pytest
 from mixseq.errors import MissingExtraError, OutputError, SettingsError
 from mixseq.pictures import film_encoding as encoding
 from mixseq.pictures.colours import MEASURES, make_colouring
-from mixseq.pictures.film import FilmSettings, backdrop_of, cameras_of, film, panels_of, travel_path
+from mixseq.pictures.film import FilmSettings, divide_picture, draw_backdrop, film, make_cameras, travel_path
 from mixseq.pictures.film_encoding import check_film, encode_film, film_format
-from mixseq.pictures.raster import Picture, blank
+from mixseq.pictures.raster import Picture, blank_picture
 from mixseq.pictures.scene import DecodedItem, SceneItem, film_times, nearest_frames
 from mixseq.runtime.parallel import on_threads, serially
 from mixseq.sequence.sequence import MeshSequence
@@ -77,7 +77,7 @@ def test_stills_take_a_while(gem: MeshSequence) -> None:
 
 @pytest.mark.parametrize(("fps", "seconds"), [(24, 1 / 24), (1e9, None), (0.1, 2)])
 def test_films_have_some_frames(gem: MeshSequence, fps: float, seconds: float | None) -> None:
-    with pytest.raises(SettingsError, match="a film has from 2 to 100,000"):
+    with pytest.raises(SettingsError, match="a film has 2 to 100,000"):
         film_times([gem.header], fps, seconds)
 
 
@@ -97,12 +97,12 @@ def test_models_are_decoded_at_the_times_of_the_film(gem: MeshSequence) -> None:
 
 def test_the_camera_turns_and_holds_all(gem: MeshSequence) -> None:
     track = decoded(gem, np.zeros(8))
-    (camera,) = cameras_of([track], FilmSettings(turn=360), 24)
-    assert camera.at(2).azimuth == camera.view.azimuth + 90
+    (camera,) = make_cameras([track], FilmSettings(turn=360), 24)
+    assert camera.view_at(2).azimuth == camera.view.azimuth + 90
     left, right, *_ = camera.limits
     assert left < -2
     assert right > 2  # when it is seen from the side
-    wide = camera.fitted(0.1)
+    wide = camera.with_aspect(0.1)
     assert np.isclose(wide.aspect, 0.1)
     assert np.allclose(wide.limits[2:], camera.limits[2:])
 
@@ -111,7 +111,7 @@ def test_one_camera_for_equal_meshes_and_one_for_each_other(gem: MeshSequence) -
     larger = MeshSequence.from_arrays(3 * gem.points, gem.faces)
     other = MeshSequence.from_arrays(gem.points, gem.faces[:, ::-1])
     tracks = [decoded(each, gem.times) for each in (gem, larger, other)]
-    first, second, third = cameras_of(tracks, FilmSettings(), 24)
+    first, second, third = make_cameras(tracks, FilmSettings(), 24)
     assert first is second
     assert third.limits[1] < first.limits[1] / 2
 
@@ -119,7 +119,7 @@ def test_one_camera_for_equal_meshes_and_one_for_each_other(gem: MeshSequence) -
 def test_cameras_are_in_the_middle_of_what_is_far_away(gem: MeshSequence) -> None:
     away = MeshSequence.from_arrays(gem.points + np.array([100, 5, -40]), gem.faces)
     here, there = (
-        cameras_of([decoded(each, gem.times)], FilmSettings(turn=90), 24)[0] for each in (gem, away)
+        make_cameras([decoded(each, gem.times)], FilmSettings(turn=90), 24)[0] for each in (gem, away)
     )
     assert np.allclose(here.limits, there.limits)
     assert np.allclose(there.centres - here.centres, [100, 5, -40])
@@ -134,10 +134,10 @@ def travelling(gem: MeshSequence, steps: Float) -> DecodedItem:
 
 def test_a_camera_that_follows_sees_a_rigid_body_stand_still(gem: MeshSequence) -> None:
     item = travelling(gem, np.full(30, 0.3))
-    (following,) = cameras_of([item], FilmSettings(follow=True), 24)
+    (following,) = make_cameras([item], FilmSettings(follow=True), 24)
     seen = [item.pose(frame) - following.centres[frame] for frame in range(30)]
     np.testing.assert_allclose(seen, np.broadcast_to(seen[0], np.shape(seen)), atol=1e-12)
-    (waiting,) = cameras_of([item], FilmSettings(), 24)
+    (waiting,) = make_cameras([item], FilmSettings(), 24)
     assert following.limits[1] - following.limits[0] < 0.3 * (waiting.limits[1] - waiting.limits[0])
 
 
@@ -151,7 +151,7 @@ def test_a_camera_that_follows_does_not_follow_steps(gem: MeshSequence) -> None:
 
 
 def test_a_camera_is_asked_for_from_the_front(gem: MeshSequence) -> None:
-    (camera,) = cameras_of([travelling(gem, np.full(3, 1.0))], FilmSettings(camera=(-20.0, 5.0)), 24)
+    (camera,) = make_cameras([travelling(gem, np.full(3, 1.0))], FilmSettings(camera=(-20.0, 5.0)), 24)
     assert (camera.view.azimuth, camera.view.elevation) == (70, 5)
 
 
@@ -159,7 +159,7 @@ def test_a_camera_is_asked_for_from_the_front(gem: MeshSequence) -> None:
     ("count", "aspect", "columns"), [(1, 1.0, 1), (3, 2.0, 3), (2, 0.2, 1), (4, 0.5, 2), (5, 1.0, 3)]
 )
 def test_panels_are_where_meshes_are_largest(count: int, aspect: float, columns: int) -> None:
-    panels = panels_of(count, 640, 360, aspect, True, True)
+    panels = divide_picture(count, 640, 360, aspect, True, True)
     assert len({across.start for _, across in panels}) == columns
     taken = np.zeros((360, 640), dtype=int)
     for panel in panels:
@@ -168,13 +168,13 @@ def test_panels_are_where_meshes_are_largest(count: int, aspect: float, columns:
 
 
 def test_too_many_panels_are_refused() -> None:
-    with pytest.raises(SettingsError, match="50 panels are too many for a picture of 96x64 pixels"):
-        panels_of(50, 96, 64, 1.0, True, False)
+    with pytest.raises(SettingsError, match="50 panels do not fit in 96x64 pixels"):
+        divide_picture(50, 96, 64, 1.0, True, False)
 
 
 def test_names_stay_in_their_panels() -> None:
-    panels = panels_of(2, 200, 100, 1.0, True, False)
-    page = backdrop_of(200, 100, panels, ["", "a name that is much longer than its panel"])
+    panels = divide_picture(2, 200, 100, 1.0, True, False)
+    page = draw_backdrop(200, 100, panels, ["", "a name that is much longer than its panel"])
     dark = np.asarray((page < 200).any(axis=2))
     assert dark.any()
     assert not dark[:, :100].any()
@@ -195,9 +195,11 @@ def test_changes_are_since_the_first_frame(gem: MeshSequence, colour: str) -> No
     assert change.measure is not None
     assert np.array_equal(change.measure(track.pose(0), 0), np.zeros(6))
     for frame in (0, 5):
-        expected = part * MEASURES[colour].of(squeezed.points[3], gem.faces)(squeezed.points[3 + frame])
+        expected = part * MEASURES[colour].from_rest(squeezed.points[3], gem.faces)(
+            squeezed.points[3 + frame]
+        )
         assert np.array_equal(change.measure(track.pose(frame), frame), expected)
-        assert change.reached(track.pose(frame), frame) == np.quantile(expected, 0.99)
+        assert change.scale_end(track.pose(frame), frame) == np.quantile(expected, 0.99)
 
 
 def test_errors_are_in_diagonals(gem: MeshSequence) -> None:
@@ -210,13 +212,13 @@ def test_errors_are_in_diagonals(gem: MeshSequence) -> None:
 
 def test_errors_need_one_mesh(gem: MeshSequence, tmp_path: Path) -> None:
     other = MeshSequence.from_arrays(gem.points, gem.faces[:7], name="cut")
-    with pytest.raises(SettingsError, match=r"cut has 7 triangles .* errors need one mesh"):
+    with pytest.raises(SettingsError, match=r"cut has 7 triangles .* errors need the same topology"):
         film(tmp_path / "a.gif", [SceneItem("", other)], FilmSettings(colour="error"), gem)
 
 
 def test_errors_need_the_same_times(gem: MeshSequence, tmp_path: Path) -> None:
     late = MeshSequence.from_arrays(gem.points, gem.faces, times=gem.times + 1)
-    with pytest.raises(SettingsError, match="late begins at 1 s, the original at 0 s"):
+    with pytest.raises(SettingsError, match="late starts at 1 s, the original at 0 s"):
         film(tmp_path / "a.gif", [SceneItem("late", late)], FilmSettings(colour="error"), gem)
 
 
@@ -274,17 +276,17 @@ def test_a_webp_is_encoded_while_it_is_drawn(tmp_path: Path) -> None:
 
 def test_gifs_have_a_longest_duration(tmp_path: Path) -> None:
     def draw(frames: Iterable[int]) -> Iterator[Picture]:
-        return (blank(64, 64) for _ in frames)
+        return (blank_picture(64, 64) for _ in frames)
 
     encode_film(tmp_path / "a.gif", "gif", draw, 655, 1)
-    with pytest.raises(SettingsError, match="the film takes 656 s; GIF has at most 655 s"):
+    with pytest.raises(SettingsError, match="the film takes 656 s, a GIF at most 655 s"):
         encode_film(tmp_path / "a.gif", "gif", draw, 656, 1)
 
 
 @pytest.mark.parametrize("extension", ["gif", "webp"])
 def test_frames_are_what_was_drawn(tmp_path: Path, extension: str) -> None:
     ramp = np.linspace(0, 255, 80).astype(np.uint8)
-    pictures = [blank(80, 60) for _ in range(5)]
+    pictures = [blank_picture(80, 60) for _ in range(5)]
     for number, picture in enumerate(pictures):
         picture[10 + number : 30 + number] = ramp[:, None]
     pictures[3] = pictures[2]  # nothing changes
@@ -358,12 +360,12 @@ def test_degenerate_meshes_are_survived(tmp_path: Path, colour: Any) -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"colour": "pink"}, "'pink'; one of clay, own, parts, error, strain, curvature"),
+        ({"colour": "pink"}, "'pink'; choose one of clay, own, parts, error, strain, curvature"),
         ({"fps": 0}, "fps is 0; a positive number"),
         ({"seconds": float("inf")}, "the duration is inf"),
         ({"turn": float("nan")}, "the turn is nan"),
         ({"camera": (0.0, float("inf"))}, r"the camera is at \(0.0, inf\); two numbers"),
-        ({"scale": 1}, "the scale is for the colours error, strain and curvature"),
+        ({"scale": 1}, "only the colours error, strain and curvature have a scale"),
         ({"scale": -1, "colour": "strain"}, "the scale is -1"),
     ],
 )
@@ -375,8 +377,8 @@ def test_settings_out_of_range(settings: dict[str, Any], message: str) -> None:
 def test_what_cannot_be_shown(gem: MeshSequence, tmp_path: Path) -> None:
     path = tmp_path / "a.gif"
     for shown, colour, against, message in (
-        ([], "clay", None, "nothing to show"),
-        ([SceneItem("", gem)], "error", None, "give the original"),
+        ([], "clay", None, "no mesh to show"),
+        ([SceneItem("", gem)], "error", None, "needs the original"),
         ([SceneItem("", gem)], "clay", gem, "is for the colour error"),
         ([SceneItem("", gem)], "parts", None, "gem has no parts"),
         ([SceneItem("", fit(gem, space="vertex"))], "parts", None, "gem has no parts"),
@@ -409,7 +411,7 @@ def test_what_formats_cannot_hold(form: Any, size: tuple[int, int], fps: float |
 
 def test_missing_encoders_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("PIL.features.get_supported_modules", lambda: ["pil"])
-    with pytest.raises(MissingExtraError, match=r"without its WebP encoder; .* pip install 'pillow>=11.3'"):
+    with pytest.raises(MissingExtraError, match=r"without WebP; .* pip install 'pillow>=11.3'"):
         check_film("webp", (64, 64))
     check_film("gif", (64, 64))
 

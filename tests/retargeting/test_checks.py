@@ -13,7 +13,13 @@ import pytest
 import mixseq
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.mesh.topology import Topology
-from mixseq.retargeting.checks import Bending, check_facing, check_markers, check_orientation, orientation
+from mixseq.retargeting.checks import (
+    BendingEnergy,
+    check_facing,
+    check_markers,
+    check_orientation,
+    find_orientation,
+)
 from mixseq.retargeting.markers import Markers
 from mixseq.types import Float, Index
 from mixseq_io.text.markers import read_markers
@@ -80,14 +86,14 @@ def named(messages: list[str]) -> set[int]:
 def test_affine_maps_do_not_bend() -> None:
     points = creature()
     affine = points @ np.random.default_rng(1).normal(size=(3, 3)) + [1, 2, 3]
-    bending = Bending.of(points)
+    bending = BendingEnergy.from_points(points)
     assert np.abs(bending.matrix @ affine).max() < 1e-12
-    assert bending.left_out(affine)[0].max() < 1e-10
+    assert bending.leave_one_out(affine)[0].max() < 1e-10
 
 
 def test_leaving_out_is_what_fitting_the_others_gives() -> None:
     source, target = creature(), other(creature())
-    distances, _ = Bending.of(source).left_out(target)
+    distances, _ = BendingEnergy.from_points(source).leave_one_out(target)
     rest = np.arange(1, 28)
     # The spline through the others, with the same slack, by its own equations.
     kernel = -np.linalg.norm(source[rest][:, None] - source[rest], axis=2) + 0.05 * np.eye(27)
@@ -234,14 +240,14 @@ def test_a_flat_mesh_may_have_strays() -> None:
 @pytest.mark.parametrize("mesh", [tetrahedron(), ring(), tube(7, 5)])
 def test_closed_components_have_an_outside(mesh: tuple[Float, Index]) -> None:
     points, faces = mesh
-    assert orientation(points + 100, faces).signs.tolist() == [1]
-    assert orientation(points, faces[:, ::-1]).signs.tolist() == [-1]
+    assert find_orientation(points + 100, faces).signs.tolist() == [1]
+    assert find_orientation(points, faces[:, ::-1]).signs.tolist() == [-1]
 
 
 def test_open_surfaces_have_none() -> None:
-    assert orientation(*grid(3, 4)).signs.tolist() == [0]
+    assert find_orientation(*grid(3, 4)).signs.tolist() == [0]
     points, faces = ring()
-    assert orientation(points, faces[1:]).signs.tolist() == [1]  # a small hole does not matter
+    assert find_orientation(points, faces[1:]).signs.tolist() == [1]  # a small hole does not matter
 
 
 def test_an_inside_out_mesh_is_refused_by_name() -> None:

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from mixseq.errors import SettingsError
-from mixseq.retargeting.suggestions import CoarseSurface, Extremities, far_apart, maxima, mean_distance
+from mixseq.retargeting.suggestions import (
+    CoarseSurface,
+    Extremities,
+    find_maxima,
+    mean_surface_distances,
+    sample_far_apart,
+)
 from mixseq.types import Float
 from tests.meshes import grid, joined, rotation, topology_of, tube
 from tests.retargeting.foxes import Fox, short, tall
@@ -30,18 +36,18 @@ def test_maxima_of_two_hills() -> None:
 
     surface = CoarseSurface.from_mesh(points, topology_of((points, faces)))
     values = np.maximum(hill((0.2, 0.2), 3.0), hill((0.75, 0.75), 2.0))
-    vertices, prominences = maxima(values, surface)
+    vertices, prominences = find_maxima(values, surface)
     np.testing.assert_allclose(prominences[:2], [values.max(), values[vertices[1]]])  # a plain between them
     assert values[vertices[0]] == values.max()
     assert np.linalg.norm(points[vertices[1], :2] - (low + 0.75 * (high - low))[:2]) < 0.06 * (high - low)[0]
 
     raised = np.maximum(values, 1.5)  # a plateau, from which the hills rise
-    assert np.allclose(maxima(raised, surface)[1][1], values[vertices[1]] - 1.5)
+    assert np.allclose(find_maxima(raised, surface)[1][1], values[vertices[1]] - 1.5)
 
 
 def test_samples_are_far_from_each_other() -> None:
     surface = surface_of(short())
-    samples, distances = far_apart(surface, 20)
+    samples, distances = sample_far_apart(surface, 20)
     apart = distances[:, samples] + np.diag(np.full(20, np.inf))
     rest = distances.min(axis=0)
     assert apart.min() >= rest.max() - 1e-9
@@ -49,7 +55,7 @@ def test_samples_are_far_from_each_other() -> None:
 
 def test_the_mean_distance_is_least_in_the_trunk() -> None:
     fox = short()
-    values = mean_distance(surface_of(fox))
+    values = mean_surface_distances(surface_of(fox))
     assert fox.bones[int(values.argmin())] in {"pelvis", "belly", "chest"}
 
 

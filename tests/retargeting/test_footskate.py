@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from mixseq.errors import MixseqWarning, SettingsError
-from mixseq.mesh.rotations import matrices, vectors
+from mixseq.mesh.rotations import matrix_to_rotvec, rotvec_to_matrix
 from mixseq.retargeting.contacts import remove_footskate
-from mixseq.retargeting.limbs import ArticulatedBody, Contact, leg_length, leg_ratio, turn_limbs
+from mixseq.retargeting.limbs import ArticulatedBody, Contact, leg_length, leg_ratio, rotate_limbs
 from tests.retargeting.walkers import BONES, CYCLE, Walk, body, hung, walk
 
 ACCELERATION = 1.05
@@ -97,7 +97,7 @@ def test_a_foot_in_the_air_keeps_to_its_path() -> None:
 @pytest.mark.parametrize("angle", [0.0, 0.7, -2.5])
 def test_commutes_with_motions_over_the_ground(angle: float) -> None:
     scene = walk(1.3, 1.0)
-    rotation, shift = matrices(np.array([0.0, angle, 0.0])), np.array([3.0, 0.0, -8.0])
+    rotation, shift = rotvec_to_matrix(np.array([0.0, angle, 0.0])), np.array([3.0, 0.0, -8.0])
     result, moved = scene.planted(), scene.moved(rotation, shift).planted()
     np.testing.assert_allclose(moved.rotations, rotation @ result.rotations, atol=1e-8)
     np.testing.assert_allclose(moved.centres, result.centres @ rotation.T + shift, atol=1e-8)
@@ -197,7 +197,7 @@ def test_a_swinging_bar() -> None:
     source, foot = chain(1.0)
     root = np.zeros((frames, 3))
     root[:, 1] = 2.0 * np.cos(angle) + 0.5  # the end stays in the origin
-    path = source.placed(foot.points, foot.parts, rotations, hung(source, rotations, root))
+    path = source.pose_points(foot.points, foot.parts, rotations, hung(source, rotations, root))
     np.testing.assert_allclose(path, 0.0, atol=1e-12)
     target, end = chain(1.4)
     ours = hung(target, rotations, root + np.array([0.0, 0.8, 0.0]))
@@ -207,7 +207,9 @@ def test_a_swinging_bar() -> None:
     assert group.before > 0.02
     assert group.after < 1e-9
     assert group.residual < 1e-12
-    joints = [target.placed(target.pivots, side, result.rotations, result.centres) for side in target.pairs.T]
+    joints = [
+        target.pose_points(target.pivots, side, result.rotations, result.centres) for side in target.pairs.T
+    ]
     np.testing.assert_allclose(joints[0], joints[1], atol=1e-9)
 
 
@@ -366,7 +368,7 @@ def test_placed_points_follow_their_parts() -> None:
     )
     quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     rotations, centres = np.stack([np.eye(3), quarter])[None], np.array([[[1.0, 0, 0], [2, 1, 0]]])
-    both = walker.placed(np.array([[2.0, 0, 0], [2, 0, 0]]), [0, 1], rotations, centres)
+    both = walker.pose_points(np.array([[2.0, 0, 0], [2, 0, 0]]), [0, 1], rotations, centres)
     np.testing.assert_allclose(both, [[[2, 0, 0], [2, 0, 0]]], atol=1e-15)
 
 
@@ -375,14 +377,14 @@ def test_refuses_vertices_that_follow_nothing() -> None:
     with pytest.raises(SettingsError, match="contact 'sole' follow no part"):
         walker.limb(contact([3, -1]))
     loose = replace(walker, pairs=walker.pairs[1:], pivots=walker.pivots[1:])
-    with pytest.raises(SettingsError, match="follow part 3, which nothing links to the root"):
+    with pytest.raises(SettingsError, match="follow part 3, which is not connected to the root"):
         loose.limb(contact([3]))
     with pytest.raises(SettingsError, match="contact 'sole' has 0 vertices"):
         walker.limb(contact([]))
 
 
 def test_refuses_a_contact_on_several_limbs() -> None:
-    with pytest.raises(SettingsError, match=r"'sole' are on several limbs \(parts 3, 6\); name one contact"):
+    with pytest.raises(SettingsError, match=r"'sole' are on several limbs \(parts 3, 6\); give one contact"):
         body(1.0)[0].limb(contact([3, 6]))
 
 
@@ -420,7 +422,7 @@ ANKLE = np.array([1.0, 1.0, 0.0])
 )
 def test_a_bent_leg_reaches_its_goal(move: list[float]) -> None:
     levers = leg(0.6)
-    turns, left = turn_limbs(levers, np.array([[move]]), ANKLE)
+    turns, left = rotate_limbs(levers, np.array([[move]]), ANKLE)
     np.testing.assert_allclose(left, 0.0, atol=1e-12)
     np.testing.assert_allclose(ends(levers, turns) - levers.sum(axis=2), [[move]], atol=1e-12)
     np.testing.assert_array_equal(turns[:, 2], np.eye(3)[None])  # the sole stays level
@@ -433,7 +435,7 @@ def test_one_bone_swings_like_a_pendulum() -> None:
     angle = 0.3
     levers = np.array([[[[0.0, -2.0, 0.0]]]])
     swung = 2.0 * np.array([np.sin(angle), -np.cos(angle), 0.0])
-    turns, left = turn_limbs(levers, (swung - levers[0, 0])[None], np.ones(1))
+    turns, left = rotate_limbs(levers, (swung - levers[0, 0])[None], np.ones(1))
     direction = ends(levers, turns)[0, 0] / 2.0
     # The move along the bone is not made by turning it; across it, all is.
     assert np.degrees(np.arccos(direction @ swung / 2.0)) < 3.0
@@ -443,21 +445,25 @@ def test_one_bone_swings_like_a_pendulum() -> None:
 
 
 def test_nothing_turns_for_nothing() -> None:
-    turns, left = turn_limbs(leg(0.3), np.zeros((1, 1, 3)), ANKLE)
+    turns, left = rotate_limbs(leg(0.3), np.zeros((1, 1, 3)), ANKLE)
     np.testing.assert_array_equal(turns, np.tile(np.eye(3), (1, 3, 1, 1)))
     np.testing.assert_array_equal(left, 0.0)
 
 
 def test_a_contact_without_a_limb_stays() -> None:
     moves = np.array([[[1.0, 2, 3]]])
-    np.testing.assert_array_equal(turn_limbs(np.zeros((1, 1, 2, 3)), moves, np.ones(2))[1], moves)
+    np.testing.assert_array_equal(rotate_limbs(np.zeros((1, 1, 2, 3)), moves, np.ones(2))[1], moves)
 
 
 def test_turns_with_the_world() -> None:
     rng = np.random.default_rng(0)
-    levers, moves, world = leg(0.4, 5), 0.05 * rng.normal(size=(5, 1, 3)), matrices(rng.normal(size=3))
-    turns, left = turn_limbs(levers, moves, ANKLE)
-    turned, other = turn_limbs(levers @ world.T, moves @ world.T, ANKLE)
+    levers, moves, world = (
+        leg(0.4, 5),
+        0.05 * rng.normal(size=(5, 1, 3)),
+        rotvec_to_matrix(rng.normal(size=3)),
+    )
+    turns, left = rotate_limbs(levers, moves, ANKLE)
+    turned, other = rotate_limbs(levers @ world.T, moves @ world.T, ANKLE)
     np.testing.assert_allclose(other, left @ world.T, atol=1e-12)
     np.testing.assert_allclose(turned, world @ turns @ world.T, atol=1e-11)
 
@@ -468,10 +474,10 @@ def test_two_limbs_share_a_part() -> None:
     levers[0, :, 0] = [0.4, 0.0, 0.0]
     levers[0, 0, 1:3] = levers[0, 1, 3:5] = leg(0.5)[0, 0, :2]
     moves = np.array([[[0.05, 0.03, 0.02], [0, 0, 0]]])
-    turns, left = turn_limbs(levers, moves, np.array([0.25, 1, 1, 1, 1]))
+    turns, left = rotate_limbs(levers, moves, np.array([0.25, 1, 1, 1, 1]))
     np.testing.assert_allclose(left, 0.0, atol=1e-12)
     np.testing.assert_allclose(ends(levers, turns) - levers.sum(axis=2), moves, atol=1e-12)
-    bent = np.linalg.norm(vectors(turns[0]), axis=1)
+    bent = np.linalg.norm(matrix_to_rotvec(turns[0]), axis=1)
     assert bent[0] < bent[1:3].max()  # the leg rather than the trunk
 
 
@@ -482,7 +488,7 @@ def test_two_limbs_share_a_part() -> None:
 def test_knees_do_not_pop(bend: float, move: list[float]) -> None:
     """However straight the leg is: the knee accelerates at most four times as much as the foot is asked to."""
     levers, moves = leg(bend, len(FADE)), FADE[:, None, None] * np.array(move)
-    turns, left = turn_limbs(levers, moves, ANKLE)
+    turns, left = rotate_limbs(levers, moves, ANKLE)
     knees = np.einsum("nij,nj->ni", turns[:, 0], levers[:, 0, 0])
     asked = np.linalg.norm(np.diff(moves[:, 0], 2, axis=0), axis=1).max()
     assert np.linalg.norm(np.diff(knees, 2, axis=0), axis=1).max() < 4.0 * asked
@@ -491,7 +497,7 @@ def test_knees_do_not_pop(bend: float, move: list[float]) -> None:
 
 def test_legs_that_are_too_short_stretch_out() -> None:
     levers = leg(0.6)
-    turns, left = turn_limbs(levers, np.array([[[0.0, -3.0, 0.0]]]), ANKLE)
+    turns, left = rotate_limbs(levers, np.array([[[0.0, -3.0, 0.0]]]), ANKLE)
     assert np.isfinite(turns).all()
     np.testing.assert_allclose(
         ends(levers, turns) - levers.sum(axis=2) + left, [[[0.0, -3.0, 0.0]]], atol=1e-12

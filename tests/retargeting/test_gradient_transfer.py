@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 
 from mixseq.mesh.topology import Topology
-from mixseq.retargeting.gradient_transfer import normalised
+from mixseq.retargeting.gradient_transfer import normalise_rows
 from mixseq.retargeting.markers import Correspondence
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float
@@ -72,7 +72,7 @@ def test_a_rigid_motion_of_the_source_is_one_of_the_target(motion: tuple[Float, 
     about = lying.round() @ turn @ lying.round().T
     root = np.arange(len(tube(6, 9)[0]))
     middle, way = target[0][root].mean(axis=0), (source[0] @ turn.T + shift - source[0])[root].mean(axis=0)
-    expected = (target[0] - middle) @ about.T + middle + method.alignment.shifted(way)
+    expected = (target[0] - middle) @ about.T + middle + method.alignment.map_vectors(way)
     np.testing.assert_allclose(moved[root], expected[root], atol=1e-9)
     # The other piece turns along; the gap between the two is as wide as the source's, turned.
     np.testing.assert_allclose(moved, expected, atol=1e-9)
@@ -126,7 +126,9 @@ def test_a_gap_that_opens_opens_as_much_for_the_size() -> None:
     opened[count:] += away
     moved = method.transfer_frame(opened)
     np.testing.assert_allclose(moved[:count], target[0][:count], atol=1e-9)
-    np.testing.assert_allclose(moved[count:], target[0][count:] + method.alignment.shifted(away), atol=1e-9)
+    np.testing.assert_allclose(
+        moved[count:], target[0][count:] + method.alignment.map_vectors(away), atol=1e-9
+    )
 
 
 def test_what_is_held_turns_with_its_holder() -> None:
@@ -136,7 +138,7 @@ def test_what_is_held_turns_with_its_holder() -> None:
     target = source[0] * [1.0, 1.0, 1.4], source[1]
     method = gradients(source, target)
     moved = method.transfer_frame(bent(source[0], 1.2))
-    (tip,), count = method.attachments.other, len(body[0])
+    (tip,), count = method.attachments.holder_vertices, len(body[0])
     turn = rotation((1.2, 0.0, 0.0))
     expected = (target[0][count:] - target[0][tip]) @ turn.T + moved[tip]
     np.testing.assert_allclose(moved[count:], expected, atol=1e-9)
@@ -173,15 +175,15 @@ def test_a_patch_that_is_on_nothing_goes_along() -> None:
 def test_means_are_over_triangles_around_a_point() -> None:
     sheet = grid(1, 2)  # vertex 1 is in three triangles of equal area, 0 in two
     method = gradients(sheet, sheet)
-    weights = method.around(np.array([0, 1])).toarray()
+    weights = method.averaging_matrix(np.array([0, 1])).toarray()
     around = Topology(sheet[1], 6).faces
     np.testing.assert_allclose(weights, [np.any(around == v, axis=1) / np.sum(around == v) for v in (0, 1)])
 
 
 def test_rows_of_weights_add_to_one() -> None:
-    rows = normalised(gradients(grid(2, 2), grid(2, 2)).around(np.array([4])) * 3.0)
+    rows = normalise_rows(gradients(grid(2, 2), grid(2, 2)).averaging_matrix(np.array([4])) * 3.0)
     assert rows.sum() == pytest.approx(1.0)
-    assert normalised(rows * 0.0).sum() == 0.0
+    assert normalise_rows(rows * 0.0).sum() == 0.0
 
 
 def test_a_source_in_single_precision_is_computed_in_double() -> None:

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from mixseq.mesh.measures import dihedral_angles, edge_lengths
-from mixseq.mesh.nearest import Nearest
+from mixseq.mesh.nearest import ClosestPointQuery
 from mixseq.mesh.rigid import kabsch
-from mixseq.mesh.rotations import matrices
-from mixseq.retargeting.joints import HarmonicSkin, OtherEdges, SameEdges
+from mixseq.mesh.rotations import rotvec_to_matrix
+from mixseq.retargeting.joints import EdgewiseMetrics, GradientMetrics, HarmonicSkin
 from mixseq.retargeting.markers import Correspondence
 from mixseq.retargeting.mixed_transfer import MixedTransfer, mixed_transfer
 from mixseq.segmentation.joints import make_joint
@@ -39,7 +39,7 @@ def arched(points: Float, share: float = 1.0) -> Float:
 
 def on(source: Mesh, target: Mesh) -> Correspondence:
     """Closest points of a mesh with nearly the same surface."""
-    nearest = Nearest.of(*source)
+    nearest = ClosestPointQuery.from_mesh(*source)
     points, corners = target[0], target[0][target[1]]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     found, faces = nearest.query(points), nearest.query(corners.mean(axis=1), normals)
@@ -64,7 +64,7 @@ def joined_in_the_middle(source: Mesh, target: Mesh, correspondence: Corresponde
 def hinges_of(method: MixedTransfer) -> tuple[Float, Float]:
     """Sides ``(H', 3)`` of the stored hinges, and the way ``(H', 3)`` from the centre of one face to the other's."""
     topology, rest = method.gradients.target.topology, method.gradients.target.reference
-    a, b, c, d = (rest[corner] for corner in topology.hinges[method.solver.solved.hinge_ids].T)
+    a, b, c, d = (rest[corner] for corner in topology.hinges[method.joint_solver.joints.hinge_ids].T)
     return b - a, (d - c) / 3
 
 
@@ -76,10 +76,18 @@ def test_joints_tell_most_of_a_bend_however_finely_they_are_cut(sides: int, ring
     """
     source, target = tube(10, 33, radius=0.3), tube(sides, rings, radius=0.3)
     method = joined_in_the_middle(source, target, on(source, target))
-    joints, scale = OtherEdges(method.gradients, method.solver.solved), method.gradients.source.scale
-    change = joints.of(arched(source[0], 0.125) / scale)[1] - joints.of(source[0] / scale)[1]
+    joints, scale = (
+        GradientMetrics(method.gradients, method.joint_solver.joints),
+        method.gradients.source.scale,
+    )
+    change = (
+        joints.lengths_and_angles(arched(source[0], 0.125) / scale)[1]
+        - joints.lengths_and_angles(source[0] / scale)[1]
+    )
     topology = method.gradients.target.topology
-    middles = target[0][topology.edges].mean(axis=1)[topology.hinge_edges[method.solver.solved.hinge_ids]]
+    middles = target[0][topology.edges].mean(axis=1)[
+        topology.hinge_edges[method.joint_solver.joints.hinge_ids]
+    ]
     width = np.linalg.norm(target[0][1] - target[0][0])
     lengths = np.linalg.norm(hinges_of(method)[0], axis=1) * method.gradients.target.scale
     for top in (-1, 1):
@@ -115,9 +123,9 @@ def test_an_even_bend_is_spread_evenly(sides: int, rings: int) -> None:
     """Faces turn about x by how far apart their centres are, hinges by what of that is about them."""
     source, target = tube(18, 33, radius=0.3), tube(sides, rings, radius=0.3)
     method = joined_in_the_middle(source, target, on(source, target))
-    joints = OtherEdges(method.gradients, method.solver.solved)
-    lengths, angles = joints.of(arched(source[0]) / method.gradients.source.scale)
-    rest_lengths, rest_angles = joints.of(method.gradients.source.reference)
+    joints = GradientMetrics(method.gradients, method.joint_solver.joints)
+    lengths, angles = joints.lengths_and_angles(arched(source[0]) / method.gradients.source.scale)
+    rest_lengths, rest_angles = joints.lengths_and_angles(method.gradients.source.reference)
     sides_of, ways = hinges_of(method)
     curvature = BEND / 4 * method.gradients.target.scale
     wanted = -curvature * ways[:, 2] * sides_of[:, 0] / np.linalg.norm(sides_of, axis=1)
@@ -125,7 +133,7 @@ def test_an_even_bend_is_spread_evenly(sides: int, rings: int) -> None:
     assert np.sqrt(np.mean(wrong**2)) < 0.3 * np.sqrt(np.mean(wanted**2))  # 0.26 at most
     # Edges along the tube are as much shorter as they are on its inner side.
     rest, topology = method.gradients.target.reference, method.gradients.target.topology
-    edges = rest[topology.edges[method.solver.solved.edge_ids]]
+    edges = rest[topology.edges[method.joint_solver.joints.edge_ids]]
     along = np.linalg.norm(np.diff(edges, axis=1)[:, 0, :2], axis=1) < 1e-9
     stretch = (lengths / rest_lengths)[along] - 1
     bent_in = -curvature * edges[along, 0, 1]
@@ -136,41 +144,43 @@ def test_at_rest_other_edges_are_at_rest() -> None:
     source, target = tube(10, 33), tube(6, 20)
     turned = target[0] * [1.0, 1.0, 1.5] @ rotation((0.0, np.pi / 2, 0.0)).T
     method = joined_in_the_middle(source, (turned, target[1]), on(source, target))
-    assert isinstance(method.joint_changes, OtherEdges)
-    lengths, angles = method.joint_changes.of(method.gradients.source.reference)
+    assert isinstance(method.joint_metrics, GradientMetrics)
+    lengths, angles = method.joint_metrics.lengths_and_angles(method.gradients.source.reference)
     topology, rest = method.gradients.target.topology, method.gradients.target.reference
-    np.testing.assert_allclose(lengths, edge_lengths(rest, topology.edges[method.solver.solved.edge_ids]))
     np.testing.assert_allclose(
-        angles, dihedral_angles(rest, topology.hinges[method.solver.solved.hinge_ids]), atol=1e-9
+        lengths, edge_lengths(rest, topology.edges[method.joint_solver.joints.edge_ids])
+    )
+    np.testing.assert_allclose(
+        angles, dihedral_angles(rest, topology.hinges[method.joint_solver.joints.hinge_ids]), atol=1e-9
     )
 
 
 def test_a_rigid_motion_changes_no_joint_and_a_size_all_lengths() -> None:
     source, target = tube(10, 33), tube(6, 20)
     method = joined_in_the_middle(source, target, on(source, target))
-    rest = method.joint_changes.of(method.gradients.source.reference)
-    moved = method.joint_changes.of(
+    rest = method.joint_metrics.lengths_and_angles(method.gradients.source.reference)
+    moved = method.joint_metrics.lengths_and_angles(
         2.0 * method.gradients.source.reference @ rotation((1.0, -2.0, 0.4)).T + 3.0
     )
     np.testing.assert_allclose(moved[0], 2.0 * rest[0])
     np.testing.assert_allclose(moved[1], rest[1], atol=1e-9)
 
 
-def same_edges(source: Mesh, target: Mesh) -> tuple[SameEdges, MixedTransfer]:
+def same_edges(source: Mesh, target: Mesh) -> tuple[EdgewiseMetrics, MixedTransfer]:
     method = joined_in_the_middle(source, target, same(source))
-    assert isinstance(method.joint_changes, SameEdges)
-    return method.joint_changes, method
+    assert isinstance(method.joint_metrics, EdgewiseMetrics)
+    return method.joint_metrics, method
 
 
 def test_on_the_same_mesh_joints_are_the_sources() -> None:
     mesh = tube(10, 33)
     joints, method = same_edges(mesh, mesh)
     x = arched(mesh[0]) / method.gradients.source.scale
-    lengths, angles = joints.of(x)
+    lengths, angles = joints.lengths_and_angles(x)
     topology = method.gradients.target.topology
-    np.testing.assert_allclose(lengths, edge_lengths(x, topology.edges[method.solver.solved.edge_ids]))
+    np.testing.assert_allclose(lengths, edge_lengths(x, topology.edges[method.joint_solver.joints.edge_ids]))
     np.testing.assert_allclose(
-        angles, dihedral_angles(x, topology.hinges[method.solver.solved.hinge_ids]), atol=1e-12
+        angles, dihedral_angles(x, topology.hinges[method.joint_solver.joints.hinge_ids]), atol=1e-12
     )
 
 
@@ -180,12 +190,12 @@ def test_on_the_same_triangles_lengths_are_ratios_and_angles_are_differences() -
     joints, method = same_edges(source, target)
     topology = method.gradients.target.topology
     edges, hinges = (
-        topology.edges[method.solver.solved.edge_ids],
-        topology.hinges[method.solver.solved.hinge_ids],
+        topology.edges[method.joint_solver.joints.edge_ids],
+        topology.hinges[method.joint_solver.joints.hinge_ids],
     )
     theirs, ours = method.gradients.source.reference, method.gradients.target.reference
     x = arched(source[0]) / method.gradients.source.scale
-    lengths, angles = joints.of(x)
+    lengths, angles = joints.lengths_and_angles(x)
     np.testing.assert_allclose(
         lengths / edge_lengths(ours, edges), edge_lengths(x, edges) / edge_lengths(theirs, edges)
     )
@@ -215,8 +225,8 @@ def test_an_angle_changes_the_short_way() -> None:
     class Rows:
         edge_ids, hinge_ids = np.zeros(0, dtype=np.int64), fold
 
-    joints = SameEdges(topology, Rows(), rest, own)  # type: ignore[arg-type]
-    angles = joints.of(folded(sheet[0], np.radians(190.0)))[1]
+    joints = EdgewiseMetrics(topology, Rows(), rest, own)  # type: ignore[arg-type]
+    angles = joints.lengths_and_angles(folded(sheet[0], np.radians(190.0)))[1]
     sign = np.sign(dihedral_angles(own, topology.hinges[fold]))
     np.testing.assert_allclose(sign * angles, np.radians(50.0))
 
@@ -228,10 +238,10 @@ def test_a_sharp_fold_shrinks_nothing() -> None:
     lower = (sheet[0][sheet[1]].mean(axis=1)[:, 1] > 2).astype(np.int64)
     x = folded(sheet[0], np.radians(150.0))
     method = mixed_transfer(gradients(sheet, sheet), np.stack([sheet[0], x]), lower, 3, ShellSettings())
-    joints = OtherEdges(method.gradients, method.solver.solved)
-    edges = method.gradients.target.topology.edges[method.solver.solved.edge_ids]
+    joints = GradientMetrics(method.gradients, method.joint_solver.joints)
+    edges = method.gradients.target.topology.edges[method.joint_solver.joints.edge_ids]
     assert len(edges)
-    lengths = joints.of(x / method.gradients.source.scale)[0]
+    lengths = joints.lengths_and_angles(x / method.gradients.source.scale)[0]
     np.testing.assert_allclose(lengths, edge_lengths(method.gradients.target.reference, edges))
 
 
@@ -244,8 +254,8 @@ def test_an_edge_without_a_length_keeps_the_targets() -> None:
 
     collapsed = sheet[0].copy()
     collapsed[1] = collapsed[0]
-    joints = SameEdges(topology, Rows(), collapsed, sheet[0])  # type: ignore[arg-type]
-    lengths = joints.of(2.0 * collapsed)[0]
+    joints = EdgewiseMetrics(topology, Rows(), collapsed, sheet[0])  # type: ignore[arg-type]
+    lengths = joints.lengths_and_angles(2.0 * collapsed)[0]
     own = edge_lengths(sheet[0], topology.edges)
     np.testing.assert_allclose(lengths, own * [1.0, 2.0, 2.0, 2.0, 2.0])
 
@@ -270,12 +280,12 @@ def motions(first: Float, last: Float, shift: Float) -> tuple[Float, Float]:
     """Rotation vectors of the parts 0 and 4, and how far part 4 goes; the others are far away."""
     turns, shifts = np.full((5, 3), 2.0), np.full((5, 3), 1e6)
     turns[0], turns[4], shifts[0], shifts[4] = first, last, 0.0, shift
-    return matrices(turns), shifts
+    return rotvec_to_matrix(turns), shifts
 
 
 def test_weights_are_harmonic(patch: Patch) -> None:
     """Along a tube they fall evenly from one end to the other."""
-    skin = HarmonicSkin.of(patch, OWNER, BAR)
+    skin = HarmonicSkin.from_patch(patch, OWNER, BAR)
     assert skin.parts.tolist() == [0, 4]
     expected = (RING[patch.free_ids] - 1) / (RINGS - 3)
     np.testing.assert_allclose(skin.weights[:, 1], expected, atol=1e-12)
@@ -284,14 +294,14 @@ def test_weights_are_harmonic(patch: Patch) -> None:
 
 def test_a_common_motion_moves_the_joint_rigidly(patch: Patch) -> None:
     turn, shift = np.array([0.3, -1.0, 0.5]), np.zeros(3)
-    placed = HarmonicSkin.of(patch, OWNER, BAR).place(*motions(turn, turn, shift))
-    np.testing.assert_allclose(placed, BAR[patch.free_ids] @ matrices(turn).T, atol=1e-12)
+    placed = HarmonicSkin.from_patch(patch, OWNER, BAR).deform(*motions(turn, turn, shift))
+    np.testing.assert_allclose(placed, BAR[patch.free_ids] @ rotvec_to_matrix(turn).T, atol=1e-12)
 
 
 def test_vertices_follow_in_proportion(patch: Patch) -> None:
     shift = np.array([0.0, 2.0, 0.0])
-    skin = HarmonicSkin.of(patch, OWNER, BAR)
-    placed = skin.place(*motions(np.zeros(3), np.zeros(3), shift))
+    skin = HarmonicSkin.from_patch(patch, OWNER, BAR)
+    placed = skin.deform(*motions(np.zeros(3), np.zeros(3), shift))
     np.testing.assert_allclose(placed - skin.rest, skin.weights[:, 1:] * shift, atol=1e-12)
 
 

@@ -84,7 +84,7 @@ def test_what_finds_nothing_is_filled_along_the_surface() -> None:
     points[middle, 2] = 5.0
     result = matched(source, (points, source[1]), [(0, 0)])
     found = result.correspondence
-    assert np.array_equal(result.found_vertices, ~middle)
+    assert np.array_equal(result.has_vertex_match, ~middle)
     assert found.matched.all()
     assert (found.faces >= 0).all()
     assert np.array_equal(found.leaders, np.arange(len(points)))
@@ -128,7 +128,7 @@ def test_a_component_of_which_nothing_is_near_matches_all_the_same() -> None:
     mesh = tube(8, 12)
     away = mesh[0] + [50.0, 0, 0]
     result = matched(mesh, (away, mesh[1]), [(0, 0)])
-    assert not result.found_vertices.any()
+    assert not result.has_vertex_match.any()
     assert result.correspondence.matched.all()
     assert (result.correspondence.faces >= 0).all()
 
@@ -352,7 +352,7 @@ CORNERS, WEIGHTS = np.array([[0, 1, 2]] * 4), np.full((4, 3), 1 / 3)
     ("make", "given", "message"),
     [
         (from_vertices, (MAP[:3],), r"shape \(3,\).*the target has 4 vertices"),
-        (from_vertices, (MAP * 1.0,), "whole numbers are expected"),
+        (from_vertices, (MAP * 1.0,), "whole number for each is expected"),
         (from_vertices, (MAP + 1,), "entry 3 of the map is 4, but the source has 4.*count from 1"),
         (from_vertices, (MAP - 2,), "entry 0 of the map is -2"),
         (from_vertices, (np.full(4, -1),), "the map leaves out all vertices"),

@@ -40,7 +40,7 @@ def moving(
 
 
 def placed(method: MixedTransfer, x: Float) -> PartPoses:
-    return method.poses(x, method.shapes.register(method.by_gradients(x))[1])
+    return method.transfer_poses(x, method.rest_shapes.register(method.deform_by_gradients(x))[1])
 
 
 @pytest.mark.parametrize("finer", [False, True], ids=["same triangles", "finer"])
@@ -83,9 +83,9 @@ def test_a_part_that_slides_out_slides_out_for_the_size() -> None:
 def test_the_root_goes_as_far_as_its_stride() -> None:
     method = moving(TUBE, (lengthened(TUBE[0]), TUBE[1]), TUBE[0][None])
     way = np.array([0.3, 1.0, -2.0])
-    rest = method.shapes.centres
+    rest = method.rest_shapes.centres
     for stride in (1.0, 1.7):
-        centres = placed(replace(method, stride=stride), TUBE[0] + way).centres
+        centres = placed(replace(method, stride_ratio=stride), TUBE[0] + way).centres
         expected = stride * method.gradients.alignment.scale * way / method.gradients.target.scale
         np.testing.assert_allclose(centres - rest, np.tile(expected, (2, 1)), atol=1e-9)
 
@@ -131,7 +131,7 @@ def test_a_mesh_of_one_part_moves_as_gradients_move_it() -> None:
 
 def test_parts_are_registered_to_their_shapes() -> None:
     labels = (TUBE[0][TUBE[1]].mean(axis=1)[:, 2] > 2).astype(np.int64)
-    parts = RestShapes.of(decompose(topology_of(TUBE), labels, 3), TUBE[0])
+    parts = RestShapes.from_decomposition(decompose(topology_of(TUBE), labels, 3), TUBE[0])
     turn, shift = rotation((1.0, 2.0, -0.5)), np.array([3.0, 1.0, 0.0])
     aligned, poses = parts.register(TUBE[0] @ turn.T + shift)
     np.testing.assert_allclose(aligned, parts.shapes, atol=1e-9)

@@ -13,13 +13,13 @@ from mixseq.mesh.topology import Topology
 from mixseq.retargeting.limbs import ArticulatedBody
 from mixseq.retargeting.markers import Correspondence
 from mixseq.retargeting.parts import (
-    REACH,
+    MAX_GAP_CORRECTION_RADII,
     Pivots,
     PivotSolver,
-    carry_parts,
+    assign_vertices_to_parts,
+    merge_small_regions,
     transfer_labels,
-    vertex_parts,
-    without_small_regions,
+    transfer_parts,
 )
 from mixseq.segmentation.joints import Decomposition, decompose
 from mixseq.types import Float, Index
@@ -60,9 +60,9 @@ def areas(mesh: Mesh) -> NDArray[np.float64]:
 def test_the_same_mesh_is_cut_the_same_way() -> None:
     mesh = tube(8, 25)
     cut = halves(mesh, 1.5, 3.0)
-    found = carry_parts(cut, turning(3), same(mesh), topology_of(mesh), mesh[0], 3)
+    found = transfer_parts(cut, turning(3), same(mesh), topology_of(mesh), mesh[0], 3)
     np.testing.assert_array_equal(found.target.part_of_face, cut.part_of_face)
-    assert found.sources.tolist() == [0, 1, 2]
+    assert found.source_parts.tolist() == [0, 1, 2]
     for own, other in zip(found.target.parts, cut.parts, strict=True):
         np.testing.assert_array_equal(own, other)
 
@@ -71,10 +71,10 @@ def test_a_finer_mesh_is_cut_along_the_same_lines() -> None:
     mesh = tube(8, 25)
     fine = subdivided(mesh)
     cut = halves(mesh, 2.0)
-    found = carry_parts(cut, turning(2), to_subdivided(mesh), topology_of(fine), fine[0], 3)
+    found = transfer_parts(cut, turning(2), to_subdivided(mesh), topology_of(fine), fine[0], 3)
     np.testing.assert_array_equal(found.target.part_of_face, np.repeat(cut.part_of_face, 4))
-    assert found.sources.tolist() == [0, 1]
-    back = carry_parts(found.target, turning(2), from_subdivided(mesh), topology_of(mesh), mesh[0], 3)
+    assert found.source_parts.tolist() == [0, 1]
+    back = transfer_parts(found.target, turning(2), from_subdivided(mesh), topology_of(mesh), mesh[0], 3)
     np.testing.assert_array_equal(back.target.part_of_face, cut.part_of_face)
 
 
@@ -83,7 +83,7 @@ def test_joints_are_as_wide_as_they_bend(degrees: float, strips: int) -> None:
     mesh = tube(8, 41)
     turns = np.stack([np.eye(3), rotation((np.radians(degrees), 0, 0))])
     seen = np.stack([np.tile(np.eye(3), (2, 1, 1)), turns])
-    found = carry_parts(halves(mesh, 2.0), seen, same(mesh), topology_of(mesh), mesh[0], 3)
+    found = transfer_parts(halves(mesh, 2.0), seen, same(mesh), topology_of(mesh), mesh[0], 3)
     (joint,) = found.target.joints
     assert len(joint.face_ids) == 2 * strips * 16  # a strip is a ring of sixteen triangles
 
@@ -97,8 +97,10 @@ def test_a_part_in_two_places_is_two_parts() -> None:
     lowest = int(np.flatnonzero(cut.part_of_face == 0)[0])
     faces = correspondence.faces.copy()
     faces[upper] = lowest
-    found = carry_parts(cut, turning(2), replace(correspondence, faces=faces), topology_of(mesh), mesh[0], 3)
-    assert found.sources.tolist() == [0, 0, 1]
+    found = transfer_parts(
+        cut, turning(2), replace(correspondence, faces=faces), topology_of(mesh), mesh[0], 3
+    )
+    assert found.source_parts.tolist() == [0, 0, 1]
     assert len(found.target.parts) == 3
 
 
@@ -115,8 +117,8 @@ def test_what_follows_a_leader_is_of_its_part() -> None:
         np.concatenate([one.faces, np.full(4, -1)]),
         np.concatenate([one.leaders, np.full(4, leader)]),
     )
-    found = carry_parts(halves(mesh, 2.0), turning(2), correspondence, topology_of(target), target[0], 3)
-    assert found.sources.tolist() == [0, 1, 1]
+    found = transfer_parts(halves(mesh, 2.0), turning(2), correspondence, topology_of(target), target[0], 3)
+    assert found.source_parts.tolist() == [0, 1, 1]
     assert set(found.target.part_of_face[-4:].tolist()) == {2}
 
 
@@ -138,16 +140,16 @@ def test_vertices_of_no_face_are_a_part_that_follows_the_first() -> None:
     points = np.concatenate([mesh[0], [[9.0, 9, 9]]])
     topology = Topology(mesh[1], len(points))
     one = Correspondence.identity(len(points), len(mesh[1]))
-    found = carry_parts(decompose(topology, by_height(mesh, 2.0), 3), turning(2), one, topology, points, 3)
-    assert found.sources.tolist() == [0, 1, 0]
+    found = transfer_parts(decompose(topology, by_height(mesh, 2.0), 3), turning(2), one, topology, points, 3)
+    assert found.source_parts.tolist() == [0, 1, 0]
     assert found.target.parts[2].tolist() == [len(mesh[0])]
-    assert vertex_parts(found.target, topology)[-1] == 2
+    assert assign_vertices_to_parts(found.target, topology)[-1] == 2
 
 
 def test_vertices_have_a_part_of_a_face_at_them() -> None:
     mesh = tube(8, 25)
     cut = halves(mesh, 2.0)
-    of_vertex = vertex_parts(cut, topology_of(mesh))
+    of_vertex = assign_vertices_to_parts(cut, topology_of(mesh))
     assert of_vertex[0] == of_vertex[-2] == 0
     assert of_vertex[-3] == of_vertex[-1] == 1
     for vertex, part in enumerate(of_vertex.tolist()):
@@ -164,7 +166,7 @@ def test_small_regions_join_the_neighbour_they_share_most_with() -> None:
     expected = clean.copy()
     expected[100:110] = 2
     expected[[4, 5]] = 2  # two of ten are no small_region
-    np.testing.assert_array_equal(without_small_regions(topology_of(sheet), labels, areas(sheet)), expected)
+    np.testing.assert_array_equal(merge_small_regions(topology_of(sheet), labels, areas(sheet)), expected)
     assert labels[30] == 1  # what was given is as it was
 
 
@@ -172,14 +174,14 @@ def test_a_small_part_is_no_small_region() -> None:
     sheet = grid(6, 12)
     labels = np.zeros(len(sheet[1]), dtype=np.int64)
     labels[40] = 1
-    np.testing.assert_array_equal(without_small_regions(topology_of(sheet), labels, areas(sheet)), labels)
+    np.testing.assert_array_equal(merge_small_regions(topology_of(sheet), labels, areas(sheet)), labels)
 
 
 def test_a_patch_without_a_neighbour_stays() -> None:
     mesh = joined(tube(8, 25), (0.05 * tetrahedron()[0] + [3.0, 0, 0], tetrahedron()[1]))
     labels = by_height(mesh, 2.0)
     labels[-4:] = 1
-    np.testing.assert_array_equal(without_small_regions(topology_of(mesh), labels, areas(mesh)), labels)
+    np.testing.assert_array_equal(merge_small_regions(topology_of(mesh), labels, areas(mesh)), labels)
 
 
 def test_small_regions_of_small_regions_are_swept() -> None:
@@ -190,7 +192,7 @@ def test_small_regions_of_small_regions_are_swept() -> None:
     clean = labels.copy()
     labels[(abs(x - 4) < 1.5) & (abs(y - 8) < 1.5)] = 1
     labels[(abs(x - 4) < 0.5) & (abs(y - 8) < 0.5)] = 0
-    np.testing.assert_array_equal(without_small_regions(topology_of(sheet), labels, areas(sheet)), clean)
+    np.testing.assert_array_equal(merge_small_regions(topology_of(sheet), labels, areas(sheet)), clean)
 
 
 # Parts that hang together by pivots
@@ -219,10 +221,10 @@ def test_an_elbow_by_hand() -> None:
         ArticulatedBody(ends, np.array([[0, 1]]), np.array([[1.0, 0, 0]]), 0), np.ones(1), np.ones(1)
     )
     turns = np.stack([np.eye(3), rotation((0, 0, np.pi / 2))])
-    bent = arm.place(turns, np.zeros((1, 3)), np.array([0.5, 0, 0]))
+    bent = arm.solve_centres(turns, np.zeros((1, 3)), np.array([0.5, 0, 0]))
     np.testing.assert_allclose(bent, [[0.5, 0, 0], [1.0, 0.75, 0]], atol=1e-12)
     # The first part is away from the second by the gap.
-    opened = arm.place(turns, np.array([[0, 0, 0.1]]), np.array([0.5, 1, 0]))
+    opened = arm.solve_centres(turns, np.array([[0, 0, 0.1]]), np.array([0.5, 1, 0]))
     np.testing.assert_allclose(opened, [[0.5, 1, 0], [1.0, 1.75, -0.1]], atol=1e-12)
 
 
@@ -231,7 +233,7 @@ def test_an_elbow_by_hand() -> None:
 def test_a_tree_has_exactly_the_gaps_it_should(seed: int) -> None:
     tree, turns, gaps = body(seed)
     root = np.array([5.0, -2.0, 1.0])
-    placed = tree.place(turns, gaps, root)
+    placed = tree.solve_centres(turns, gaps, root)
     assert np.array_equal(placed[tree.body.root], root)
     np.testing.assert_allclose(tree.body.gaps(turns, placed), gaps, atol=1e-10)
 
@@ -242,7 +244,7 @@ def test_loops_are_solved_by_least_squares(seed: int) -> None:
     """Weighted by the squares of the lengths of boundaries."""
     loops, turns, gaps = body(seed, extra=4)
     root = np.array([1.0, 2.0, 3.0])
-    placed = loops.place(turns, gaps, root)
+    placed = loops.solve_centres(turns, gaps, root)
     # Gaps are affine in the centres: of these the matrix and the rest, one number at a time.
     still = np.zeros((7, 3))
     still[loops.body.root] = root
@@ -268,8 +270,8 @@ def test_a_rigid_motion_of_the_world_moves_all_parts(seed: int, motion: tuple[Fl
     turn, shift = motion
     loops, turns, gaps = body(seed, extra=3)
     root = np.array([1.0, 0.5, -0.5])
-    placed = loops.place(turns, gaps, root)
-    moved = loops.place(turn @ turns, gaps @ turn.T, turn @ root + shift)
+    placed = loops.solve_centres(turns, gaps, root)
+    moved = loops.solve_centres(turn @ turns, gaps @ turn.T, turn @ root + shift)
     np.testing.assert_allclose(moved, placed @ turn.T + shift, atol=1e-9)
 
 
@@ -277,7 +279,7 @@ def test_at_rest_parts_are_at_rest() -> None:
     loops, turns, gaps = body(3, extra=3)
     turns = np.tile(np.eye(3), (7, 1, 1))
     np.testing.assert_allclose(loops.body.gaps(turns, loops.body.centres), 0.0, atol=1e-12)
-    placed = loops.place(turns, np.zeros_like(gaps), loops.body.centres[loops.body.root])
+    placed = loops.solve_centres(turns, np.zeros_like(gaps), loops.body.centres[loops.body.root])
     np.testing.assert_allclose(placed, loops.body.centres, atol=1e-10)
 
 
@@ -285,7 +287,7 @@ def test_one_part_is_where_it_is_put() -> None:
     none = np.zeros(0)
     one = ArticulatedBody(np.ones((1, 3)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 3)), 0)
     alone = PivotSolver(one, none, none)
-    placed = alone.place(np.eye(3)[None], np.zeros((0, 3)), np.array([3.0, 4, 5]))
+    placed = alone.solve_centres(np.eye(3)[None], np.zeros((0, 3)), np.array([3.0, 4, 5]))
     assert placed.tolist() == [[3.0, 4, 5]]
     assert alone.body.gaps(np.eye(3)[None], placed).shape == (0, 3)
 
@@ -293,27 +295,27 @@ def test_one_part_is_where_it_is_put() -> None:
 def test_boundaries_of_no_length_still_hold() -> None:
     tree, turns, gaps = body(4)
     thin = replace(tree, lengths=tree.lengths * (np.arange(6) % 2), radii=np.zeros(6))
-    placed = thin.place(turns, gaps, np.ones(3))
+    placed = thin.solve_centres(turns, gaps, np.ones(3))
     np.testing.assert_allclose(thin.body.gaps(turns, placed), gaps, atol=1e-9)
 
 
 def test_gaps_stay_within_the_reach_of_their_boundaries() -> None:
     tree, _, gaps = body(5)
     smooth = np.random.default_rng(0).normal(size=gaps.shape)
-    np.testing.assert_allclose(tree.within_reach(smooth, smooth), smooth)
-    reach = REACH * tree.radii
+    np.testing.assert_allclose(tree.limit_gaps(smooth, smooth), smooth)
+    reach = MAX_GAP_CORRECTION_RADII * tree.radii
     for size in (1e-4, 1.0, 1e4):
-        away = tree.within_reach(smooth + size * gaps, smooth) - smooth
+        away = tree.limit_gaps(smooth + size * gaps, smooth) - smooth
         assert (np.linalg.norm(away, axis=1) <= np.minimum(reach, size * np.linalg.norm(gaps, axis=1))).all()
         # Along the difference, and nearly it where it is small.
         np.testing.assert_allclose(np.cross(away, gaps), 0.0, atol=1e-9)
-    small = tree.within_reach(smooth + 1e-5 * gaps, smooth) - smooth
+    small = tree.limit_gaps(smooth + 1e-5 * gaps, smooth) - smooth
     np.testing.assert_allclose(small, 1e-5 * gaps, rtol=1e-4)
     rigid = replace(tree, radii=np.zeros(len(gaps)))
-    np.testing.assert_allclose(rigid.within_reach(gaps, smooth), smooth)
+    np.testing.assert_allclose(rigid.limit_gaps(gaps, smooth), smooth)
     # Pieces that nothing but a vertex holds may be far away.
-    np.testing.assert_allclose(rigid.within_reach(1e6 * gaps, smooth), smooth)
-    np.testing.assert_array_equal(rigid.within_reach(smooth, smooth), smooth)
+    np.testing.assert_allclose(rigid.limit_gaps(1e6 * gaps, smooth), smooth)
+    np.testing.assert_array_equal(rigid.limit_gaps(smooth, smooth), smooth)
 
 
 def test_two_bones_and_an_eye() -> None:
@@ -322,11 +324,11 @@ def test_two_bones_and_an_eye() -> None:
     points, faces = mesh
     labels = (points[faces].mean(axis=1)[:, 2] > 2).astype(np.int64)
     labels[-4:] = 2
-    pivots = Pivots.of(gradients(mesh, mesh), decompose(topology_of(mesh), labels, 3))
+    pivots = Pivots.from_decomposition(gradients(mesh, mesh), decompose(topology_of(mesh), labels, 3))
     assert pivots.pairs.tolist() == [[0, 1], [2, 1]]
     middle, held = pivots.points(points)
     np.testing.assert_allclose(middle, [0.0, 0.0, 2.0], atol=1e-12)
     assert (points[-4:] == held).all(axis=1).any()
-    lengths, radii = pivots.sizes(points)
+    lengths, radii = pivots.boundary_sizes(points)
     np.testing.assert_allclose(lengths, [8 * 0.6 * np.sin(np.pi / 8), 0.0])
     np.testing.assert_allclose(radii, [0.3 * np.cos(np.pi / 8), 0.0])

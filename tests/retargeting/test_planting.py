@@ -133,7 +133,7 @@ def test_the_body_travels_as_its_legs_are_long(walk: Walk) -> None:
     own = walk.source.points[-1].mean(axis=0) - walk.source.points[0].mean(axis=0)
     assert 1.1 < way[0] / own[0] < LONGER
     assert way[0] / own[0] == pytest.approx(
-        walk.method.stride * walk.method.gradients.alignment.scale, rel=0.03
+        walk.method.stride_ratio * walk.method.gradients.alignment.scale, rel=0.03
     )
 
 
@@ -165,11 +165,14 @@ def test_a_contact_may_bend_within_its_part() -> None:
     seen = points + np.arange(4)[:, None, None] * [0.0, 0.0, 0.1]
     soft = Contact("foot", points, np.array([1, 1]), seen)
     np.testing.assert_allclose(
-        walker.path(soft, turns, centres)[0], walker.path(stiff, turns, centres)[0], atol=1e-12
+        walker.contact_path(soft, turns, centres)[0],
+        walker.contact_path(stiff, turns, centres)[0],
+        atol=1e-12,
     )
-    up = walker.path(soft, turns, centres) - walker.path(stiff, turns, centres)
+    up = walker.contact_path(soft, turns, centres) - walker.contact_path(stiff, turns, centres)
     np.testing.assert_allclose(up, seen - points, atol=1e-12)  # z is not turned
     some = np.array([1, 3])
     np.testing.assert_array_equal(
-        walker.path(soft, turns[some], centres[some], some), walker.path(soft, turns, centres)[some]
+        walker.contact_path(soft, turns[some], centres[some], some),
+        walker.contact_path(soft, turns, centres)[some],
     )

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
-from mixseq.mesh.nearest import Nearest
+from mixseq.mesh.nearest import ClosestPointQuery
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.markers import Markers, fit_similarity, pair_components
 from mixseq.retargeting.registration import (
@@ -77,7 +77,7 @@ def test_a_sharp_bend_is_covered() -> None:
     """Where a featureless tube bends between markers, vertices may slide along it, but not off it."""
     points = bent(TUBE[0], 1.2)
     result = registered(TUBE, (points, TUBE[1]))
-    distances = Nearest.of(result.points, TUBE[1]).query(points).distances / diagonal(points)
+    distances = ClosestPointQuery.from_mesh(result.points, TUBE[1]).query(points).distances / diagonal(points)
     assert distances.max() < 0.02
     error = np.linalg.norm(result.points - points, axis=1) / diagonal(points)
     assert error.max() < 0.08  # two edges

@@ -18,9 +18,9 @@ from mixseq.retargeting.report import (
     FrameCounts,
     TransferMeter,
     TransferReport,
-    component_names,
-    coverage,
+    measure_coverage,
     measure_transfer,
+    name_components,
 )
 from mixseq.retargeting.transfer import Transfer, TransferSettings, plan_transfer
 from mixseq.sequence.sequence import MeshSequence
@@ -169,7 +169,7 @@ def test_other_meshes_and_numbers_of_frames_are_refused(body: MeshSequence) -> N
     made = planned(body, at_rest(body))
     with pytest.raises(InvalidSequenceError, match="frame 0 has 7 vertices"):
         measure_transfer(made, [body.points[:, :7]])
-    with pytest.raises(InvalidSequenceError, match="more than the 5 frames of the source"):
+    with pytest.raises(InvalidSequenceError, match="more frames than the 5 of the source"):
         measure_transfer(made, [body.points, body.points[:1]])
     with pytest.raises(InvalidSequenceError, match="4 frames were measured, the source has 5"):
         measure_transfer(made, [body.points[:4]])
@@ -199,7 +199,7 @@ def test_what_follows_is_named(body: MeshSequence) -> None:
         faces=np.concatenate([same.faces, led[:, 0]]),
         leaders=np.concatenate([same.leaders, np.full(4, 11)]),
     )
-    found = coverage(planned(body, target, mapping))
+    found = measure_coverage(planned(body, target, mapping))
     assert found.source_area == 1.0
     assert 0 < found.area < 1
     assert found.vertices == pytest.approx(body.vertex_count / len(points))
@@ -215,8 +215,8 @@ def test_components_have_the_names_of_objects() -> None:
     objects = MeshObject("body", "", 8, 8), MeshObject("hat", "", 4, 4)
     named = replace(sequence.header, surface=Surface(objects=objects))
     topology = Topology(faces, len(points))
-    assert component_names(named, topology) == ["component 1 of body", "component 2 of body", "hat"]
-    assert component_names(sequence.header, topology) == ["component 1", "component 2", "component 3"]
+    assert name_components(named, topology) == ["component 1 of body", "component 2 of body", "hat"]
+    assert name_components(sequence.header, topology) == ["component 1", "component 2", "component 3"]
 
 
 def test_accelerations_of_no_frames() -> None:

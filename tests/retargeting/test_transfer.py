@@ -334,9 +334,9 @@ OTHER = first(bar(sides=6, rings=15, frames=2))
         ({"contacts": {"left": [0]}, "method": "gradients"}, "contacts.*the method 'mixed'"),
         (
             {"contacts": {"left": [0, 77]}},
-            "contact 'left' names vertex 77, but those of the target are 0 to 76",
+            "contact 'left' has vertex 77, but vertices of the target are 0 to 76",
         ),
-        ({"contacts": {"left": [0], "right": [-1]}}, "contact 'right' names vertex -1"),
+        ({"contacts": {"left": [0], "right": [-1]}}, "contact 'right' has vertex -1"),
         ({"contacts": {"left": []}}, "contact 'left' is no list of vertices"),
         ({"contacts": {"left": [0.5]}}, "contact 'left' is no list of vertices"),
         ({"contacts": {"left": 3}}, "contact 'left' is no list of vertices"),
@@ -358,7 +358,7 @@ def test_a_target_without_area_is_refused(method: TransferName, across: float) -
 
 @both
 def test_a_source_without_size_is_refused(method: TransferName) -> None:
-    with pytest.raises(InvalidSequenceError, match="of the source is in one place at rest"):
+    with pytest.raises(InvalidSequenceError, match="points of the source are in one place at rest"):
         mixseq.transfer(SOURCE.with_points(0 * SOURCE.points), TARGET, method=method)
 
 

@@ -47,13 +47,14 @@ class Walk:
     def joints(self, rotations: Float, centres: Float) -> Float:
         """Where both parts of every link have their pivot, ``(2, T, n, 3)``."""
         places = (
-            self.target.placed(self.target.pivots, side, rotations, centres) for side in self.target.pairs.T
+            self.target.pose_points(self.target.pivots, side, rotations, centres)
+            for side in self.target.pairs.T
         )
         return np.stack(list(places))
 
     def feet(self, rotations: Float, centres: Float) -> Float:
         paths = [
-            self.target.placed(c.points, c.parts, rotations, centres).mean(axis=1) for c in self.contacts
+            self.target.pose_points(c.points, c.parts, rotations, centres).mean(axis=1) for c in self.contacts
         ]
         return np.stack(paths, axis=1)
 
@@ -122,7 +123,7 @@ def walk(legs: float = 1.4, travel: float = 1.0, frames: int = 100) -> Walk:
     way[:, :2] = hip - [0.0, sum(BONES.values())]
     theirs = hung(source, rotations, source.centres[0] + way)
     centres = hung(target, rotations, target.centres[0] + travel * way)
-    paths = [source.placed(c.points, c.parts, rotations, theirs) for c in source_contacts]
+    paths = [source.pose_points(c.points, c.parts, rotations, theirs) for c in source_contacts]
     return Walk(source, target, source_contacts, contacts, rotations, centres, paths)
 
 
@@ -130,7 +131,7 @@ def hung(walker: ArticulatedBody, rotations: Float, root: Float) -> Float:
     """Centres of parts that hang together, by their rotations and the centre of the root."""
     centres = np.repeat(root[:, None], len(walker.centres), axis=1)
     for part, (above, number) in walker.parents.items():
-        pivot = walker.placed(walker.pivots[number], [above], rotations, centres)[:, 0]
+        pivot = walker.pose_points(walker.pivots[number], [above], rotations, centres)[:, 0]
         arm = walker.centres[part] - walker.pivots[number]
         centres[:, part] = pivot + rotations[:, part] @ arm
     return centres

@@ -20,7 +20,7 @@ from tests.meshes import SEQUENCES, bending, pages, seeds, topology_of, torus, t
 MESH = torus(12, 7)
 TOPOLOGY = topology_of(MESH)
 FRAMES = bending(MESH, frames=4) + 0.02 * np.random.default_rng(2).normal(size=(4, *MESH[0].shape))
-FACES = Elements.faces(TOPOLOGY, FRAMES)
+FACES = Elements.from_faces(TOPOLOGY, FRAMES)
 
 
 def gathered(inside: Mask) -> Moments:
@@ -99,7 +99,7 @@ def test_a_cluster_that_is_left_by_all_stays_empty() -> None:
 
 
 def test_balls_grow_ring_by_ring() -> None:
-    faces = Elements.faces(topology_of(tube(6, 9, closed=False)), tube(6, 9, closed=False)[0][None])
+    faces = Elements.from_faces(topology_of(tube(6, 9, closed=False)), tube(6, 9, closed=False)[0][None])
     assert faces.ball(20, 1).tolist() == sorted(set(faces.around[20].tolist()) - {len(faces)})
     assert len(faces.ball(20, 10**6)) == len(faces)
 
@@ -107,8 +107,8 @@ def test_balls_grow_ring_by_ring() -> None:
 def test_cells_cover_the_mesh() -> None:
     for mesh in (tube(8, 30), pages(3, 8, 3)):
         topology = topology_of(mesh)
-        faces = Elements.faces(topology, mesh[0][None])
-        cells, cell_of_face = Elements.cells(topology, faces)
+        faces = Elements.from_faces(topology, mesh[0][None])
+        cells, cell_of_face = Elements.from_cells(topology, faces)
         assert len(cells) < len(mesh[0]) / 2
         assert set(cell_of_face.tolist()) <= set(range(len(cells)))
         assert cells.weights.sum() == pytest.approx(3 * faces.weights.sum())

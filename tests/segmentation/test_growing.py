@@ -134,7 +134,7 @@ def cut(mesh: Mesh, *heights: float, axis: int = 2) -> Index:
 
 
 def boundaries_of(mesh: Mesh, labels: Index) -> Boundaries:
-    return Boundaries.of(topology_of(mesh), labels)
+    return Boundaries.from_labels(topology_of(mesh), labels)
 
 
 def test_two_halves_of_a_tube_meet_in_a_ring() -> None:
@@ -200,7 +200,7 @@ def test_parts_that_do_not_touch_do_not_meet() -> None:
 def test_of_four_rings_of_faces_one_and_a_half_are_near_a_boundary() -> None:
     mesh = tube(6, 9, closed=False)
     labels = cut(mesh, 2.0)
-    rim = Rim.of(topology_of(mesh), labels)
+    rim = Rim.from_labels(topology_of(mesh), labels)
     np.testing.assert_array_equal(rim.narrowness(labels), [3 / 8, 3 / 8])
     np.testing.assert_array_equal(rim.narrowness(np.zeros_like(labels)), [0.0])
 
@@ -208,9 +208,9 @@ def test_of_four_rings_of_faces_one_and_a_half_are_near_a_boundary() -> None:
 def test_what_is_left_of_a_rim_is_the_rim_of_what_is_left() -> None:
     mesh = tube(5, 13)
     labels = cut(mesh, 1.0, 2.0, 3.5)
-    rim = Rim.of(topology_of(mesh), labels)
+    rim = Rim.from_labels(topology_of(mesh), labels)
     for keep, drop in ((0, 1), (2, 3), (0, 2)):
         merged = np.where(labels == drop, keep, labels)
         np.testing.assert_array_equal(
-            rim.narrowness(merged), Rim.of(topology_of(mesh), merged).narrowness(merged)
+            rim.narrowness(merged), Rim.from_labels(topology_of(mesh), merged).narrowness(merged)
         )

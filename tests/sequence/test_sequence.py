@@ -319,7 +319,9 @@ def test_faces_keep_their_side() -> None:
     """A rotation turns no mesh inside out."""
     for old in "XYZ":
         for new in "XYZ":
-            assert np.linalg.det(UnitConversion.of(sequence(up_axis=old), new).turn) == pytest.approx(1)
+            assert np.linalg.det(
+                UnitConversion.from_header(sequence(up_axis=old), new).turn
+            ) == pytest.approx(1)
 
 
 def test_scaled() -> None:
@@ -340,7 +342,7 @@ def test_there_and_back(units: str | float) -> None:
 def test_nothing_to_do_changes_no_bit() -> None:
     before = sequence(np.float32, up_axis="Z", metres_per_unit=0.01)
     after = mixseq.convert_units(before, up_axis="Z", units="cm")
-    assert not UnitConversion.of(before.header, "Z", 0.01).changes
+    assert not UnitConversion.from_header(before.header, "Z", 0.01).changes
     assert after.points.tobytes() == before.points.tobytes()
     assert after.header.surface is before.header.surface
 

@@ -18,7 +18,7 @@ from mixseq.compression.bitstream.compressed_sequence import to_model
 from mixseq.pictures.scene import to_y_up
 from mixseq.signals.model import Model
 from mixseq.types import Float
-from mixseq.viewer.export_data import BYTE_ORDER_MARK, ENCODING, ESCAPE
+from mixseq.viewer.export_data import BYTE_ORDER_MARK, ESCAPE_UNIT, PAGE_ENCODING
 from mixseq_io.coded.streams import Container, read_sequence
 
 
@@ -35,14 +35,14 @@ _ELEMENT = re.compile(r'<script type="text/plain" data-size="(\d+)">([^<]*)</scr
 
 
 def bytes_of(text: str, size: int) -> bytes:
-    """Return the bytes that `mixseq.viewer.export_data.as_text` wrote: two of every unit."""
-    units = iter(np.frombuffer(text.encode(ENCODING), "<u2").tolist())
-    found = [next(units) ^ 0x8000 if unit == ESCAPE else unit for unit in units]
+    """Return the bytes that `mixseq.viewer.export_data.encode_text` wrote: two of every unit."""
+    units = iter(np.frombuffer(text.encode(PAGE_ENCODING), "<u2").tolist())
+    found = [next(units) ^ 0x8000 if unit == ESCAPE_UNIT else unit for unit in units]
     return np.array(found, "<u2").tobytes()[:size]
 
 
 def rows_of(data: bytes, width: int) -> NDArray[np.uint8]:
-    """Return the rows ``(n, width)`` that `mixseq.viewer.export_data.deflated_rows` deflated."""
+    """Return the rows ``(n, width)`` that `mixseq.viewer.export_data.deflate_rows` deflated."""
     steps = np.frombuffer(zlib.decompress(data), np.uint8).reshape(-1, width)
     return np.asarray(steps.cumsum(axis=1, dtype=np.uint8).cumsum(axis=0, dtype=np.uint8))
 

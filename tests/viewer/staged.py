@@ -75,7 +75,7 @@ class Stage:
     """Keeps what it was shown, and is busy as long as it is told to be."""
 
     def __init__(self) -> None:
-        self.busy = False
+        self.is_busy = False
         self.moments: list[Moment] = []
         self.on_show: Callable[[Moment], None] = lambda moment: None
 
@@ -110,7 +110,7 @@ class Standing:
             until = self._reads + 3
 
         def noticed() -> bool:
-            playback.drawn()
+            playback.wake()
             return self._reads >= until
 
         eventually(noticed)

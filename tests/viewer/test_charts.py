@@ -14,7 +14,7 @@ from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
 from mixseq.viewer.export import CHART_SCRIPTS, chart_scripts
-from mixseq.viewer.session import signals_of
+from mixseq.viewer.session import chart_data
 from tests.meshes import bar
 from tests.viewer.conftest import Keep, NewPage, Watched
 
@@ -110,7 +110,7 @@ def model() -> Model:
 
 @pytest.fixture(scope="module")
 def signals(model: Model) -> dict[str, Any]:
-    return signals_of(model)
+    return chart_data(model)
 
 
 @pytest.fixture(scope="module")
@@ -200,13 +200,13 @@ def test_showing_does_not_fight_the_hand(charts: Charts, signals: dict[str, Any]
     charts.grab(start)
     charts.move(end)
     half = drag(model, time, np.add(signals["handles"][5]["at"], np.array([15, 30]) / scale).tolist())
-    charts.show(signals_of(half, model.plane))
+    charts.show(chart_data(half, model.plane))
     assert apart(charts.ask("handlePixels()")[5], end) < 1 and charts.ask("scale()") == scale
     charts.drop()
     (last,) = [each for each in charts.told("drag") if each["done"]]
     assert apart(charts.pixel(last["to"]), end) < 1
     assert apart(charts.ask("handlePixels()")[5], end) < 1  # until it is answered
-    charts.show(signals_of(drag(model, time, last["to"]), model.plane))
+    charts.show(chart_data(drag(model, time, last["to"]), model.plane))
     assert apart(charts.ask("handlePixels()")[5], charts.pixel(last["to"])) < 1
     charts.show({**signals, "handles": []})
     assert charts.ask("handlePixels()") == []

@@ -12,8 +12,8 @@ from mixseq.pictures.scene import Scene, SceneItem
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.model import Model
 from mixseq.viewer.export import script_json
-from mixseq.viewer.live.controls import SHORTEST, TimeBase, duration, reach_of, span
-from mixseq.viewer.live.stage import linear
+from mixseq.viewer.live.controls import MIN_DURATION_SECONDS, TimeBase, duration, reach_of, span
+from mixseq.viewer.live.stage import srgb_to_linear
 from tests.meshes import bar
 
 
@@ -21,34 +21,34 @@ from tests.meshes import bar
 def test_a_slider_does_not_end_before_the_model(bar_model: Model, end: float, shown: float) -> None:
     longer = speed(bar_model, bar_model.end / end)
     assert duration(longer) == pytest.approx(shown)
-    assert longer.end <= duration(longer) < longer.end + SHORTEST
+    assert longer.end <= duration(longer) < longer.end + MIN_DURATION_SECONDS
 
 
 def test_sections_are_in_the_times_of_the_model(bar_model: Model) -> None:
     first, last = 1001 / 24, 1001 / 24 + bar_model.end
     begin, end = span(shift(bar_model, first))
-    assert begin <= first < begin + SHORTEST
-    assert last <= end < last + SHORTEST
+    assert begin <= first < begin + MIN_DURATION_SECONDS
+    assert last <= end < last + MIN_DURATION_SECONDS
     assert [begin, end] == pytest.approx([41.708, 42.009])
 
 
 def test_a_single_frame_has_lengths_that_controls_take(bar_model: Model) -> None:
     still = sketch(bar_model, [[0.0, 0.0]], 1e-4)
-    assert duration(still) >= SHORTEST
-    assert reach_of(still) >= SHORTEST
+    assert duration(still) >= MIN_DURATION_SECONDS
+    assert reach_of(still) >= MIN_DURATION_SECONDS
 
 
 def test_light_in_closed_form() -> None:
     # IEC 61966-2-1: straight up to 0.04045, then a power of 2.4
     shades = np.array([0, 1, 10, 11, 128, 188, 254, 255], dtype=np.uint8)
     light = [0, 0, 1, 1, 55, 128, 253, 255]
-    assert linear(shades).dtype == np.uint8
-    np.testing.assert_array_equal(linear(shades), light)
-    np.testing.assert_array_equal(linear(shades.reshape(-1, 2)), np.reshape(light, (-1, 2)))
+    assert srgb_to_linear(shades).dtype == np.uint8
+    np.testing.assert_array_equal(srgb_to_linear(shades), light)
+    np.testing.assert_array_equal(srgb_to_linear(shades.reshape(-1, 2)), np.reshape(light, (-1, 2)))
 
 
 def test_light_grows_with_the_colour() -> None:
-    assert (np.diff(linear(np.arange(256, dtype=np.uint8)).astype(int)) >= 0).all()
+    assert (np.diff(srgb_to_linear(np.arange(256, dtype=np.uint8)).astype(int)) >= 0).all()
 
 
 @pytest.mark.parametrize("value", ["</script><script>alert(1)</script>", "<!--", {"a": [1, 2.5, None, "<"]}])
@@ -72,7 +72,7 @@ def shot(first: float, fps: float = 24.0) -> MeshSequence:
 
 
 def base(sequence: MeshSequence, rate: float | None = None) -> TimeBase:
-    return TimeBase.of(Scene((SceneItem("", sequence),), rate), 0)
+    return TimeBase.from_scene(Scene((SceneItem("", sequence),), rate), 0)
 
 
 @pytest.mark.parametrize("fps", [24.0, 24000 / 1001, 29.97])

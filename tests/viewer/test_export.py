@@ -31,8 +31,15 @@ from mixseq.sequence.sequence import FrameStore, MeshSequence, bounding_diagonal
 from mixseq.signals.model import Model
 from mixseq.types import Float, FloatArray
 from mixseq.viewer.export import ExportSettings, export_page
-from mixseq.viewer.export_data import ENCODING, PageItem, as_text, deflated_rows, extent_of, page_items
-from mixseq.viewer.session import signals_of
+from mixseq.viewer.export_data import (
+    PAGE_ENCODING,
+    PageItem,
+    deflate_rows,
+    encode_text,
+    measure_extent,
+    page_items,
+)
+from mixseq.viewer.session import chart_data
 from tests.meshes import SEQUENCES, bar
 from tests.viewer.pages import Opened, bytes_of, rows_of
 
@@ -77,7 +84,7 @@ def exported(sequence: MeshSequence, name: str = "bar") -> PageItem:
 
 def exported_model(model: Model, name: str = "model") -> PageItem:
     colours = available_colourings(model.header, model(model.start))
-    return PageItem(SceneItem(name, model), colours, signals_of(model))
+    return PageItem(SceneItem(name, model), colours, chart_data(model))
 
 
 def vertices_of(item: PageItem) -> NDArray[np.int64]:
@@ -91,7 +98,7 @@ def vertices_of(item: PageItem) -> NDArray[np.int64]:
 @settings(max_examples=60)
 @given(st.binary(max_size=300))
 def test_bytes_are_text_of_a_script(data: bytes) -> None:
-    text = as_text(data).decode(ENCODING)
+    text = encode_text(data).decode(PAGE_ENCODING)
     assert bytes_of(text, len(data)) == data
     assert not set(text) & set("\0\r<")
 
@@ -99,8 +106,8 @@ def test_bytes_are_text_of_a_script(data: bytes) -> None:
 def test_all_units_come_back() -> None:
     """Those that do not fit are two."""
     data = np.arange(1 << 16, dtype="<u2").tobytes()
-    text = as_text(data)
-    assert bytes_of(text.decode(ENCODING), len(data)) == data
+    text = encode_text(data)
+    assert bytes_of(text.decode(PAGE_ENCODING), len(data)) == data
     assert len(text) - len(data) == 2 * (2048 + 4)
 
 
@@ -108,7 +115,7 @@ def test_all_units_come_back() -> None:
 @given(hnp.arrays(np.uint8, st.tuples(st.integers(1, 9), st.integers(1, 12))))
 def test_rows_of_colours_come_back(rows: NDArray[np.uint8]) -> None:
     """Also where differences wrap."""
-    assert np.array_equal(rows_of(deflated_rows(rows), rows.shape[1]), rows)
+    assert np.array_equal(rows_of(deflate_rows(rows), rows.shape[1]), rows)
 
 
 # Where things are -----------------------------------------------------------------------------------------
@@ -117,8 +124,8 @@ def test_rows_of_colours_come_back(rows: NDArray[np.uint8]) -> None:
 @pytest.mark.parametrize("view", [View(), View(60, 14), View(-100, 40)])
 def test_extents_hold_all_poses_and_shadows(view: View) -> None:
     world = to_y_up(bar().points, "Z")
-    parts = [extent_of(world[:2], [view]), extent_of(world[2:], [view])]
-    whole = parts[1].joined(parts[0])
+    parts = [measure_extent(world[:2], [view]), measure_extent(world[2:], [view])]
+    whole = parts[1].union(parts[0])
     assert np.allclose(whole.rectangles([view])[0], shared_limits(world, "Y", view, margin=0))
     assert np.array_equal(whole.low, world.min(axis=(0, 1)))
     assert whole.side == np.ptp(world, axis=(0, 1)).max()
@@ -156,7 +163,7 @@ def test_the_error_can_be_chosen(tmp_path: Path) -> None:
 def test_models_that_are_compressed_are_taken_as_they_are(tmp_path: Path) -> None:
     sequence = bar(frames=9)
     coded = compress(sequence, max_error=2e-3)
-    item = replace(exported(sequence), mesh=SceneItem("bar", to_model(coded)), coded=coded)
+    item = replace(exported(sequence), mesh=SceneItem("bar", to_model(coded)), compressed=coded)
     report = export_page(tmp_path / "a.html", [item], ExportSettings(max_error=1e-5)).items[0]
     page = Opened(tmp_path / "a.html").items[0]
     assert report.max_error == 2e-3
@@ -166,7 +173,7 @@ def test_models_that_are_compressed_are_taken_as_they_are(tmp_path: Path) -> Non
 
 def test_compressed_models_are_shown_at_any_rate(tmp_path: Path) -> None:
     coded = compress(bar(frames=9), max_error=1e-3)
-    item = replace(exported(bar(frames=9)), mesh=SceneItem("bar", to_model(coded)), coded=coded)
+    item = replace(exported(bar(frames=9)), mesh=SceneItem("bar", to_model(coded)), compressed=coded)
     for options, times in (({"fps": 25.0}, np.arange(21) / 25), ({"every": 4}, [0, 0.4, 0.8])):
         export_page(tmp_path / "a.html", [item], ExportSettings(**options))
         page = Opened(tmp_path / "a.html").items[0]
@@ -181,15 +188,15 @@ def test_parts_and_errors_are_stored(tmp_path: Path, bent_bar: MeshSequence, bar
         return np.asarray(off[round(10 * elapsed)])
 
     colours = available_colourings(bar_model.header, bar_model(0.0), bar_model.decomposition, original)
-    given = PageItem(SceneItem("bar", bar_model), {**colours, "error": colours["error"].scaled(0.2)})
+    given = PageItem(SceneItem("bar", bar_model), {**colours, "error": colours["error"].with_top(0.2)})
     export_page(tmp_path / "a.html", [given])
     item, vertices = Opened(tmp_path / "a.html").items[0], vertices_of(given)
     described = {each["name"]: each for each in item.description["colourings"]}
     palette = np.array(described["parts"]["palette"])
-    entries = colours["parts"].indices(bent_bar.points[0], 0.0)[vertices]
+    entries = colours["parts"].entries(bent_bar.points[0], 0.0)[vertices]
     assert np.array_equal(palette[item.colours["parts"][0]], colours["parts"].palette[entries])
     for row, time in zip(item.colours["error"], item.times, strict=True):
-        expected = given.colourings["error"].indices(bar_model(time), time)
+        expected = given.colourings["error"].entries(bar_model(time), time)
         assert np.array_equal(row, expected[vertices])
 
 
@@ -403,7 +410,7 @@ def test_settings_out_of_range_are_refused(wrong: dict[str, Any], words: str) ->
 
 
 def test_nothing_to_show_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SettingsError, match="nothing to show"):
+    with pytest.raises(SettingsError, match="no mesh to show"):
         export_page(tmp_path / "a.html", [])
 
 

@@ -45,7 +45,7 @@ def wait_for(frames: FrameCache, scene: Scene, frame: int, ahead: bool = False) 
     found: list[tuple[Single, ...]] = []
 
     def came() -> bool:
-        found.extend(filter(None, [frames.want(scene, frame, ahead)]))
+        found.extend(filter(None, [frames.request(scene, frame, ahead)]))
         return bool(found)
 
     eventually(came)
@@ -56,7 +56,7 @@ def test_a_frame_that_is_wanted_comes(make: Make) -> None:
     ready = Event()
     frames, a, b = make(ready=ready.set), watched(), watched()
     a.held[3] = Event()
-    assert frames.want(scene_of(a, b), 3, ahead=False) is None
+    assert frames.request(scene_of(a, b), 3, ahead=False) is None
     assert not ready.is_set()
     a.held[3].set()
     assert ready.wait(PATIENCE)
@@ -68,7 +68,7 @@ def test_a_frame_that_is_wanted_comes(make: Make) -> None:
 def test_what_is_kept_is_not_decoded_again(make: Make) -> None:
     frames, item = make(), watched()
     first = wait_for(frames, scene_of(item), 2)
-    assert frames.want(scene_of(item), 2)[0] is first[0]  # type: ignore[index]  # of another scene, but the same item
+    assert frames.request(scene_of(item), 2)[0] is first[0]  # type: ignore[index]  # of another scene, but the same item
     wait_for(frames, scene_of(item, watched()), 2)
     assert item.decoded.count(2) == 1
 
@@ -76,10 +76,10 @@ def test_what_is_kept_is_not_decoded_again(make: Make) -> None:
 def test_the_newest_wish_wins(make: Make) -> None:
     frames, item = make(), watched()
     item.held[0] = Event()
-    frames.want(scene_of(item), 0, ahead=False)
+    frames.request(scene_of(item), 0, ahead=False)
     eventually(lambda: item.decoded == [0])
-    frames.want(scene_of(item), 5, ahead=False)
-    frames.want(scene_of(item), 9, ahead=False)
+    frames.request(scene_of(item), 5, ahead=False)
+    frames.request(scene_of(item), 9, ahead=False)
     item.held[0].set()
     wait_for(frames, scene_of(item), 9)
     assert item.decoded == [0, 9]
@@ -87,7 +87,7 @@ def test_the_newest_wish_wins(make: Make) -> None:
 
 def test_what_comes_next_is_decoded_ahead(make: Make) -> None:
     frames, item = make(), watched(10)
-    frames.want(scene_of(item), 6, ahead=True)
+    frames.request(scene_of(item), 6, ahead=True)
     eventually(lambda: len(item.decoded) == 10)
     assert item.decoded == [6, 7, 8, 9, 0, 1, 2, 3, 4, 5]
 
@@ -95,9 +95,9 @@ def test_what_comes_next_is_decoded_ahead(make: Make) -> None:
 def test_a_wish_goes_before_what_comes_next(make: Make) -> None:
     frames, item = make(), watched(10)
     item.held[1] = Event()
-    frames.want(scene_of(item), 0)
+    frames.request(scene_of(item), 0)
     eventually(lambda: item.decoded == [0, 1])
-    frames.want(scene_of(item), 7)
+    frames.request(scene_of(item), 7)
     item.held[1].set()
     eventually(lambda: len(item.decoded) == 10)
     assert item.decoded == [0, 1, 7, 8, 9, 2, 3, 4, 5, 6]
@@ -106,7 +106,7 @@ def test_a_wish_goes_before_what_comes_next(make: Make) -> None:
 def test_threads_share_the_work(make: Make) -> None:
     frames, item = make(threads=2), watched(10)
     item.held.update({0: Event(), 1: Event()})
-    frames.want(scene_of(item), 0)
+    frames.request(scene_of(item), 0)
     eventually(lambda: sorted(item.decoded) == [0, 1])  # both at once, as neither is done
     for event in item.held.values():
         event.set()
@@ -139,7 +139,7 @@ def test_no_more_is_kept_than_there_is_memory(make: Make) -> None:
 
 def test_ahead_as_far_as_there_is_memory(make: Make) -> None:
     frames, item = make(memory=8 * POSE), watched(50)
-    frames.want(scene_of(item), 20)
+    frames.request(scene_of(item), 20)
     eventually(lambda: len(item.decoded) == 6)
     wait_for(frames, scene_of(item), 20, ahead=True)
     frames.close()
@@ -181,7 +181,7 @@ def test_an_error_is_raised_once_and_tried_again(make: Make) -> None:
 def test_an_error_ahead_is_raised_where_it_is_seen(make: Make) -> None:
     frames, item = make(), watched(4)
     item.broken.add(2)
-    frames.want(scene_of(item), 0)
+    frames.request(scene_of(item), 0)
     eventually(lambda: item.decoded == [0, 1, 2, 3])
     assert wait_for(frames, scene_of(item), 1, ahead=True)
     with pytest.raises(ReconstructionError):
@@ -193,14 +193,14 @@ def test_no_thread_is_left() -> None:
     item = watched()
     with FrameCache(lambda: None, threads=3) as frames:
         assert len(set(all_threads()) - before) == 3
-        frames.want(scene_of(item), 0)
+        frames.request(scene_of(item), 0)
     assert not set(all_threads()) - before
 
 
 def test_closing_waits_for_frames_at_hand_only() -> None:
     frames, item = FrameCache(lambda: None, threads=1), watched()
     item.held[0] = Event()
-    frames.want(scene_of(item), 0)
+    frames.request(scene_of(item), 0)
     eventually(lambda: item.decoded == [0])
     closing = Thread(target=frames.close)
     closing.start()
@@ -217,93 +217,97 @@ NOW = 1e5
 
 clocks = st.builds(
     Clock, count=st.integers(1, 500), fps=st.floats(1.0, 240.0), speed=st.sampled_from([0.25, 0.5, 1.0, 2.0])
-).flatmap(lambda clock: st.integers(0, clock.count - 1).map(lambda frame: clock.sought(frame, NOW)))
+).flatmap(lambda clock: st.integers(0, clock.count - 1).map(lambda frame: clock.seek(frame, NOW)))
 
 
 def test_it_stands_until_it_is_started() -> None:
     clock = Clock(10, 24.0)
-    assert not clock.runs
-    assert [clock.at(NOW), clock.at(NOW + 100)] == [0, 0]
+    assert not clock.is_running
+    assert [clock.frame_at(NOW), clock.frame_at(NOW + 100)] == [0, 0]
 
 
 @pytest.mark.parametrize("speed", [0.25, 1.0, 2.0])
 def test_frames_follow_each_other_at_their_rate(speed: float) -> None:
-    clock = Clock(10, 24.0, speed).started(NOW)
+    clock = Clock(10, 24.0, speed).start(NOW)
     frame = 1 / (24.0 * speed)
-    assert clock.runs
-    assert [clock.at(NOW + k * frame) for k in range(12)] == [*range(10), 0, 1]
-    assert [clock.at(NOW + (k + 0.99) * frame) for k in range(12)] == [*range(10), 0, 1]
-    assert clock.next_at(NOW + 2.25 * frame) == pytest.approx(0.75 * frame, rel=1e-4)
+    assert clock.is_running
+    assert [clock.frame_at(NOW + k * frame) for k in range(12)] == [*range(10), 0, 1]
+    assert [clock.frame_at(NOW + (k + 0.99) * frame) for k in range(12)] == [*range(10), 0, 1]
+    assert clock.seconds_to_next_frame(NOW + 2.25 * frame) == pytest.approx(0.75 * frame, rel=1e-4)
 
 
 def test_after_many_rounds() -> None:
-    clock = Clock(10, 24.0).started(NOW)
-    assert clock.at(NOW + 1000 * 10 / 24 + 3.5 / 24) == 3
+    clock = Clock(10, 24.0).start(NOW)
+    assert clock.frame_at(NOW + 1000 * 10 / 24 + 3.5 / 24) == 3
 
 
 def test_stop_and_go() -> None:
-    stopped = Clock(10, 10.0).started(NOW).stopped(NOW + 0.55)
-    assert not stopped.runs
-    assert stopped.at(NOW + 77) == 5
-    going = stopped.started(NOW + 80)
-    assert [going.at(NOW + 80.05), going.at(NOW + 80.15)] == [5, 6]
+    stopped = Clock(10, 10.0).start(NOW).stop(NOW + 0.55)
+    assert not stopped.is_running
+    assert stopped.frame_at(NOW + 77) == 5
+    going = stopped.start(NOW + 80)
+    assert [going.frame_at(NOW + 80.05), going.frame_at(NOW + 80.15)] == [5, 6]
 
 
 def test_started_again_it_goes_on() -> None:
-    clock = Clock(10, 10.0).started(NOW).started(NOW + 0.55)
-    assert [clock.at(NOW + 0.59), clock.at(NOW + 0.61)] == [5, 6]
+    clock = Clock(10, 10.0).start(NOW).start(NOW + 0.55)
+    assert [clock.frame_at(NOW + 0.59), clock.frame_at(NOW + 0.61)] == [5, 6]
 
 
 @pytest.mark.parametrize(("wanted", "found"), [(4, 4), (-3, 0), (10, 9), (9999, 9)])
 def test_seek(wanted: int, found: int) -> None:
-    standing = Clock(10, 10.0).sought(wanted, NOW)
-    assert (standing.at(NOW + 5), standing.runs) == (found, False)
-    running = Clock(10, 10.0).started(NOW).sought(wanted, NOW + 0.33)
-    assert [running.at(NOW + 0.33), running.at(NOW + 0.44)] == [found, (found + 1) % 10]
+    standing = Clock(10, 10.0).seek(wanted, NOW)
+    assert (standing.frame_at(NOW + 5), standing.is_running) == (found, False)
+    running = Clock(10, 10.0).start(NOW).seek(wanted, NOW + 0.33)
+    assert [running.frame_at(NOW + 0.33), running.frame_at(NOW + 0.44)] == [found, (found + 1) % 10]
 
 
 def test_another_speed_goes_on_where_it_is() -> None:
-    clock = Clock(100, 10.0).started(NOW).paced(2.0, NOW + 1.0)
-    assert [clock.at(NOW + 1.0), clock.at(NOW + 2.0)] == [10, 30]
-    standing = Clock(100, 10.0).sought(7, NOW).paced(0.5, NOW + 1.0)
-    assert (standing.at(NOW + 9), standing.runs, standing.speed) == (7, False, 0.5)
+    clock = Clock(100, 10.0).start(NOW).with_speed(2.0, NOW + 1.0)
+    assert [clock.frame_at(NOW + 1.0), clock.frame_at(NOW + 2.0)] == [10, 30]
+    standing = Clock(100, 10.0).seek(7, NOW).with_speed(0.5, NOW + 1.0)
+    assert (standing.frame_at(NOW + 9), standing.is_running, standing.speed) == (7, False, 0.5)
 
 
 def test_over_another_period_at_the_same_time() -> None:
-    standing = Clock(10, 10.0).sought(5, NOW)  # half a second
-    assert standing.over(20, 20.0, NOW).at(NOW) == 10
-    assert standing.over(3, 10.0, NOW).at(NOW) == 2  # which is over by then
-    running = standing.started(NOW).over(20, 20.0, NOW + 0.15)  # 0.65 s
-    assert running.runs
-    assert [running.at(NOW + 0.15), running.at(NOW + 0.201), running.at(NOW + 1.0)] == [13, 14, 10]
+    standing = Clock(10, 10.0).seek(5, NOW)  # half a second
+    assert standing.with_period(20, 20.0, NOW).frame_at(NOW) == 10
+    assert standing.with_period(3, 10.0, NOW).frame_at(NOW) == 2  # which is over by then
+    running = standing.start(NOW).with_period(20, 20.0, NOW + 0.15)  # 0.65 s
+    assert running.is_running
+    assert [running.frame_at(NOW + 0.15), running.frame_at(NOW + 0.201), running.frame_at(NOW + 1.0)] == [
+        13,
+        14,
+        10,
+    ]
 
 
 def test_over_a_rate_and_back() -> None:
-    clock = Clock(48, 24.0).sought(17, NOW)
-    assert clock.over(120, 60.0, NOW).over(48, 24.0, NOW).at(NOW) == 17
+    clock = Clock(48, 24.0).seek(17, NOW)
+    assert clock.with_period(120, 60.0, NOW).with_period(48, 24.0, NOW).frame_at(NOW) == 17
 
 
 @given(clocks, st.floats(0.0, 1e4))
 def test_there_is_always_a_frame(clock: Clock, passed: float) -> None:
-    running = clock.started(NOW)
-    assert 0 <= running.at(NOW + passed) < clock.count
-    assert clock.at(NOW + passed) == clock.at(NOW)
-    assert running.stopped(NOW + passed).at(NOW) == running.at(NOW + passed)
-    wait = running.next_at(NOW + passed)
+    running = clock.start(NOW)
+    assert 0 <= running.frame_at(NOW + passed) < clock.count
+    assert clock.frame_at(NOW + passed) == clock.frame_at(NOW)
+    assert running.stop(NOW + passed).frame_at(NOW) == running.frame_at(NOW + passed)
+    wait = running.seconds_to_next_frame(NOW + passed)
     assert 0 < wait <= 1 / (clock.fps * clock.speed)
 
 
 @given(clocks, st.lists(st.floats(0.0, 1.0), min_size=2))
 def test_within_a_round_frames_only_grow(clock: Clock, shares: list[float]) -> None:
-    running = clock.started(NOW)
-    left = (clock.count - clock.at(NOW) - 0.01) / (clock.fps * clock.speed)
-    frames = [running.at(NOW + share * left) for share in sorted(shares)]
+    running = clock.start(NOW)
+    left = (clock.count - clock.frame_at(NOW) - 0.01) / (clock.fps * clock.speed)
+    frames = [running.frame_at(NOW + share * left) for share in sorted(shares)]
     assert frames == sorted(frames)
 
 
 @given(clocks, st.floats(0.0, 100.0), st.integers(1, 500), st.floats(1.0, 240.0))
 def test_over_any_period(clock: Clock, passed: float, count: int, fps: float) -> None:
-    for one in (clock, clock.started(NOW)):
-        other = one.over(count, fps, NOW + passed)
-        assert other.runs == one.runs
-        assert 0 <= other.at(NOW + passed) < count
+    for one in (clock, clock.start(NOW)):
+        other = one.with_period(count, fps, NOW + passed)
+        assert other.is_running == one.is_running
+        assert 0 <= other.frame_at(NOW + passed) < count

@@ -28,7 +28,7 @@ from websockets.sync.client import connect
 from websockets.sync.connection import Connection
 
 from mixseq.viewer.live.controls import _is_file_name
-from mixseq.viewer.live.guard import LARGEST, Guard, Rate
+from mixseq.viewer.live.guard import MAX_MESSAGE_BYTES, Guard, RateLimit
 from mixseq.viewer.live.viewer import Viewer, ViewSettings, run_viewer
 
 pytestmark = pytest.mark.slow
@@ -171,7 +171,7 @@ def test_websockets_are_for_our_own_pages(
     assert refused.value.response.status_code == 403
     lines = capfd.readouterr().err.splitlines()
     assert len(lines) == 1
-    assert lines[0].startswith("mixseq: viewer: a request was refused: ")
+    assert lines[0].startswith("mixseq: viewer: refused a request: ")
     assert page.token not in lines[0]
 
 
@@ -200,7 +200,10 @@ def test_noise_that_is_no_request(page: Page, capfd: pytest.CaptureFixture[str])
 def test_another_viser_is_not_run_without_a_guard() -> None:
     from mixseq.viewer.live.guard import Access
 
-    with pytest.raises(RuntimeError, match="cannot be guarded"), Guard(Access("127.0.0.1")).posted():
+    with (
+        pytest.raises(RuntimeError, match="cannot be guarded"),
+        Guard(Access("127.0.0.1")).guard_new_server(),
+    ):
         pass
 
 
@@ -286,7 +289,7 @@ def test_values_that_a_control_cannot_have(
     assert control.value == before
     lines = capfd.readouterr().err.splitlines()
     assert len(lines) == 1, lines
-    assert lines[0].startswith("mixseq: viewer: a message was left out: ")
+    assert lines[0].startswith("mixseq: viewer: ignored a message: ")
 
 
 def test_numbers_out_of_range_may_be_half_typed(page: Page, capfd: pytest.CaptureFixture[str]) -> None:
@@ -328,7 +331,7 @@ def test_garbage_is_a_line_each(page: Page, capfd: pytest.CaptureFixture[str]) -
         check_it_hears(page, line)
     err = capfd.readouterr().err
     assert len(err.splitlines()) == len(GARBAGE), err
-    assert all(each.startswith("mixseq: viewer: a message was left out: ") for each in err.splitlines())
+    assert all(each.startswith("mixseq: viewer: ignored a message: ") for each in err.splitlines())
     assert err.replace("\n", "").isprintable()
 
 
@@ -347,7 +350,7 @@ def test_many_bad_messages_end_a_connection(page: Page, capfd: pytest.CaptureFix
 
 def test_too_large_messages_end_a_connection(page: Page, capfd: pytest.CaptureFixture[str]) -> None:
     with page.open() as line, page.open() as other:
-        line.send(change(page.control("File"), value="x" * (LARGEST + 1)))
+        line.send(change(page.control("File"), value="x" * (MAX_MESSAGE_BYTES + 1)))
         with pytest.raises(ConnectionClosed) as closed:
             while True:
                 line.recv(timeout=30)
@@ -382,7 +385,7 @@ def test_two_hundred_pages_and_one_that_never_reads(running: Viewer, page: Page)
         )
         lines[1].send(msgspec.msgpack.encode(CAMERA))
         lines[1].send(change(group, value="Reverse"))
-        eventually(lambda: running.session.history.undoes == "reverse")
+        eventually(lambda: running.session.history.current.name == "reverse")
         lines[1].send(change(page.control("File"), value="many.h5"))
         eventually(lambda: page.control("File").value == "many.h5")
 
@@ -432,12 +435,12 @@ def test_read_only(model: Model, tmp_path: Path, capfd: pytest.CaptureFixture[st
 def test_rates(monkeypatch: pytest.MonkeyPatch) -> None:
     now = 0.0
     monkeypatch.setattr("mixseq.viewer.live.guard.monotonic", lambda: now)
-    rate = Rate(10.0, 3.0)
-    assert [rate.wait() for _ in range(5)] == pytest.approx([0, 0, 0, 0.1, 0.2])
+    rate = RateLimit(10.0, 3.0)
+    assert [rate.delay() for _ in range(5)] == pytest.approx([0, 0, 0, 0.1, 0.2])
     now = 100.0
-    assert [rate.spare() for _ in range(5)] == [True, True, True, False, False]
+    assert [rate.allow() for _ in range(5)] == [True, True, True, False, False]
     now = 100.125
-    assert [rate.spare() for _ in range(2)] == [True, False]
+    assert [rate.allow() for _ in range(2)] == [True, False]
 
 
 @pytest.mark.parametrize(

@@ -159,9 +159,9 @@ def test_a_session(
 
     first = window.array("position")
     window.changes("position", lambda: window.click("Play"))
-    assert playback.plays
+    assert playback.is_playing
     window.click("Pause")
-    eventually(lambda: not playback.plays)
+    eventually(lambda: not playback.is_playing)
 
     slider, camera = page.get_by_role("slider").first, window.camera()
     slider.press("Home")
@@ -182,7 +182,7 @@ def test_a_session(
         page.screenshot(path=screenshots / f"view_{colour}.png")
 
     window.drag(3, (30, 25))
-    eventually(lambda: session.history.undoes == "drag")
+    eventually(lambda: session.history.current.name == "drag")
     page.screenshot(path=screenshots / "view_dragged.png")
     edited = session.model
     assert np.abs(edited.time(edited.times) - model.time(model.times)).max() > 1e-3
@@ -214,7 +214,7 @@ def test_the_whole_body_is_not_held(new_page: NewPage, running: Viewer, model: M
     window.click("Hold")
     eventually(lambda: window.page.get_by_text("nothing to rest against").count())
     assert running.session.model is model
-    assert not running.session.history.undoes
+    assert not running.session.history.index
 
 
 EDGES = """() => {

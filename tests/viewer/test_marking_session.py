@@ -25,10 +25,10 @@ class Listener:
         self.changes = 0
         self.failures: list[Exception] = []
 
-    def changed(self) -> None:
+    def on_change(self) -> None:
         self.changes += 1
 
-    def failed(self, what: str, error: Exception) -> None:
+    def on_failure(self, action: str, error: Exception) -> None:
         self.failures.append(error)
 
 
@@ -50,16 +50,16 @@ def test_suggestions_are_accepted_and_skipped(listener: Listener) -> None:
         session.accept_all()
         assert second not in session.marking.pairs
         assert not session.proposals
-        assert session.unsaved
+        assert session.has_changes
         for _ in range(3):
             session.undo()
         assert not session.marking.pairs
         assert second in session.proposals
-        assert not session.unsaved
+        assert not session.has_changes
         session.redo()
         assert session.marking.pairs == (first,)
-        session.kept(session.marking.pairs)
-        assert not session.unsaved
+        session.mark_saved(session.marking.pairs)
+        assert not session.has_changes
 
 
 def test_the_other_side_of_a_pair_is_proposed(listener: Listener) -> None:
@@ -82,7 +82,7 @@ def test_a_click_on_a_ball_chooses_its_pair(listener: Listener) -> None:
     markers = set_markers("nose", "tail4")
     with MarkingSession(short().mesh, tall().mesh, markers, listener) as session:
         session.click_ball(SOURCE, 1)
-        assert session.marking.chosen == 1
+        assert session.marking.selected == 1
         session.delete()
         assert len(session.marking.pairs) == 1
         session.undo()

@@ -154,7 +154,7 @@ def test_a_marker_is_chosen_moved_and_deleted(new_page: NewPage, running: Markin
     hand.click(0, "thigh.l")
     assert hand.bones()[number] == ("thigh.l", "nose")
     hand.click_vertex(0, running.session.marking.pairs[number].vertices[0])
-    assert running.session.marking.chosen == number
+    assert running.session.marking.selected == number
     hand.button("Delete")
     eventually(lambda: len(hand.bones()) == 7)
     hand.button("Undo")
@@ -182,7 +182,7 @@ def test_no_mesh_hides_the_other(new_page: NewPage, running: MarkingViewer) -> N
     def away() -> Float:
         """How far meshes are from where the camera looks, as shares of the way between them."""
         (client,) = running._server.get_clients().values()
-        middles = stage.arrangement.middles
+        middles = stage.arrangement.centres
         far = np.linalg.norm(middles - client.camera.look_at, axis=1) / np.linalg.norm(
             middles[1] - middles[0]
         )

@@ -12,7 +12,7 @@ import pytest
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.pictures.scene import Scene
 from mixseq.viewer import playback as module
-from mixseq.viewer.playback import PATIENCE, Moment, Playback
+from mixseq.viewer.playback import DRAW_TIMEOUT_SECONDS, Moment, Playback
 from tests.viewer import staged
 from tests.viewer.staged import Stage, Standing, eventually, scene_of, watched
 
@@ -53,7 +53,7 @@ def make(stage: Stage, failures: list[Exception]) -> Iterator[Make]:
 
 
 def caught_up(playback: Playback) -> bool:
-    return playback.caught_up(staged.PATIENCE)
+    return playback.wait_until_shown(staged.PATIENCE)
 
 
 def test_the_first_frame_is_shown_at_once(make: Make, stage: Stage) -> None:
@@ -61,14 +61,14 @@ def test_the_first_frame_is_shown_at_once(make: Make, stage: Stage) -> None:
     playback = make(scene_of(a, b))
     moment = stage.moments[0]
     assert (moment.scene, moment.frame, len(moment.poses)) == (playback.scene, 0, 2)
-    assert not playback.plays
+    assert not playback.is_playing
     assert stage.frames == [0]
 
 
 def test_it_plays(make: Make, stage: Stage, now: Standing) -> None:
     playback = make(scene_of(watched(4)))
     playback.play()
-    assert playback.plays
+    assert playback.is_playing
     for _ in range(6):
         now.pass_by(0.1, playback)
     eventually(lambda: stage.frames == [0, 1, 2, 3, 0, 1, 2])
@@ -97,21 +97,21 @@ def test_a_frame_that_took_long_is_late_and_none_after_it(make: Make, stage: Sta
 
 def test_a_busy_stage_is_waited_for(make: Make, stage: Stage, now: Standing) -> None:
     playback = make(scene_of(watched()))
-    stage.busy = True
+    stage.is_busy = True
     playback.seek(3)
-    now.pass_by(0.9 * PATIENCE, playback)
+    now.pass_by(0.9 * DRAW_TIMEOUT_SECONDS, playback)
     assert stage.frames == [0]
-    stage.busy = False
-    playback.drawn()
+    stage.is_busy = False
+    playback.wake()
     eventually(lambda: stage.frames == [0, 3])
 
 
 def test_but_not_for_ever(make: Make, stage: Stage, now: Standing) -> None:
     playback = make(scene_of(watched()))
-    stage.busy = True
+    stage.is_busy = True
     playback.seek(3)
-    now.pass_by(0.9 * PATIENCE, playback)
-    now.pass_by(0.2 * PATIENCE, playback)
+    now.pass_by(0.9 * DRAW_TIMEOUT_SECONDS, playback)
+    now.pass_by(0.2 * DRAW_TIMEOUT_SECONDS, playback)
     eventually(lambda: stage.frames == [0, 3])
 
 
@@ -121,19 +121,19 @@ def test_pause_stays_at_what_is_seen(make: Make, stage: Stage, now: Standing) ->
     now.pass_by(0.2, playback)
     eventually(lambda: stage.frames == [0, 2])
     now.pass_by(0.0, playback)
-    stage.busy = True
+    stage.is_busy = True
     now.pass_by(0.2, playback)
     assert playback.frame == 4
     playback.pause()
-    assert (playback.plays, playback.frame) == (False, 2)
-    stage.busy = False
+    assert (playback.is_playing, playback.frame) == (False, 2)
+    stage.is_busy = False
     now.pass_by(1.0, playback)
     assert stage.frames == [0, 2]
 
 
 def test_pause_leaves_what_stands(make: Make, stage: Stage, now: Standing) -> None:
     playback = make(scene_of(watched()))
-    stage.busy = True
+    stage.is_busy = True
     playback.seek(3)
     playback.pause()  # before the stage could show it
     assert playback.frame == 3
@@ -168,7 +168,7 @@ def test_seek_while_it_plays(make: Make, stage: Stage, now: Standing) -> None:
 def test_at_another_speed(make: Make, stage: Stage, now: Standing) -> None:
     playback = make(scene_of(watched()))
     playback.play()
-    playback.pace(2.0)
+    playback.set_speed(2.0)
     now.pass_by(0.1, playback)
     eventually(lambda: stage.frames == [0, 2])
 
@@ -178,7 +178,7 @@ def test_another_shot_at_the_same_time(make: Make, stage: Stage, now: Standing) 
     playback.seek(4)
     assert caught_up(playback)
     other = scene_of(watched(), rate=20)
-    playback.change(other)
+    playback.set_scene(other)
     assert caught_up(playback)
     eventually(lambda: stage.moments[-1].scene is other)
     assert (playback.scene, playback.frame, stage.moments[-1].frame) == (other, 8, 8)
@@ -186,9 +186,9 @@ def test_another_shot_at_the_same_time(make: Make, stage: Stage, now: Standing) 
 
 def test_a_shot_that_will_not_stay_is_not_decoded_ahead(make: Make, stage: Stage) -> None:
     playback, settled, passing = make(scene_of(watched())), watched(), watched()
-    playback.change(scene_of(passing), settled=False)
+    playback.set_scene(scene_of(passing), decode_ahead=False)
     assert caught_up(playback)
-    playback.change(scene_of(settled))
+    playback.set_scene(scene_of(settled))
     eventually(lambda: len(settled.decoded) == 10)
     assert passing.decoded == [0]
 
@@ -196,11 +196,11 @@ def test_a_shot_that_will_not_stay_is_not_decoded_ahead(make: Make, stage: Stage
 def test_at_another_rate(make: Make, stage: Stage, now: Standing) -> None:
     playback = make(scene_of(watched()))
     playback.seek(5)
-    playback.rate(30.0)
+    playback.set_frame_rate(30.0)
     assert caught_up(playback)
     assert (playback.scene.fps, playback.scene.count, playback.frame) == (30, 30, 15)
     with pytest.raises(SettingsError):
-        playback.rate(0.1)  # which is no frame at all
+        playback.set_frame_rate(0.1)  # which is no frame at all
     assert (playback.scene.fps, playback.frame) == (30, 15)
 
 
@@ -232,8 +232,8 @@ def test_not_caught_up_in_time(make: Make) -> None:
     item = watched()
     item.held[0] = Event()
     playback = make(scene_of(watched()))
-    playback.change(scene_of(item))
-    assert not playback.caught_up(0.01)
+    playback.set_scene(scene_of(item))
+    assert not playback.wait_until_shown(0.01)
     item.held[0].set()
     assert caught_up(playback)
 
@@ -260,7 +260,7 @@ def test_it_stops_at_a_frame_that_cannot_be_decoded(
     now.pass_by(0.1, playback)
     now.pass_by(0.1, playback)
     eventually(lambda: failures)
-    assert not playback.plays
+    assert not playback.is_playing
     now.pass_by(5.0, playback)
     assert (stage.frames, len(failures), playback.frame) == ([0, 1], 1, 2)
 
@@ -287,7 +287,7 @@ def test_no_thread_is_left(stage: Stage) -> None:
         playback.play()
         eventually(lambda: stage.moments)
     assert not set(all_threads()) - before
-    assert playback.caught_up(staged.PATIENCE)  # nobody waits for what never comes
+    assert playback.wait_until_shown(staged.PATIENCE)  # nobody waits for what never comes
 
 
 def test_nobody_waits_longer_for_a_playback_that_ends(stage: Stage) -> None:
@@ -295,7 +295,7 @@ def test_nobody_waits_longer_for_a_playback_that_ends(stage: Stage) -> None:
     item.held[0] = Event()
     playback = Playback(scene_of(item), stage, lambda error: None)
     eventually(lambda: item.decoded)
-    waiting = Thread(target=playback.caught_up, args=(staged.PATIENCE,))
+    waiting = Thread(target=playback.wait_until_shown, args=(staged.PATIENCE,))
     waiting.start()
     begin = monotonic()
     closing = Thread(target=playback.close)
@@ -308,7 +308,7 @@ def test_nobody_waits_longer_for_a_playback_that_ends(stage: Stage) -> None:
 
 def test_in_real_time(make: Make, stage: Stage) -> None:
     playback = make(scene_of(watched(5)))
-    playback.pace(10.0)
+    playback.set_speed(10.0)
     playback.play()
     eventually(lambda: len(stage.moments) > 12)  # more than two rounds of 0.05 s
     playback.pause()

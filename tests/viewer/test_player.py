@@ -22,7 +22,7 @@ from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
 from mixseq.viewer.export import ExportSettings, export_page
 from mixseq.viewer.export_data import PageItem
-from mixseq.viewer.session import signals_of
+from mixseq.viewer.session import chart_data
 from tests.meshes import bar
 from tests.viewer.conftest import SCREENSHOTS, Keep, NewPage, Watched
 from tests.viewer.pages import Opened
@@ -54,7 +54,7 @@ def exported(name: str, motion: MeshSequence | Model, original: MeshSequence | N
         before if original is not None else None,
         zip(elapsed.tolist(), poses, strict=True),
     )
-    signals = signals_of(motion) if isinstance(motion, Model) else None
+    signals = chart_data(motion) if isinstance(motion, Model) else None
     return PageItem(SceneItem(name, motion), colours, signals)
 
 
@@ -221,7 +221,7 @@ def test_the_browser_finds_what_python_does(new_page: NewPage, bar_page: Path, w
     faces = item.model.header.faces
     assert made["faces"] == faces.ravel().tolist()
     measures = [
-        (MEASURES[name].of(item.points[0], faces), unit, top)
+        (MEASURES[name].from_rest(item.points[0], faces), unit, top)
         for name, unit, top in zip(
             ("strain", "curvature"),
             (100, 1),

@@ -25,23 +25,24 @@ from mixseq.signals.model import Model
 from mixseq.viewer import session as module
 from mixseq.viewer.playback import Playback
 from mixseq.viewer.session import (
-    FRAMES,
-    HANDLES,
-    LARGEST,
-    MOST_POINTS,
-    MOST_WRITTEN,
-    POINTS,
+    HANDLE_COUNT,
+    MAX_CHART_FRAMES,
+    MAX_CHART_POINTS,
+    MAX_CONCURRENT_SAVES,
+    MAX_MESSAGE_NUMBER,
+    MAX_MESSAGE_POINTS,
     Drag,
     Drawn,
-    History,
     Message,
     Retime,
     Seek,
     Session,
     Sketch,
-    message_of,
-    pick,
-    signals_of,
+    UndoHistory,
+    before_retiming,
+    chart_data,
+    intersect_ray,
+    parse_message,
 )
 from tests.meshes import grid, joined, rigid_motions, seeds, tetrahedron, torus
 from tests.viewer.staged import PATIENCE, Stage, eventually, watched
@@ -55,21 +56,21 @@ class Told:
         self.failures: list[tuple[str, str]] = []
         self.files: list[str] = []
 
-    def edited(self, session: Session) -> None:
+    def on_edit(self, session: Session) -> None:
         """Remember the model."""
         self.seen.append(session.model)
 
-    def chosen(self, session: Session) -> None:
+    def on_select(self, session: Session) -> None:
         """Remember the history, as an edit does."""
-        self.edited(session)
+        self.on_edit(session)
 
-    def failed(self, what: str, error: Exception) -> None:
+    def on_failure(self, action: str, error: Exception) -> None:
         """Remember the error."""
-        self.failures.append((what, str(error)))
+        self.failures.append((action, str(error)))
 
-    def saved(self, what: str) -> None:
+    def on_save(self, message: str) -> None:
         """Remember the file."""
-        self.files.append(what)
+        self.files.append(message)
 
 
 class Room:
@@ -130,23 +131,23 @@ class Held:
     """An edit that waits."""
 
     def __init__(self) -> None:
-        self.begun, self.go_on = Event(), Event()
+        self.started, self.go_on = Event(), Event()
 
     def __call__(self, model: Model) -> Model:
-        self.begun.set()
+        self.started.set()
         assert self.go_on.wait(PATIENCE)
         return replace(model)
 
 
 def test_what_was_opened(room: Room, bar_model: Model) -> None:
     session = room.session
-    assert (session.editable, session.index, session.model) == ([1], 1, bar_model)
+    assert (session.editable_ids, session.index, session.model) == ([1], 1, bar_model)
     assert list(session.unsaved) == []
 
 
 def test_without_a_model() -> None:
     room = Room()
-    assert (room.session.editable, room.session.index, list(room.session.unsaved)) == ([], -1, [])
+    assert (room.session.editable_ids, room.session.index, list(room.session.unsaved)) == ([], -1, [])
     room.close()
 
 
@@ -156,7 +157,7 @@ def test_an_edit_is_seen(room: Room, bar_model: Model) -> None:
     model = room.session.model
     assert model.end > bar_model.end
     assert room.shown() is model
-    assert (room.session.history.undoes, room.told.seen) == ("repeat", [model])
+    assert (room.session.history.current.name, room.told.seen) == ("repeat", [model])
     eventually(lambda: room.stage.moments and room.stage.moments[-1].scene is room.playback.scene)
 
 
@@ -187,7 +188,7 @@ def test_of_previews_only_the_newest_is_made(room: Room, bar_model: Model) -> No
         return lambda model: tried.append(number) or replace(model)  # type: ignore[func-returns-value]
 
     session.edit("drag", held, preview=True)
-    assert held.begun.wait(PATIENCE)
+    assert held.started.wait(PATIENCE)
     for number in range(5):
         session.edit("drag", preview(number), preview=True)
     held.go_on.set()
@@ -195,13 +196,13 @@ def test_of_previews_only_the_newest_is_made(room: Room, bar_model: Model) -> No
     assert tried == [4]
     eventually(lambda: room.shown() is not bar_model)
     assert session.model is bar_model  # nothing was done yet
-    assert (room.told.seen, session.history.changed) == ([], False)
+    assert (room.told.seen, session.history.index) == ([], 0)
 
 
 def test_no_preview_after_the_edit(room: Room, bar_model: Model) -> None:
     session, held, seen = room.session, Held(), list[Model]()
     session.edit("drag", held, preview=True)
-    assert held.begun.wait(PATIENCE)
+    assert held.started.wait(PATIENCE)
     session.edit("drag", fail, preview=True)
     session.edit("drag", lambda model: seen.append(model) or replace(model))  # type: ignore[func-returns-value]
     held.go_on.set()
@@ -214,21 +215,21 @@ def test_no_preview_after_the_edit(room: Room, bar_model: Model) -> None:
 def test_edits_before_previews_are_kept(room: Room) -> None:
     session, held = room.session, Held()
     session.edit("first", held)
-    assert held.begun.wait(PATIENCE)
+    assert held.started.wait(PATIENCE)
     session.edit("second", same)
     session.edit("drag", fail, preview=True)
     session.edit("third", same)
     held.go_on.set()
     room.done(3)
-    assert [step.name for step in session.history.steps] == ["", "first", "second", "third"]
+    assert [step.name for step in session.history.states] == ["", "first", "second", "third"]
 
 
 def test_the_next_preview_waits_until_the_last_was_seen(
     room: Room, bar_model: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "PATIENCE", PATIENCE)
+    monkeypatch.setattr(module, "PREVIEW_TIMEOUT_SECONDS", PATIENCE)
     sending, go_on, second = Event(), Event(), Held()
-    assert room.playback.caught_up(PATIENCE)
+    assert room.playback.wait_until_shown(PATIENCE)
 
     def slowly(moment: object) -> None:
         sending.set()
@@ -238,9 +239,9 @@ def test_the_next_preview_waits_until_the_last_was_seen(
     room.session.edit("drag", same, preview=True)
     assert sending.wait(PATIENCE)
     room.session.edit("drag", second, preview=True)
-    assert not second.begun.wait(0.02)
+    assert not second.started.wait(0.02)
     go_on.set()
-    assert second.begun.wait(PATIENCE)
+    assert second.started.wait(PATIENCE)
     second.go_on.set()
 
 
@@ -251,10 +252,14 @@ def test_undo_and_redo(room: Room, bar_model: Model) -> None:
     edited = session.model
     session.undo()
     room.done(2)
-    assert (session.model, room.shown(), session.history.redoes) == (bar_model, bar_model, "loop")
+    assert (session.model, room.shown(), session.history.redo().current.name) == (
+        bar_model,
+        bar_model,
+        "loop",
+    )
     session.redo()
     room.done(3)
-    assert (session.model, room.shown(), session.history.undoes) == (edited, edited, "loop")
+    assert (session.model, room.shown(), session.history.current.name) == (edited, edited, "loop")
     session.redo()  # there is nothing more
     room.done(4)
     assert session.model is edited
@@ -263,12 +268,12 @@ def test_undo_and_redo(room: Room, bar_model: Model) -> None:
 def test_undo_takes_back_what_was_asked_for_before(room: Room, bar_model: Model) -> None:
     session, held = room.session, Held()
     session.edit("slow", held)
-    assert held.begun.wait(PATIENCE)
+    assert held.started.wait(PATIENCE)
     session.undo()
     held.go_on.set()
     room.done(2)
     assert session.model is bar_model
-    assert session.history.redoes == "slow"
+    assert session.history.redo().current.name == "slow"
 
 
 def test_a_failed_edit_changes_nothing(room: Room, bar_model: Model) -> None:
@@ -277,7 +282,7 @@ def test_a_failed_edit_changes_nothing(room: Room, bar_model: Model) -> None:
     room.session.edit("drag", fail)
     eventually(lambda: room.told.failures)
     assert room.told.failures == [("drag", "it cannot be")]
-    assert (room.session.model, room.shown(), room.session.history.changed) == (bar_model, bar_model, False)
+    assert (room.session.model, room.shown(), room.session.history.index) == (bar_model, bar_model, 0)
 
 
 def test_a_warning_made_an_error_is_no_bug(room: Room, capfd: pytest.CaptureFixture[str]) -> None:
@@ -301,7 +306,7 @@ def test_a_bug_does_not_end_the_session(room: Room, capfd: pytest.CaptureFixture
 
 
 def test_an_edit_that_makes_too_many_frames(room: Room, bar_model: Model) -> None:
-    room.playback.rate(240.0)
+    room.playback.set_frame_rate(240.0)
     long = bar_model
     while (long.end - long.start) * 240 < 1e5:
         long = repeat(long, long.start, long.end, times=100)
@@ -309,7 +314,7 @@ def test_an_edit_that_makes_too_many_frames(room: Room, bar_model: Model) -> Non
     room.session.edit("repeat", lambda model: long)
     eventually(lambda: room.told.failures)
     assert [name for name, _ in room.told.failures] == ["repeat"]
-    assert "a film has from 2 to 100,000" in room.told.failures[0][1]
+    assert "a film has 2 to 100,000" in room.told.failures[0][1]
     assert (room.session.model, room.shown()) == (bar_model, bar_model)
     room.session.edit("loop", same)
     room.done(1)
@@ -333,9 +338,9 @@ def test_settling_shows_the_model_again(room: Room, bar_model: Model) -> None:
     other = same(bar_model)
     room.session.edit("drag", lambda model: other, preview=True)
     eventually(lambda: room.shown() is other)
-    room.session.settle()
+    room.session.discard_preview()
     eventually(lambda: room.shown() is bar_model)
-    assert not room.session.history.changed
+    assert not room.session.history.index
 
 
 def test_keys_of_a_retiming_can_be_moved_on(room: Room, bar_model: Model) -> None:
@@ -343,15 +348,15 @@ def test_keys_of_a_retiming_can_be_moved_on(room: Room, bar_model: Model) -> Non
     session.retime(np.array([[0.0, 0.0], [2.0 * end, end]]))
     session.retime(np.array([[0.0, 0.0], [3.0 * end, end]]))
     eventually(lambda: session.model.end == pytest.approx(3.0 * end))
-    assert session.history.steps[session.history.now].keys == ((0.0, 0.0), (3.0 * end, end))
-    assert (session.history.now, session.history.before_retiming.model) == (1, bar_model)
+    assert session.history.current.keys == ((0.0, 0.0), (3.0 * end, end))
+    assert (session.history.index, before_retiming(session.history).current.model) == (1, bar_model)
     session.edit("loop", same)
     session.retime(np.array([[0.0, 0.0], [end, 3.0 * end]]))  # of what came after an edit
-    eventually(lambda: session.history.now == 3)
+    eventually(lambda: session.history.index == 3)
     assert session.model.end == pytest.approx(end)
     session.undo()
     session.undo()
-    eventually(lambda: session.history.now == 1)
+    eventually(lambda: session.history.index == 1)
     assert session.model.end == pytest.approx(3.0 * end)
 
 
@@ -369,20 +374,20 @@ def test_save(room: Room, bar_model: Model, tmp_path: Path) -> None:
 
 
 def test_many_files_at_a_time_are_refused(room: Room, tmp_path: Path) -> None:
-    for _ in range(MOST_WRITTEN + 2):
+    for _ in range(MAX_CONCURRENT_SAVES + 2):
         room.session.save(tmp_path / "slow.h5")
     assert [what for what, _ in room.told.failures] == ["save", "save"]
-    assert "save again when one is done" in room.told.failures[0][1]
+    assert "try again when one is done" in room.told.failures[0][1]
     room.go_on.set()
-    eventually(lambda: len(room.told.files) == MOST_WRITTEN)
+    eventually(lambda: len(room.told.files) == MAX_CONCURRENT_SAVES)
     room.session.save(tmp_path / "slow.h5")
-    eventually(lambda: len(room.told.files) == MOST_WRITTEN + 1)
+    eventually(lambda: len(room.told.files) == MAX_CONCURRENT_SAVES + 1)
 
 
 def test_nothing_is_written_once_it_is_closed(room: Room, tmp_path: Path) -> None:
     room.session.close()
     room.session.save(tmp_path / "late.h5")
-    assert not room.session._writing
+    assert not room.session._save_threads
     assert not room.told.failures
 
 
@@ -419,17 +424,17 @@ def test_another_model_is_chosen(bar_model: Model) -> None:
     other = replace(bar_model)
     room = Room(bar_model, other)
     session = room.session
-    assert session.editable == [1, 2]
-    session.choose(2)
+    assert session.editable_ids == [1, 2]
+    session.select(2)
     assert (session.index, session.model, room.told.seen) == (2, other, [other])
     session.edit("loop", same)
     room.done(2)
     assert (room.shown(1), room.shown(2)) == (bar_model, session.model)
-    session.choose(0)  # which is no model
-    session.choose(7)
+    session.select(0)  # which is no model
+    session.select(7)
     assert session.index == 2
-    session.choose(1)
-    assert (session.model, session.history.changed, list(session.unsaved)) == (bar_model, False, ["1.h5"])
+    session.select(1)
+    assert (session.model, session.history.index, list(session.unsaved)) == (bar_model, 0, ["1.h5"])
     room.close()
 
 
@@ -437,14 +442,14 @@ def test_an_edit_is_of_the_model_that_was_chosen_then(bar_model: Model) -> None:
     other, held = replace(bar_model), Held()
     room = Room(bar_model, other)
     room.session.edit("first", held)
-    assert held.begun.wait(PATIENCE)
+    assert held.started.wait(PATIENCE)
     room.session.edit("second", same)
-    room.session.choose(2)
+    room.session.select(2)
     held.go_on.set()
     room.done(3)
     assert room.session.model is other
-    room.session.choose(1)
-    assert [step.name for step in room.session.history.steps] == ["", "first", "second"]
+    room.session.select(1)
+    assert [step.name for step in room.session.history.states] == ["", "first", "second"]
     room.close()
 
 
@@ -465,12 +470,12 @@ TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]])
 @pytest.mark.parametrize(("place", "vertex"), [((0.1, 0.1), 0), ((0.8, 0.1), 1), ((0.1, 0.8), 2)])
 @pytest.mark.parametrize("side", [3.0, -3.0])
 def test_a_triangle_from_both_sides(place: tuple[float, float], vertex: int, side: float) -> None:
-    found = pick(*TRIANGLE, origin=[*place, side], direction=[0, 0, -np.sign(side)])
+    found = intersect_ray(*TRIANGLE, origin=[*place, side], direction=[0, 0, -np.sign(side)])
     assert found == (0, vertex, 3.0)
 
 
 def test_the_distance_is_in_lengths_of_the_direction() -> None:
-    found = pick(*TRIANGLE, origin=[0.2, 0.2, 3], direction=[0, 0, -0.5])
+    found = intersect_ray(*TRIANGLE, origin=[0.2, 0.2, 3], direction=[0, 0, -0.5])
     assert found is not None
     assert found.distance == pytest.approx(6.0)
 
@@ -489,15 +494,15 @@ def test_the_distance_is_in_lengths_of_the_direction() -> None:
     ],
 )
 def test_misses(origin: list[float], direction: list[float]) -> None:
-    assert pick(*TRIANGLE, origin=origin, direction=direction) is None
+    assert intersect_ray(*TRIANGLE, origin=origin, direction=direction) is None
 
 
 def test_the_first_of_several() -> None:
     sheet = grid(2, 2)
     stack = joined(sheet, (sheet[0] + [0, 0, 5.0], sheet[1]), (sheet[0] - [0, 0, 5.0], sheet[1]))
-    above = pick(*stack, origin=[0.7, 0.2, 9], direction=[0, 0, -1])
-    below = pick(*stack, origin=[0.7, 0.2, -9], direction=[0, 0, 1])
-    between = pick(*stack, origin=[0.7, 0.2, 1], direction=[0, 0, -1])
+    above = intersect_ray(*stack, origin=[0.7, 0.2, 9], direction=[0, 0, -1])
+    below = intersect_ray(*stack, origin=[0.7, 0.2, -9], direction=[0, 0, 1])
+    between = intersect_ray(*stack, origin=[0.7, 0.2, 1], direction=[0, 0, -1])
     assert above is not None
     assert below is not None
     assert between is not None
@@ -511,15 +516,15 @@ def test_the_first_of_several() -> None:
 def test_triangles_without_area_are_not_met(corners: list[int]) -> None:
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0]])
     for origin in ([0.5, 0, 3], [0.0, 0, 3], [0.25, 0.25, 3]):
-        assert pick(points, np.array([corners]), origin, [0, 0, -1]) is None
-    found = pick(points, np.array([corners, [0, 1, 2]]), [0.25, 0.25, 3], [0, 0, -1])
+        assert intersect_ray(points, np.array([corners]), origin, [0, 0, -1]) is None
+    found = intersect_ray(points, np.array([corners, [0, 1, 2]]), [0.25, 0.25, 3], [0, 0, -1])
     assert found is not None
     assert found.face == 1
 
 
 def test_single_precision_and_numbers_of_any_kind() -> None:
     points, faces = TRIANGLE
-    found = pick(points.astype(np.float32), faces.astype(np.uint32), (0.2, 0.2, 3), (0, 0, -1))
+    found = intersect_ray(points.astype(np.float32), faces.astype(np.uint32), (0.2, 0.2, 3), (0, 0, -1))
     assert found == (0, 0, 3.0)
     assert type(found.face) is type(found.vertex) is int
 
@@ -537,7 +542,7 @@ def test_a_point_on_a_face_is_found_from_outside(
     a, b, c = points[faces[face]]
     place = weights @ points[faces[face]]
     normal = np.cross(b - a, c - a)
-    found = pick(points, faces, place + 2 * normal, -normal)
+    found = intersect_ray(points, faces, place + 2 * normal, -normal)
     assert found is not None
     assert (found.face, found.vertex) == (
         face,
@@ -558,7 +563,7 @@ def test_against_every_triangle_one_by_one() -> None:
             # o + t d = a + u (b - a) + v (c - a)
             t, u, v = np.linalg.solve(np.stack([-along, b - a, c - a], axis=1), origin - a)
             distances.append(t if min(u, v, t) >= 0 and u + v <= 1 else np.inf)
-        found = pick(points, faces, origin, along)
+        found = intersect_ray(points, faces, origin, along)
         assert (found is None) == np.isinf(min(distances))
         if found is not None:
             hits += 1
@@ -570,51 +575,30 @@ def test_against_every_triangle_one_by_one() -> None:
 # What was done, undone, and done again
 
 
-def test_a_model_to_which_nothing_was_done(bar_model: Model) -> None:
-    history = History.of(bar_model)
-    assert history.model is bar_model
-    assert (history.changed, history.undoes, history.redoes) == (False, None, None)
-    assert history.undone().model is bar_model
-    assert history.redone().model is bar_model
-
-
-def test_an_edit_is_undone_and_done_again(bar_model: Model) -> None:
-    once, twice = replace(bar_model), replace(bar_model)
-    history = History.of(bar_model).done("cut", once).done("loop", twice)
-    assert (history.model, history.undoes, history.redoes) == (twice, "loop", None)
-    back = history.undone()
-    assert (back.model, back.undoes, back.redoes, back.changed) == (once, "cut", "loop", True)
-    assert back.redone().model is twice
-    assert history.model is twice  # it is what it was
-    assert not back.undone().changed
-
-
-def test_what_was_undone_is_gone_after_another_edit(bar_model: Model) -> None:
-    other = replace(bar_model)
-    history = History.of(bar_model).done("cut", replace(bar_model)).undone().done("loop", other)
-    assert (history.model, history.undoes, history.redoes) == (other, "loop", None)
-    assert [step.name for step in history.steps] == ["", "loop"]
-
-
-@given(st.lists(st.sampled_from(["do", "undo", "redo"]), max_size=30))
-def test_as_two_stacks(bar_model: Model, actions: list[str]) -> None:
-    history, done, undone = History.of(bar_model), [bar_model], list[Model]()
-    for action in actions:
-        if action == "do":
-            done.append(replace(bar_model))
-            undone.clear()
-            history = history.done("edit", done[-1])
+@given(st.lists(st.sampled_from(["push", "replace", "undo", "redo"]), max_size=30))
+def test_a_history_is_two_stacks(actions: list[str]) -> None:
+    history, undo, redo = UndoHistory((0,)), [0], list[int]()
+    for number, action in enumerate(actions, 1):
+        before = history
+        if action == "push":
+            undo.append(number)
+            redo.clear()
+            history = history.push(number)
+        elif action == "replace":
+            undo[-1] = number
+            history = history.replace(number)
         elif action == "undo":
-            if len(done) > 1:
-                undone.append(done.pop())
-            history = history.undone()
+            if len(undo) > 1:
+                redo.append(undo.pop())
+            history = history.undo()
         else:
-            if undone:
-                done.append(undone.pop())
-            history = history.redone()
-        assert history.model is done[-1]
-        assert history.changed == (len(done) > 1)
-        assert (history.undoes is None, history.redoes is None) == (len(done) == 1, not undone)
+            if redo:
+                undo.append(redo.pop())
+            history = history.redo()
+        assert history.current == undo[-1]
+        assert history.states == (*undo, *redo[::-1])
+        assert history.index == len(undo) - 1
+        assert before.states[before.index] == before.current  # unchanged
 
 
 # What charts draw of a model
@@ -634,7 +618,7 @@ def still(line: MeshSequence) -> Model:
 
 
 def test_a_line(line: MeshSequence) -> None:
-    signals = signals_of(fit(line, exact=True, space="vertex"))
+    signals = chart_data(fit(line, exact=True, space="vertex"))
     assert json.loads(json.dumps(signals)) == signals
     assert (signals["start"], signals["end"]) == (1.0, 2.5)
     path, times = np.array(signals["path"]), np.array(signals["times"])
@@ -650,39 +634,39 @@ def test_a_line(line: MeshSequence) -> None:
 
 def test_handles_are_on_the_path(line: MeshSequence) -> None:
     model = fit(line, exact=True, space="vertex")
-    handles = signals_of(model)["handles"]
+    handles = chart_data(model)["handles"]
     times = [handle["time"] for handle in handles]
-    np.testing.assert_allclose(times, np.linspace(1, 2.5, HANDLES))
+    np.testing.assert_allclose(times, np.linspace(1, 2.5, HANDLE_COUNT))
     np.testing.assert_allclose([handle["at"] for handle in handles], model.embedding(times), atol=1e-5)
 
 
 def test_coefficients_are_in_diagonals(line: MeshSequence) -> None:
-    (only,) = signals_of(fit(line, exact=True, space="vertex"))["coefficients"]
+    (only,) = chart_data(fit(line, exact=True, space="vertex"))["coefficients"]
     assert only["name"] == "coordinate 1"
     assert abs(only["values"][-1] - only["values"][0]) == pytest.approx(6 / line.diagonal, rel=1e-4)
 
 
 def test_the_largest_coefficients(bar_model: Model) -> None:
-    coefficients = signals_of(bar_model)["coefficients"]
+    coefficients = chart_data(bar_model)["coefficients"]
     numbers = [int(each["name"].removeprefix("coordinate ")) for each in coefficients]
     assert numbers == sorted(numbers) and 1 in numbers and len(numbers) <= 5
 
 
 def test_keys_leave_all_as_it_is(bar_model: Model) -> None:
-    keys = signals_of(bar_model)["keys"]
+    keys = chart_data(bar_model)["keys"]
     assert len(keys) == 5 and all(output == source for output, source in keys)
     assert keys[0][0] == bar_model.start and keys[-1][0] == bar_model.end
 
 
 def test_a_model_that_does_not_move(still: Model) -> None:
-    signals = signals_of(still)
+    signals = chart_data(still)
     assert signals["coefficients"] == signals["handles"] == []
     assert not np.any(signals["path"]) and len(signals["keys"]) == 5
 
 
 def test_a_single_frame(line: MeshSequence) -> None:
     single = MeshSequence.from_arrays(line.points[:1], line.faces, times=line.times[:1], fps=2)
-    signals = signals_of(fit(single, exact=True, space="vertex"))
+    signals = chart_data(fit(single, exact=True, space="vertex"))
     assert signals["start"] == signals["end"] == 1.0 and signals["times"] == signals["frameTimes"] == [1.0]
     assert signals["path"] == signals["frames"] == [[0, 0]]
     assert signals["handles"] == signals["keys"] == []
@@ -693,20 +677,22 @@ def test_long_models_are_thinned(line: MeshSequence) -> None:
     points = np.repeat(line.points[:1], count, axis=0).astype(np.float64)
     points[:, 2, 2] = np.sin(np.arange(count) / 40)
     long = MeshSequence.from_arrays(points, line.faces, fps=25)
-    signals = signals_of(fit(long, knots=20, rank=1, space="vertex"))
-    assert len(signals["times"]) == len(signals["path"]) <= POINTS
-    assert len(signals["frames"]) == FRAMES and signals["frameTimes"][-1] == 40.0
+    signals = chart_data(fit(long, knots=20, rank=1, space="vertex"))
+    assert len(signals["times"]) == len(signals["path"]) <= MAX_CHART_POINTS
+    assert len(signals["frames"]) == MAX_CHART_FRAMES and signals["frameTimes"][-1] == 40.0
     assert len(json.dumps(signals)) < 60_000
 
 
 def test_numbers_are_no_longer_than_a_screen_needs(bar_model: Model) -> None:
-    signals = signals_of(replace(bar_model))
+    signals = chart_data(replace(bar_model))
     assert max(len(str(abs(value))) for point in signals["path"] for value in point) <= 8
 
 
 # What pages say is believed where it makes sense, and harmless where it does not
 
-numbers = st.floats(-LARGEST, LARGEST) | st.integers(-int(LARGEST), int(LARGEST))
+numbers = st.floats(-MAX_MESSAGE_NUMBER, MAX_MESSAGE_NUMBER) | st.integers(
+    -int(MAX_MESSAGE_NUMBER), int(MAX_MESSAGE_NUMBER)
+)
 pairs = st.tuples(numbers, numbers).map(list)
 scalars = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5)
 values = st.recursive(
@@ -729,40 +715,40 @@ def arrays(message: Message) -> list[Any]:
 
 @given(numbers)
 def test_seek(time: float) -> None:
-    said = message_of(json.dumps({"kind": "seek", "time": time}))
+    said = parse_message(json.dumps({"kind": "seek", "time": time}))
     assert isinstance(said, Seek)
     assert said.time == time
 
 
-@pytest.mark.parametrize("time", [1.001 * LARGEST, -1e308, 10**400])
+@pytest.mark.parametrize("time", [1.001 * MAX_MESSAGE_NUMBER, -1e308, 10**400])
 def test_nothing_is_so_far_away(time: float) -> None:
-    assert message_of(json.dumps({"kind": "seek", "time": time})) is None
+    assert parse_message(json.dumps({"kind": "seek", "time": time})) is None
 
 
 @given(numbers, pairs, st.booleans())
 def test_drag(time: float, to: list[float], done: bool) -> None:
-    said = message_of(json.dumps({"kind": "drag", "time": time, "to": to, "done": done}))
+    said = parse_message(json.dumps({"kind": "drag", "time": time, "to": to, "done": done}))
     assert isinstance(said, Drag)
-    assert (said.time, said.to.tolist(), said.done) == (time, to, done)
+    assert (said.time, said.target.tolist(), said.is_done) == (time, to, done)
 
 
 @given(st.lists(pairs, min_size=1))
 def test_sketch(points: list[list[float]]) -> None:
-    said = message_of(json.dumps({"kind": "sketch", "points": points}))
+    said = parse_message(json.dumps({"kind": "sketch", "points": points}))
     assert isinstance(said, Sketch)
     assert said.points.tolist() == points
 
 
 @given(st.lists(pairs, min_size=1), st.booleans())
 def test_retime(keys: list[list[float]], done: bool) -> None:
-    said = message_of(json.dumps({"kind": "retime", "keys": keys, "done": done}))
+    said = parse_message(json.dumps({"kind": "retime", "keys": keys, "done": done}))
     assert isinstance(said, Retime)
-    assert (said.keys.tolist(), said.done) == (keys, done)
+    assert (said.keys.tolist(), said.is_done) == (keys, done)
 
 
 def test_drawn_and_what_else_the_page_adds() -> None:
-    assert message_of('{"kind": "drawn", "frame": 3}') == Drawn()
-    assert message_of('{"kind": "seek", "time": 2, "from": "ab12", "number": 7}') == Seek(2.0)
+    assert parse_message('{"kind": "drawn", "frame": 3}') == Drawn()
+    assert parse_message('{"kind": "seek", "time": 2, "from": "ab12", "number": 7}') == Seek(2.0)
 
 
 @pytest.mark.parametrize(
@@ -806,24 +792,24 @@ def test_drawn_and_what_else_the_page_adds() -> None:
     ids=lambda text: text[:40],
 )
 def test_nonsense(text: str) -> None:
-    assert message_of(text) is None
+    assert parse_message(text) is None
 
 
 @pytest.mark.parametrize("value", [None, 7, ["drawn"], b"\xff"])
 def test_no_text_at_all(value: Any) -> None:
-    assert message_of(value) is None
+    assert parse_message(value) is None
 
 
 @pytest.mark.parametrize(("kind", "name"), [("sketch", "points"), ("retime", "keys")])
 def test_limits(kind: str, name: str) -> None:
     said = {"kind": kind, "done": True}
-    assert message_of(json.dumps({**said, name: MOST_POINTS * [[1, 2]]})) is not None
-    assert message_of(json.dumps({**said, name: (MOST_POINTS + 1) * [[1, 2]]})) is None
+    assert parse_message(json.dumps({**said, name: MAX_MESSAGE_POINTS * [[1, 2]]})) is not None
+    assert parse_message(json.dumps({**said, name: (MAX_MESSAGE_POINTS + 1) * [[1, 2]]})) is None
 
 
 @given(st.text() | values.map(json.dumps) | nearly.map(json.dumps))
 def test_whatever_is_said(text: str) -> None:
-    said = message_of(text)
+    said = parse_message(text)
     assert said is None or isinstance(said, Message)
     for numbers in arrays(said) if said is not None else []:
         assert numbers.dtype.kind in "fb"

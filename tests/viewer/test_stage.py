@@ -12,7 +12,7 @@ from mixseq.pictures.colours import SceneColours
 from mixseq.pictures.scene import Scene, SceneItem
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float
-from mixseq.viewer.live.stage import CELL, LiveStage
+from mixseq.viewer.live.stage import GRID_CELL_SIZE, LiveStage
 from mixseq.viewer.playback import Moment
 from tests.meshes import tube
 
@@ -44,9 +44,9 @@ def test_own_colours_are_sent_once_as_the_file_has_them() -> None:
     surface = Surface(colours=CornerValues(linear, still.polygons.indices))
     scene = Scene((SceneItem("tube", replace(still, surface=surface)).with_random_access(),))
     stage = LiveStage(MagicMock(), SceneColours(scene, None), "standard", False, MagicMock())
-    stage.colour("own")
+    stage.set_colour("own")
     stage.show(Moment(scene, 0, (scene.items[0].pose(0.0),)))
-    sent = np.asarray(stage._clouds[0].colors)
+    sent = np.asarray(stage._colour_clouds[0].colors)
     scale = 255 if sent.dtype == np.uint8 else 1
     np.testing.assert_allclose(sent / scale, linear[:, :3], atol=0.006)
 
@@ -57,5 +57,5 @@ def test_a_body_that_is_followed_stays_and_the_ground_moves() -> None:
     assert np.ptp(ground, axis=0).max() == 0
     followed, ground = shown(following=True)
     np.testing.assert_allclose(followed, followed[:1].repeat(FRAMES, axis=0), atol=1e-5)
-    steps = np.diff(ground[:, 0] + travelled[:, 0]) / CELL
+    steps = np.diff(ground[:, 0] + travelled[:, 0]) / GRID_CELL_SIZE
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-5)  # squares look the same after a whole one

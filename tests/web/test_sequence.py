@@ -19,7 +19,7 @@ from mixseq.compression.bitstream.compressed_sequence import (
 from mixseq.compression.bitstream.signal_graph import mesh_graph
 from mixseq.compression.encoder.compress import compress
 from mixseq.mesh.polygons import Polygons
-from mixseq.mesh.surface import CornerValues, Surface, by_first_use
+from mixseq.mesh.surface import CornerValues, Surface, renumber_by_first_use
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float
 from tests.compression.test_golden import stored
@@ -145,7 +145,9 @@ def test_random_sequences(node: Node, tmp_path: Path, seed: int, monkeypatch: py
     colours = coded.header.surface.colours
     assert found.colours.tobytes() == (b"" if colours is None else colours.at_corners.tobytes())
     if coded.header.surface.hard_edges is not None:
-        np.testing.assert_array_equal(found.hard_edges, by_first_use(coded.header.surface.hard_edges))
+        np.testing.assert_array_equal(
+            found.hard_edges, renumber_by_first_use(coded.header.surface.hard_edges)
+        )
 
 
 def test_only_chunks_that_are_needed_are_decoded(node: Node, tmp_path: Path) -> None:

@@ -49,7 +49,7 @@ from mixseq.compression.bitstream.connectivity import decode_polygons
 from mixseq.compression.bitstream.corner_values import decode_hard_edges, decode_uvs, encode_hard_edges
 from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
 from mixseq.mesh.polygons import Polygons
-from mixseq.mesh.surface import WHITE, CornerValues, Surface
+from mixseq.mesh.surface import DEFAULT_COLOUR, CornerValues, Surface
 from mixseq.sequence.header import SequenceHeader
 from mixseq.signals.model import Model
 from mixseq_io.files import check_memory, format_gigabytes, max_memory
@@ -277,7 +277,7 @@ def _arrays_on(surface: Surface, mesh: Mesh) -> dict[str, NDArray[Any]]:
     corners, colours = polygons.indices, surface.colours
     of_vertices = colours is not None and colours.one_per_vertex(corners)
     if colours is not None and of_vertices:
-        values = colours.at_vertices(corners, vertex_count, WHITE)
+        values = colours.at_vertices(corners, vertex_count, DEFAULT_COLOUR)
         surface = replace(surface, colours=CornerValues(values, corners))
     arrays = surface_to_arrays(surface)
     if of_vertices:

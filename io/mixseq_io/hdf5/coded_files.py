@@ -1,4 +1,4 @@
-"""Compressed models in HDF5: one dataset of streams, one attribute that describes them.
+"""Compressed models in HDF5: a dataset with all streams, and an attribute that describes them.
 
 ::
 
@@ -6,13 +6,12 @@
                  coding                  JSON: parameters, name, fps, up_axis, metres_per_unit, counts, first time
     /streams     (n,) uint8: an index, then all streams, one after the other
 
-A second dataset would take more bytes than a checksum of every stream, and strings of variable length 4 KiB each.
-Contents are those of `mixseq_io.coded`.
+Streams share a dataset and have checksums of their own, since a dataset costs more bytes. Strings have fixed length,
+since one of variable length costs 4 KiB. Text and streams are those of `mixseq_io.coded`.
 """
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,11 +25,13 @@ if TYPE_CHECKING:
     import h5py
 
 
-def container_of(path: Path, file: Contents) -> Container:
-    """Return the container of a compressed model that has been read."""
-    with translate_h5_errors(path):
+def parse_container(file: Contents) -> Container:
+    """Return the text and streams of a compressed model."""
+    with translate_h5_errors(file.path):
         if file.kind != MODEL_FORMAT or "coding" not in file.attrs:
-            raise FormatError(f"{path} is no compressed model; make one with mixseq encode --max-error")
+            raise FormatError(
+                f"{file.path} is not a compressed model; make one with mixseq encode --max-error"
+            )
         return Container(
             text=bytes(file.attrs["coding"]),
             streams=file.arrays["streams"].astype(np.uint8).tobytes(),
@@ -39,7 +40,7 @@ def container_of(path: Path, file: Contents) -> Container:
 
 
 def write_container(file: h5py.File, container: Container) -> None:
-    """Store a compressed sequence in a new HDF5 file."""
+    """Store the text and streams of a compressed model in a new HDF5 file."""
     import h5py
 
     for name, text in (

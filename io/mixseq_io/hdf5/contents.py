@@ -1,7 +1,7 @@
-"""HDF5 files read in a process of their own; attributes and arrays arrive as plain values.
+"""Attributes and arrays of HDF5 files, read in a worker process.
 
-A flipped bit can make HDF5 loop forever, and a crafted file can crash it, so the user's process does not import it: see
-`mixseq_io.isolation`, and `mixseq_io.hdf5.inspection` for the worker's side.
+A flipped bit can make HDF5 loop forever, and a crafted file can crash it, so only the worker opens files:
+`mixseq_io.hdf5.inspection` runs there, see `mixseq_io.isolation`.
 """
 
 from __future__ import annotations
@@ -22,70 +22,71 @@ from mixseq_io.isolation import call_isolated
 from mixseq_io.reader import check_regular_file, translate_read_errors
 from mixseq_io.surfaces import SURFACE_ARRAY_NAMES, surface_from_arrays
 
-_OTHER_SIDE = "mixseq_io.hdf5.inspection"
+_WORKER_MODULE = "mixseq_io.hdf5.inspection"
 
 
 @dataclass(frozen=True)
 class Contents:
-    """Contents of an HDF5 file."""
+    """Attributes of an HDF5 file by group, "" for the root, and arrays by dataset."""
 
+    path: Path
     attributes: Mapping[str, Mapping[str, Any]]
     arrays: Mapping[str, NDArray[Any]]
 
     @property
     def attrs(self) -> Mapping[str, Any]:
-        """Root attributes."""
+        """Attributes of the root."""
         return self.attributes[""]
 
     @property
     def kind(self) -> str | None:
-        """Root attribute `format`."""
+        """Root attribute `format`, None if it is missing or not a text."""
         return self.text("format") if isinstance(self.attrs.get("format"), bytes) else None
 
     def text(self, name: str, group: str = "") -> str:
-        """Return an attribute as text."""
+        """Decode an attribute that `mixseq_io.hdf5.datasets.write_text` stored."""
         text: str = self.attributes[group][name].decode("utf-8", "surrogateescape")
         return text
 
 
 def read_attributes(path: Path) -> Contents:
-    """Read a file's attributes without arrays."""
+    """Read the attributes of a file."""
     check_regular_file(path, "HDF5")
-    found: Contents = call_isolated(f"{_OTHER_SIDE}:attributes", path)
-    return found
+    contents: Contents = call_isolated(f"{_WORKER_MODULE}:load_attributes", path)
+    return contents
 
 
 def read_contents(
     path: Path, kind: str | None = None, meanwhile: Callable[[], object] | None = None
 ) -> Contents:
-    """Read a file, or its attributes only if its `format` is not `kind`; call `meanwhile` while the worker reads."""
+    """Read a file, only its attributes if `format` is not `kind`; call `meanwhile` while the worker reads."""
     check_regular_file(path, "HDF5")
-    found: Contents = call_isolated(f"{_OTHER_SIDE}:contents", path, kind, meanwhile=meanwhile)
-    return found
+    contents: Contents = call_isolated(f"{_WORKER_MODULE}:load_contents", path, kind, meanwhile=meanwhile)
+    return contents
 
 
 def translate_h5_errors(path: Path) -> AbstractContextManager[None]:
-    """Translate h5py's errors on damaged files, and missing entries, into `FormatError`."""
+    """Translate errors of h5py, and of missing or malformed entries, into `FormatError`."""
     return translate_read_errors(
         path, "HDF5", KeyError, RuntimeError, ValueError, TypeError, AttributeError, OverflowError
     )
 
 
 MODEL_FORMAT = "mixseq-model"
-"""Root attribute `format` of a model."""
+"""Root attribute `format` of models."""
 
 
-def check_version(path: Path, file: Contents, known: int) -> None:
-    """Raise an error for another version of the format."""
+def check_version(file: Contents, supported: int) -> None:
+    """Raise an error if a file has another version of its format than the supported one."""
     version = int(file.attrs["version"])
-    if version != known:
+    if version != supported:
         raise FormatError(
-            f"{path} has version {version} of its format, and this mixseq reads version {known}; "
+            f"{file.path} has version {version} of its format, and this mixseq reads version {supported}; "
             "it was written by another version of mixseq: make it again with this one"
         )
 
 
-def read_header(path: Path, file: Contents, vertex_count: int, times: NDArray[np.float64]) -> SequenceHeader:
+def read_header(file: Contents, vertex_count: int, times: NDArray[np.float64]) -> SequenceHeader:
     """Read the header stored by `mixseq_io.hdf5.datasets.write_header`."""
     return SequenceHeader(
         polygons=Polygons(file.arrays["polygons/counts"], file.arrays["polygons/indices"]),
@@ -95,14 +96,14 @@ def read_header(path: Path, file: Contents, vertex_count: int, times: NDArray[np
         up_axis=file.text("up_axis"),
         metres_per_unit=float(file.attrs["metres_per_unit"]),
         name=file.text("name"),
-        surface=surface_from_arrays(_surface_arrays(file), path.parent),
+        surface=surface_from_arrays(_surface_arrays(file), file.path.parent),
     )
 
 
 def _surface_arrays(file: Contents) -> dict[str, NDArray[Any]]:
-    names = [name for name in SURFACE_ARRAY_NAMES if f"surface/{name}" in file.arrays]
-    arrays = {name: np.asarray(file.arrays[f"surface/{name}"]) for name in names}
+    arrays = {name: file.arrays.get(f"surface/{name}") for name in SURFACE_ARRAY_NAMES}
     return {
-        name: np.char.decode(array, "utf-8") if array.dtype.kind == "S" else array
+        name: np.char.decode(array, "utf-8") if array.dtype.kind == "S" else np.asarray(array)
         for name, array in arrays.items()
+        if array is not None
     }

@@ -1,8 +1,8 @@
-"""Worker's side of `mixseq_io.hdf5.contents`: reads HDF5 files after inspecting them; unusual contents are refused.
+"""Reading of HDF5 files in the worker of `mixseq_io.hdf5.contents`, after an inspection that rejects unusual contents.
 
-HDF5 files can refer to other files, link in circles, load code for unknown filters, and announce terabytes that were
-never written. Names, types, shapes and storage, all under checksums of the 1.10 layout, are checked first. A dataset
-may unpack to at most gzip's limit of 1032 bytes per stored byte; still sequences of mixseq reach 1023.
+HDF5 files can refer to other files, link in circles, load code for unknown filters, and declare terabytes that were
+never written. So names, types, shapes and storage, which the 1.10 layout protects by checksums, are inspected first. A
+dataset may unpack to gzip's limit of 1032 bytes per stored byte; motionless sequences of mixseq reach 1023.
 """
 
 from __future__ import annotations
@@ -25,178 +25,180 @@ from mixseq_io.isolation import limit_time
 from mixseq_io.reader import summarize_error
 
 MAX_OBJECTS_PER_FILE = 1000
-"""Largest number of groups and datasets of a file; mixseq's files have some 30."""
+"""Limit on groups and datasets; mixseq's files have about 30."""
 
-_DEEPEST = 8
-_MOST_ATTRIBUTES = 100
-_RANK = 4
-_ATTRIBUTE_BYTES = 1 << 20
-_UNPACKED = 1040
-"""Largest number of bytes per stored byte: gzip's limit, and a little for rounding."""
+_MAX_GROUP_DEPTH = 8
+_MAX_ATTRIBUTES_PER_OBJECT = 100
+_MAX_RANK = 4
+_MAX_ATTRIBUTE_BYTES = 1 << 20
+_MAX_COMPRESSION_RATIO = 1040
+"""Limit on bytes per stored byte: that of gzip, with a margin for rounding."""
 
-_FILTERS = (h5z.FILTER_DEFLATE, h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32)
-_NUMBERS = (h5t.INTEGER, h5t.FLOAT)
-_LINKS = {h5l.TYPE_SOFT: "a soft link", h5l.TYPE_EXTERNAL: "a link to another file"}
+_ATTRIBUTE_TIME_FRACTION = 1 / 60
+"""Fraction of the time limit for attributes, which are small; damaged ones may loop forever."""
+
+_ALLOWED_FILTERS = (h5z.FILTER_DEFLATE, h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32)
+_NUMBER_CLASSES = (h5t.INTEGER, h5t.FLOAT)
+_LINK_NAMES = {h5l.TYPE_SOFT: "a soft link", h5l.TYPE_EXTERNAL: "a link to another file"}
+_TYPE_NAMES = {h5t.REFERENCE: "reference", h5t.VLEN: "list of any length", h5t.COMPOUND: "compound"}
 
 
-class _Inspection:
-    """Check of every object of a newly opened file."""
+class _FileInspector:
+    """Check of all objects of an open file, with a count of objects and of stored bytes."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._left = path.stat().st_size
-        self._objects = 0
+        self._remaining_bytes = path.stat().st_size
+        self._object_count = 0
 
-    def group(self, group: h5g.GroupID, name: str) -> None:
-        """Check a group and its contents."""
-        if name.count("/") > _DEEPEST:
-            raise self._refusal(name, "is nested too deeply")
-        self._attributes(group, name)
+    def check_group(self, group: h5g.GroupID, name: str) -> None:
+        """Check a group and everything in it."""
+        if name.count("/") > _MAX_GROUP_DEPTH:
+            raise self._rejection(name, "is nested too deeply")
+        self._check_attributes(group, name)
         if group.get_num_objs() > MAX_OBJECTS_PER_FILE:
-            raise self._refusal(name, f"has more than {MAX_OBJECTS_PER_FILE} objects")
+            raise self._rejection(name, f"has more than {MAX_OBJECTS_PER_FILE} objects")
         for key in group:
-            self._object(group, key, f"{name}/{key.decode('utf-8', 'replace')}")
+            self._check_object(group, key, f"{name}/{key.decode('utf-8', 'replace')}")
 
-    def _object(self, group: h5g.GroupID, key: bytes, name: str) -> None:
-        self._objects += 1
-        if self._objects > MAX_OBJECTS_PER_FILE:
-            raise self._refusal(name, f"is one of more than {MAX_OBJECTS_PER_FILE} objects")
-        kind = group.links.get_info(key).type
-        if kind != h5l.TYPE_HARD:
-            raise self._refusal(name, f"is {_LINKS.get(kind, 'a link of an unknown kind')}")
-        found = h5o.open(group, key)
-        if h5o.get_info(found).rc != 1:
-            raise self._refusal(name, "has a second name")
-        if isinstance(found, h5g.GroupID):
-            self.group(found, name)
-        elif isinstance(found, h5d.DatasetID):
-            self._attributes(found, name)
-            self._dataset(found, name)
+    def _check_object(self, group: h5g.GroupID, key: bytes, name: str) -> None:
+        self._object_count += 1
+        if self._object_count > MAX_OBJECTS_PER_FILE:
+            raise self._rejection(name, f"is one of more than {MAX_OBJECTS_PER_FILE} objects")
+        link = group.links.get_info(key).type
+        if link != h5l.TYPE_HARD:
+            raise self._rejection(name, f"is {_LINK_NAMES.get(link, 'a link of an unknown kind')}")
+        item = h5o.open(group, key)
+        if h5o.get_info(item).rc != 1:
+            raise self._rejection(name, "has a second name")
+        if isinstance(item, h5g.GroupID):
+            self.check_group(item, name)
+        elif isinstance(item, h5d.DatasetID):
+            self._check_attributes(item, name)
+            self._check_dataset(item, name)
         else:
-            raise self._refusal(name, "is neither a group nor a dataset")
+            raise self._rejection(name, "is neither a group nor a dataset")
 
-    def _attributes(self, found: h5g.GroupID | h5d.DatasetID, name: str) -> None:
-        count = h5a.get_num_attrs(found)
-        if count > _MOST_ATTRIBUTES:
-            raise self._refusal(name, f"has {count} attributes")
-        for number in range(count):
-            attribute = h5a.open(found, index=number)
-            what = f"{name or '/'}, attribute {attribute.name.decode('utf-8', 'replace')},"
-            kind, space = attribute.get_type(), attribute.get_space()
-            self._type(kind, what)
-            if space.get_simple_extent_type() == h5py.h5s.NULL or space.get_simple_extent_ndims() > _RANK:
-                raise self._refusal(what, "has no value, or too many axes")
-            if space.get_simple_extent_npoints() * kind.get_size() > _ATTRIBUTE_BYTES:
-                raise self._refusal(what, "is too large")
+    def _check_attributes(self, item: h5g.GroupID | h5d.DatasetID, name: str) -> None:
+        count = h5a.get_num_attrs(item)
+        if count > _MAX_ATTRIBUTES_PER_OBJECT:
+            raise self._rejection(name, f"has {count} attributes")
+        for index in range(count):
+            attribute = h5a.open(item, index=index)
+            label = f"{name or '/'}, attribute {attribute.name.decode('utf-8', 'replace')},"
+            dtype, space = attribute.get_type(), attribute.get_space()
+            self._check_type(dtype, label)
+            if space.get_simple_extent_type() == h5py.h5s.NULL or space.get_simple_extent_ndims() > _MAX_RANK:
+                raise self._rejection(label, "has no value, or too many axes")
+            if space.get_simple_extent_npoints() * dtype.get_size() > _MAX_ATTRIBUTE_BYTES:
+                raise self._rejection(label, "is too large")
 
-    def _dataset(self, found: h5d.DatasetID, name: str) -> None:
-        storage = found.get_create_plist()
+    def _check_dataset(self, dataset: h5d.DatasetID, name: str) -> None:
+        storage = dataset.get_create_plist()
         layout = storage.get_layout()
-        # First, since HDF5 opens external files when it is queried for the shape of their data.
+        # Layout and storage come first: HDF5 opens external files when it is asked for the shape of their data.
         if layout not in (h5d.COMPACT, h5d.CONTIGUOUS, h5d.CHUNKED):
-            raise self._refusal(name, "is a virtual dataset, of data elsewhere")
+            raise self._rejection(name, "is a virtual dataset, of data elsewhere")
         if storage.get_external_count():
-            raise self._refusal(name, "keeps its data in another file")
-        for number in range(storage.get_nfilters()):
-            code = storage.get_filter(number)[0]
-            if code not in _FILTERS:
-                raise self._refusal(name, f"is stored with the filter {code}")
-        kind, space = found.get_type(), found.get_space()
-        self._type(kind, name)
+            raise self._rejection(name, "keeps its data in another file")
+        for index in range(storage.get_nfilters()):
+            code = storage.get_filter(index)[0]
+            if code not in _ALLOWED_FILTERS:
+                raise self._rejection(name, f"is stored with the filter {code}")
+        self._check_type(dataset.get_type(), name)
+        space = dataset.get_space()
         if space.get_simple_extent_type() == h5py.h5s.NULL:
-            raise self._refusal(name, "has no shape")
+            raise self._rejection(name, "has no shape")
         shape = space.get_simple_extent_dims()
-        if len(shape) > _RANK:
-            raise self._refusal(name, f"has {len(shape)} axes")
-        self._size(found, name, shape, storage.get_chunk() if layout == h5d.CHUNKED else ())
+        if len(shape) > _MAX_RANK:
+            raise self._rejection(name, f"has {len(shape)} axes")
+        self._check_size(dataset, name, shape, storage.get_chunk() if layout == h5d.CHUNKED else ())
 
-    def _type(self, kind: h5t.TypeID, name: str) -> None:
-        if isinstance(kind, h5t.TypeStringID):
-            if kind.is_variable_str():
-                raise self._refusal(name, "has strings of any length")
-        elif kind.get_class() not in _NUMBERS or kind.get_size() > np.dtype(np.float64).itemsize:
-            raise self._refusal(name, f"has the type {_told(kind)}")
+    def _check_type(self, dtype: h5t.TypeID, name: str) -> None:
+        kind, size = dtype.get_class(), dtype.get_size()
+        if isinstance(dtype, h5t.TypeStringID):
+            if dtype.is_variable_str():
+                raise self._rejection(name, "has strings of any length")
+        elif kind not in _NUMBER_CLASSES or size > np.dtype(np.float64).itemsize:
+            type_name = _TYPE_NAMES.get(kind, f"of class {kind} and {size} bytes")
+            raise self._rejection(name, f"has the type {type_name}")
 
-    def _size(self, found: h5d.DatasetID, name: str, shape: tuple[int, ...], chunk: tuple[int, ...]) -> None:
-        stored: int = found.get_storage_size()
-        elements, least = prod(shape), prod(chunk)  # a chunk is unpacked as a whole
-        claimed = found.get_type().get_size() * (max(elements, least) if elements else 0)
-        self._left -= stored
-        if self._left < 0:
-            raise self._refusal(name, "and what is before it claim more bytes than the file has")
-        if claimed > _UNPACKED * stored:
-            raise self._refusal(name, f"claims {claimed} bytes and has {stored} in the file")
+    def _check_size(
+        self, dataset: h5d.DatasetID, name: str, shape: tuple[int, ...], chunk: tuple[int, ...]
+    ) -> None:
+        stored_bytes: int = dataset.get_storage_size()
+        count = prod(shape) and max(prod(shape), prod(chunk))  # a chunk is unpacked as a whole
+        declared_bytes = dataset.get_type().get_size() * count
+        self._remaining_bytes -= stored_bytes
+        if self._remaining_bytes < 0:
+            raise self._rejection(name, "and what is before it claim more bytes than the file has")
+        if declared_bytes > _MAX_COMPRESSION_RATIO * stored_bytes:
+            raise self._rejection(name, f"claims {declared_bytes} bytes and has {stored_bytes} in the file")
 
-    def _refusal(self, name: str, what: str) -> FormatError:
+    def _rejection(self, name: str, problem: str) -> FormatError:
         return FormatError(
-            f"{self._path}: {name or '/'} {what}, as nothing does in a file of mixseq's; it is damaged, or made by "
-            "another program, and is not read"
+            f"{self._path}: {name or '/'} {problem}, which is never the case in files of mixseq; the file is damaged, "
+            "or made by another program, and is not read"
         )
 
 
-def _told(kind: h5t.TypeID) -> str:
-    names = {h5t.REFERENCE: "reference", h5t.VLEN: "list of any length", h5t.COMPOUND: "compound"}
-    return names.get(kind.get_class(), f"of class {kind.get_class()} and {kind.get_size()} bytes")
+def load_attributes(path: Path) -> Contents:
+    """Read a file's attributes, see `mixseq_io.hdf5.contents.read_attributes`."""
+    limit_time(_ATTRIBUTE_TIME_FRACTION)
+    with open_inspected(path) as file:
+        return Contents(path, _read_attributes(file), {})
 
 
-_SHARE = 1 / 60
-"""Share of the time limit for attributes, which are small; damaged ones may loop forever."""
-
-
-def attributes(path: Path) -> Contents:
-    """Read a file's attributes, as `mixseq_io.hdf5.contents.read_attributes`."""
-    limit_time(_SHARE)
-    with opened_h5(path) as file:
-        return Contents(_attributes_of(file), {})
-
-
-def contents(path: Path, kind: str | None) -> Contents:
-    """Read a file, as `mixseq_io.hdf5.contents.read_contents`."""
-    limit_time(_SHARE)
-    with opened_h5(path) as file:
-        found = Contents(_attributes_of(file), {})
-        if kind not in (None, found.kind):
-            return found
+def load_contents(path: Path, kind: str | None) -> Contents:
+    """Read a file, see `mixseq_io.hdf5.contents.read_contents`."""
+    limit_time(_ATTRIBUTE_TIME_FRACTION)
+    with open_inspected(path) as file:
+        contents = Contents(path, _read_attributes(file), {})
+        if kind not in (None, contents.kind):
+            return contents
         limit_time(1)
-        return contents_of(path, file)
+        return load_datasets(path, file)
 
 
-def contents_of(path: Path, file: h5py.File, but: Collection[str] = ()) -> Contents:
-    """Read an open file, except for the datasets `but`."""
-    _, datasets = _objects(file)
-    check_memory(path, sum(_unpacked(each, name in but) for name, each in datasets.items()), "its datasets")
+def load_datasets(path: Path, file: h5py.File, excluded: Collection[str] = ()) -> Contents:
+    """Read an open file except for some datasets."""
+    _, datasets = _list_objects(file)
+    needed = sum(_memory_bytes(dataset, name in excluded) for name, dataset in datasets.items())
+    check_memory(path, needed, "its datasets")
     arrays: dict[str, NDArray[Any]] = {}
-    for name in (name for name in datasets if name not in but):
-        try:
-            arrays[name] = datasets[name][...]
-        except OSError as error:
-            raise FormatError(
-                f"{path}: {name} is damaged ({summarize_error(error)}); restore the file"
-            ) from error
-    return Contents(_attributes_of(file), arrays)
+    for name, dataset in datasets.items():
+        if name not in excluded:
+            try:
+                arrays[name] = dataset[...]
+            except OSError as error:
+                raise FormatError(
+                    f"{path}: {name} is damaged ({summarize_error(error)}); restore the file"
+                ) from error
+    return Contents(path, _read_attributes(file), arrays)
 
 
-def _attributes_of(file: h5py.File) -> dict[str, dict[str, Any]]:
-    return {name: dict(each.attrs) for name, each in _objects(file)[0].items()}
+def _read_attributes(file: h5py.File) -> dict[str, dict[str, Any]]:
+    return {name: dict(group.attrs) for name, group in _list_objects(file)[0].items()}
 
 
-def _unpacked(dataset: h5py.Dataset, in_part: bool) -> int:
-    """Return the size of a dataset in memory in bytes, or of one chunk, which is unpacked as a whole."""
+def _memory_bytes(dataset: h5py.Dataset, by_chunk: bool) -> int:
+    """Return the memory that a dataset takes, or one of its chunks; chunks are unpacked as a whole."""
     chunk = prod(dataset.chunks or (1,))
-    return int(dataset.dtype.itemsize * (chunk if in_part else max(dataset.size, chunk)))
+    return int(dataset.dtype.itemsize * (chunk if by_chunk else max(dataset.size, chunk)))
 
 
-def _objects(file: h5py.File) -> tuple[dict[str, h5py.Group], dict[str, h5py.Dataset]]:
+def _list_objects(file: h5py.File) -> tuple[dict[str, h5py.Group], dict[str, h5py.Dataset]]:
+    """Return groups, the root as "", and datasets by name."""
     names: list[str] = []
     file.visit(names.append)
-    every = {"": file} | {name: file[name] for name in names}
-    datasets = {name: each for name, each in every.items() if isinstance(each, h5py.Dataset)}
-    return {name: each for name, each in every.items() if name not in datasets}, datasets
+    objects = {"": file} | {name: file[name] for name in names}
+    datasets = {name: item for name, item in objects.items() if isinstance(item, h5py.Dataset)}
+    return {name: item for name, item in objects.items() if name not in datasets}, datasets
 
 
 @contextmanager
-def opened_h5(path: Path) -> Iterator[h5py.File]:
-    """Open a file in this process after checking that it holds only permitted contents."""
+def open_inspected(path: Path) -> Iterator[h5py.File]:
+    """Open a file in this process, and reject it unless all its contents are permitted."""
     with translate_h5_errors(path), h5py.File(path, "r") as file:
-        _Inspection(path).group(file.id, "")
+        _FileInspector(path).check_group(file.id, "")
         yield file

@@ -1,4 +1,4 @@
-"""HDF5 sequences: complete mesh sequences, compressed, with checksums.
+"""HDF5 sequences: all of a mesh sequence, deflated, with checksums.
 
 ::
 
@@ -27,54 +27,55 @@ from mixseq.errors import FormatError
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray
 from mixseq_io.hdf5.contents import check_version, read_attributes, read_header, translate_h5_errors
-from mixseq_io.hdf5.datasets import CHECKED, creating_h5, put_array, put_text, write_header
-from mixseq_io.hdf5.inspection import contents_of, opened_h5
+from mixseq_io.hdf5.datasets import STORAGE_OPTIONS, create_h5, write_array, write_header, write_text
+from mixseq_io.hdf5.inspection import load_datasets, open_inspected
 from mixseq_io.isolation import open_isolated
 from mixseq_io.reader import SequenceReader, prefix_errors, summarize_error, validate_blocks
 
-FORMAT = "mixseq-sequence"
-VERSION = 1
+SEQUENCE_FORMAT = "mixseq-sequence"
+SEQUENCE_VERSION = 1
 
-_BY_FRAME = ("points", "velocities")
-"""Datasets read frame by frame on demand."""
+_FRAME_DATASETS = ("points", "velocities")
+"""Datasets that are read block by block."""
 
-# A chunk is compressed and read as a whole; HDF5 keeps 1 MiB of them by default.
-_CHUNK_BYTES = 1 << 20
+_MAX_CHUNK_BYTES = 1 << 20
+"""Chunks are read as a whole; HDF5 caches 1 MiB of them by default."""
 
 
 def open_h5(path: Path) -> SequenceReader:
     """Open an HDF5 sequence of mixseq."""
-    found = read_attributes(path)
-    if found.kind != FORMAT:
-        raise FormatError(f"{path} is an HDF5 file, but not one of mixseq's (format = {found.kind!r})")
+    contents = read_attributes(path)
+    if contents.kind != SEQUENCE_FORMAT:
+        raise FormatError(f"{path} is an HDF5 file, but not one of mixseq's (format = {contents.kind!r})")
     with translate_h5_errors(path):
-        check_version(path, found, VERSION)
+        check_version(contents, SEQUENCE_VERSION)
     return open_isolated(f"{__name__}:_open", path, {})
 
 
 def _open(path: Path) -> SequenceReader:
     with ExitStack() as resources:
-        file = resources.enter_context(opened_h5(path))
+        file = resources.enter_context(open_inspected(path))
         with prefix_errors(path):
             header = _header(path, file)
         return _H5Reader(path, header, file, resources.pop_all())
 
 
 def _header(path: Path, file: h5py.File) -> SequenceHeader:
-    names = _BY_FRAME if "velocities" in file else _BY_FRAME[:1]
+    names = _FRAME_DATASETS if "velocities" in file else _FRAME_DATASETS[:1]
     for name in names:
         if not isinstance(file[name], h5py.Dataset):
-            raise FormatError(f"{path}: {name} is no dataset; it is damaged")
+            raise FormatError(f"{path}: {name} is not a dataset; it is damaged")
     shape = file["points"].shape
     for name in names:
-        found, dtype = file[name].shape, file[name].dtype
-        if len(found) != 3 or found[2] != 3 or found != shape or dtype not in (np.float32, np.float64):
-            raise FormatError(f"{path}: {name} are {dtype} of shape {found}; it is damaged")
-    contents = contents_of(path, file, _BY_FRAME)
+        dataset, dtype = file[name], file[name].dtype
+        fits = dataset.shape == shape and len(shape) == 3 and shape[2] == 3
+        if not fits or dtype not in (np.float32, np.float64):
+            raise FormatError(f"{path}: {name} are {dtype} of shape {dataset.shape}; it is damaged")
+    contents = load_datasets(path, file, _FRAME_DATASETS)
     times = contents.arrays["times"]
     if len(times) != shape[0]:
         raise FormatError(f"{path}: {shape[0]} frames of points for {len(times)} times; it is damaged")
-    return read_header(path, contents, vertex_count=shape[1], times=times)
+    return read_header(contents, vertex_count=shape[1], times=times)
 
 
 class _H5Reader(SequenceReader):
@@ -82,9 +83,9 @@ class _H5Reader(SequenceReader):
         super().__init__(path, header, resources, has_velocities="velocities" in file)
         self._file = file
 
-    def _read(self, what: str, size: int) -> Iterator[FloatArray]:
+    def _read(self, quantity: str, size: int) -> Iterator[FloatArray]:
         with translate_h5_errors(self.path):
-            dataset = self._file[what]
+            dataset = self._file[quantity]
         for start in range(0, len(dataset), size):
             stop = min(start + size, len(dataset))
             try:
@@ -92,7 +93,7 @@ class _H5Reader(SequenceReader):
             except (OSError, RuntimeError, ValueError) as error:
                 first, last = (self.header.frame_number(index) for index in (start, stop - 1))
                 raise FormatError(
-                    f"{self.path}: {what} of frames {first} to {last} are damaged ({summarize_error(error)}); "
+                    f"{self.path}: {quantity} of frames {first} to {last} are damaged ({summarize_error(error)}); "
                     "restore the file"
                 ) from error
             yield block.astype(block.dtype.newbyteorder("="), copy=False)
@@ -105,22 +106,23 @@ def write_h5(
     velocities: Iterable[FloatArray] | None = None,
 ) -> None:
     """Write an HDF5 sequence, one block at a time; see `mixseq_io.write_blocks`."""
-    with creating_h5(path) as (file, store):
-        dtype, numbered = validate_blocks(header, blocks, velocities)
-        put_text(file, "format", FORMAT)
-        file.attrs["version"] = VERSION
+    with create_h5(path) as (file, buffer):
+        dtype, frame_blocks = validate_blocks(header, blocks, velocities)
+        write_text(file, "format", SEQUENCE_FORMAT)
+        file.attrs["version"] = SEQUENCE_VERSION
         write_header(file, header)
-        put_array(file, "times", header.times)
+        write_array(file, "times", header.times)
         shape = (header.frame_count, header.vertex_count, 3)
-        frame_bytes = header.vertex_count * 3 * dtype.itemsize
-        frames = min(max(1, _CHUNK_BYTES // frame_bytes), header.frame_count)
-        names = _BY_FRAME[:1] if velocities is None else _BY_FRAME
+        bytes_per_frame = header.vertex_count * 3 * dtype.itemsize
+        chunk_frames = min(max(1, _MAX_CHUNK_BYTES // bytes_per_frame), header.frame_count)
+        names = _FRAME_DATASETS[:1] if velocities is None else _FRAME_DATASETS
+        chunks = (chunk_frames, *shape[1:])
         datasets = [
-            file.create_dataset(name, shape, dtype, chunks=(frames, *shape[1:]), **CHECKED) for name in names
+            file.create_dataset(name, shape, dtype, chunks=chunks, **STORAGE_OPTIONS) for name in names
         ]
-        for first, points, speeds in numbered:
-            for dataset, block in zip(datasets, (points, speeds), strict=False):
-                dataset[first : first + len(points)] = block
-            store.check()
-        for dataset in datasets:  # one after the other, not as they happen to be closed: see `put_array`
+        for first_frame, points, velocity_block in frame_blocks:
+            for dataset, block in zip(datasets, (points, velocity_block), strict=False):
+                dataset[first_frame : first_frame + len(points)] = block
+            buffer.check()
+        for dataset in datasets:  # in this order, for reproducible files: see `write_array`
             dataset.flush()

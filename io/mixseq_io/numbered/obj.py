@@ -37,9 +37,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import FormatError
-from mixseq.mesh.measures import hard_edges_of_normals, shared_normals
+from mixseq.mesh.measures import corner_normals, hard_edges_from_normals
 from mixseq.mesh.polygons import Polygons
-from mixseq.mesh.surface import WHITE, CornerValues, FaceSet, MeshObject, Surface
+from mixseq.mesh.surface import DEFAULT_COLOUR, CornerValues, FaceSet, MeshObject, Surface
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, IntArray
 from mixseq_io.numbered.files import (
@@ -293,7 +293,7 @@ def _uvs(
     rows = np.array([*values, (0.0, 0.0)] if missing.any() else values)
     with np.errstate(over="ignore"):
         uvs = CornerValues(rows.astype(np.float32), np.where(missing, len(values), indices))
-    return uvs.welded(polygons.indices)
+    return uvs.weld(polygons.indices)
 
 
 def _colours(file: Path, polygons: Polygons, lines: _Lines, like: MeshFile | None) -> CornerValues | None:
@@ -304,7 +304,7 @@ def _colours(file: Path, polygons: Polygons, lines: _Lines, like: MeshFile | Non
     found = {vertex: each for vertex, each in enumerate(words) if len(each) == _COLOUR}
     if not found:
         return None
-    values = np.tile(WHITE, (len(lines.points), 1))
+    values = np.tile(DEFAULT_COLOUR, (len(lines.points), 1))
     values[list(found), :_COLOUR] = colours_of_words(file, list(found), list(found.values()), like)
     return CornerValues(values, polygons.indices)
 
@@ -319,7 +319,7 @@ def _hard_edges(
     normals = np.array(values)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return hard_edges_of_normals(polygons, np.nan_to_num(normals)[indices])
+    return hard_edges_from_normals(polygons, np.nan_to_num(normals)[indices])
 
 
 def _check_numbers(file: Path, polygons: Polygons, indices: IntArray, count: int, what: str) -> None:
@@ -348,7 +348,7 @@ def obj_encoder(path: Path, header: SequenceHeader) -> Encoder:
         yield WRITTEN_BY + str(points.dtype).encode() + b"\n"
         yield uvs
         if hard_edges is not None:
-            yield number_lines("vn ", shared_normals(points[None], header.polygons, hard_edges)[0])
+            yield number_lines("vn ", corner_normals(points[None], header.polygons, hard_edges)[0])
         for name, (a, b), own in zip(names, pairwise(vertices), faces, strict=True):
             yield name
             yield number_lines("v ", points[a:b], colours[a:b])

@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mixseq.errors import FormatError
 from mixseq.mesh.polygons import Polygons
-from mixseq.mesh.surface import NO_UV, WHITE, CornerValues, Surface
+from mixseq.mesh.surface import DEFAULT_COLOUR, DEFAULT_UV, CornerValues, Surface
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, IntArray
 from mixseq_io.numbered.files import Encoder, FrameFormat, MeshFile
@@ -338,7 +338,7 @@ def _uvs(file: Path, elements: dict[str, Columns], polygons: Polygons) -> Corner
                     f"{file}, face {face} has {lists.counts[face]} numbers of texture coordinates for "
                     f"{polygons.counts[face]} corners; it is damaged"
                 )
-            return CornerValues.of_corners(_of_lists(lists, polygons, NO_UV))
+            return CornerValues.from_corners(_of_lists(lists, polygons, DEFAULT_UV))
         for names in _UV_NAMES:
             values = _side_by_side(elements["vertex"], *names)
             if values is not None:
@@ -358,7 +358,9 @@ def _colours(
         wrong = (lists.counts != 0) & (lists.counts != width * polygons.counts)
         if not wrong.any():
             shares = replace(lists, values=_from_zero_to_one([lists])[0])
-            return CornerValues.of_corners(ensure_alpha(_of_lists(shares, polygons, WHITE[:width])))
+            return CornerValues.from_corners(
+                ensure_alpha(_of_lists(shares, polygons, DEFAULT_COLOUR[:width]))
+            )
         face = int(np.argmax(wrong))
         if like is None:
             warn(
@@ -370,7 +372,7 @@ def _colours(
         return of_vertices
     values = _colour_rows(faces)
     rows = np.repeat(np.arange(len(polygons.counts)), polygons.counts)
-    return None if values is None else CornerValues(values, rows).welded(polygons.indices)
+    return None if values is None else CornerValues(values, rows).weld(polygons.indices)
 
 
 def _colours_of_vertices(vertices: Columns, polygons: Polygons) -> CornerValues | None:
@@ -419,14 +421,16 @@ def _encoder(path: Path, header: SequenceHeader) -> Encoder:
     lists: list[tuple[str, NDArray[np.float32]]] = []  # name, and numbers of corners
     if surface.uvs is not None:
         if surface.uvs.one_per_vertex(polygons.indices):
-            columns.append(("s t", surface.uvs.at_vertices(polygons.indices, header.vertex_count, NO_UV)))
+            columns.append(
+                ("s t", surface.uvs.at_vertices(polygons.indices, header.vertex_count, DEFAULT_UV))
+            )
         else:
             lists.append(("texcoord", surface.uvs.at_corners))
     if surface.colours is not None:
         channels = 3 if (surface.colours.values[:, 3] == 1).all() else 4
         colours = replace(surface.colours, values=clip_to_unit(surface.colours.values))
         if colours.one_per_vertex(polygons.indices):
-            values = colours.at_vertices(polygons.indices, header.vertex_count, WHITE)[:, :channels]
+            values = colours.at_vertices(polygons.indices, header.vertex_count, DEFAULT_COLOUR)[:, :channels]
             exact = colours_to_exact_bytes(values)
             columns.append((" ".join(_COLOUR[:channels]), values if exact is None else exact))
         else:

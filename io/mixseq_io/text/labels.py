@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mixseq.mesh.polygons import Polygons, frozen
+from mixseq.mesh.polygons import Polygons, read_only
 from mixseq.mesh.surface import FaceSet
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Index
@@ -28,7 +28,7 @@ class Labels:
 
     def __post_init__(self) -> None:
         object.__setattr__(
-            self, "part_of_face", frozen(np.ascontiguousarray(self.part_of_face, dtype=np.int64))
+            self, "part_of_face", read_only(np.ascontiguousarray(self.part_of_face, dtype=np.int64))
         )
 
 

@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from pxr import Ar, Gf, Sdf, Usd, UsdUtils, Vt
 
 from mixseq.errors import OutputError
-from mixseq.mesh.measures import shared_normals
+from mixseq.mesh.measures import corner_normals
 from mixseq.types import Float, FloatArray, IntArray
 from mixseq_io.files import backup_path, raise_system_error, temporary_prefix
 from mixseq_io.reader import FrameBlock, as_float32, warn
@@ -163,7 +163,7 @@ def _normals(
     normals: Normals, points: FloatArray, scene_mesh: SceneMesh, space: Space
 ) -> NDArray[np.float32]:
     """Return normals in a mesh's space: for x' = x M normals are n' = n M⁻ᵀ, hence n = n' Mᵀ."""
-    unit = shared_normals(points[None], scene_mesh.polygons, normals.groups)[0]
+    unit = corner_normals(points[None], scene_mesh.polygons, normals.groups)[0]
     if space is not WORLD:
         local = unit @ space.to_world[:3, :3].T
         unit = (local / np.linalg.norm(local, axis=1, keepdims=True)).astype(np.float32)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from mixseq.errors import FormatError, OutputError
-from mixseq.mesh.polygons import PolygonMatch, Polygons, difference, reversed_corners
+from mixseq.mesh.polygons import PolygonMatch, Polygons, describe_difference, reversed_winding
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, IntArray
 from mixseq_io.originals import is_retimed, match_meshes
@@ -201,7 +201,7 @@ def _difference(scene_mesh: SceneMesh, mesh: UsdGeom.Mesh) -> str:
     for seams in (weld(mesh, places), unwelded(len(places))):
         if seams.vertex_count == scene_mesh.vertex_count:
             theirs = seams.polygons(stored)
-            return difference(scene_mesh.polygons, theirs, ("the sequence", str(mesh.GetPath())))
+            return describe_difference(scene_mesh.polygons, theirs, ("the sequence", str(mesh.GetPath())))
     return f"it has {len(places)} points, the sequence {scene_mesh.vertex_count} vertices"
 
 
@@ -210,7 +210,7 @@ def _fitted(scene_mesh: SceneMesh, mesh: UsdGeom.Mesh) -> Fit | None:
     stored, places = _stored(mesh)
     if stored is None:
         return None
-    reverse = reversed_corners(stored.counts, keep_first=True)
+    reverse = reversed_winding(stored.counts, keep_first=True)
     # The sequence may have come from elsewhere, with a vertex for every point.
     for seams in (weld(mesh, places), unwelded(len(places))):
         if seams.vertex_count != scene_mesh.vertex_count:

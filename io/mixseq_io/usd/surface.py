@@ -20,8 +20,8 @@ from pxr import Ar, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, UsdUtils, Vt
 from scipy.sparse import csr_array
 
 from mixseq.errors import FormatError, InvalidSequenceError
-from mixseq.mesh.measures import hard_edges_of_normals
-from mixseq.mesh.polygons import Polygons, reversed_corners
+from mixseq.mesh.measures import hard_edges_from_normals
+from mixseq.mesh.polygons import Polygons, reversed_winding
 from mixseq.mesh.surface import CornerValues, FaceSet, Origin
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import IntArray
@@ -331,12 +331,12 @@ def scene_mesh_of(
 
 
 def _turned(scene_mesh: SceneMesh) -> SceneMesh:
-    order = reversed_corners(scene_mesh.polygons.counts, keep_first=True)
+    order = reversed_winding(scene_mesh.polygons.counts, keep_first=True)
     return replace(
         scene_mesh,
         polygons=Polygons(scene_mesh.polygons.counts, scene_mesh.polygons.indices[order]),
-        uvs=scene_mesh.uvs and scene_mesh.uvs.taken(order),
-        colours=scene_mesh.colours and scene_mesh.colours.taken(order),
+        uvs=scene_mesh.uvs and scene_mesh.uvs.select(order),
+        colours=scene_mesh.colours and scene_mesh.colours.select(order),
         hard_edges=None if scene_mesh.hard_edges is None else scene_mesh.hard_edges[order],
     )
 
@@ -375,7 +375,7 @@ def _colours(animated: AnimatedMesh, polygons: Polygons, notes: Notes) -> Corner
     alpha = _values(animated, polygons, notes, "opacities", opacity) if opacity.HasAuthoredValue() else None
     if alpha is None:
         return CornerValues(ensure_alpha(colours.values), colours.indices)
-    return CornerValues.of_corners(np.hstack([colours.at_corners[:, :3], alpha.at_corners]))
+    return CornerValues.from_corners(np.hstack([colours.at_corners[:, :3], alpha.at_corners]))
 
 
 def _chosen_values(
@@ -435,7 +435,7 @@ def _hard_edges(animated: AnimatedMesh, polygons: Polygons, notes: Notes) -> NDA
     if not are_valid_indices(rows, len(normals)) or not np.isfinite(normals).all():
         notes.add(mesh.GetPrim(), "normals do not fit the faces and are left out")
         return None
-    return hard_edges_of_normals(animated.weld.polygons(polygons), normals[rows])
+    return hard_edges_from_normals(animated.weld.polygons(polygons), normals[rows])
 
 
 def rows_of_corners(interpolation: str, polygons: Polygons) -> NDArray[np.int32]:

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from pxr import Ar, Kind, Sdf, Usd, UsdGeom, UsdShade, Vt
 
 from mixseq.errors import FormatError, OutputError, SettingsError
-from mixseq.mesh.surface import WHITE, CornerValues, FaceSet
+from mixseq.mesh.surface import DEFAULT_COLOUR, CornerValues, FaceSet
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray
 from mixseq_io.files import atomic_file
@@ -105,7 +105,7 @@ def _define_colours(mesh: UsdGeom.Mesh, scene_mesh: SceneMesh, colours: CornerVa
         interpolation = UsdGeom.Tokens.constant
     elif colours.one_per_vertex(vertices):
         interpolation = UsdGeom.Tokens.vertex
-        values = colours.at_vertices(vertices, scene_mesh.vertex_count, WHITE)
+        values = colours.at_vertices(vertices, scene_mesh.vertex_count, DEFAULT_COLOUR)
     else:
         interpolation, rows = UsdGeom.Tokens.faceVarying, Vt.IntArrayFromBuffer(colours.indices)
     primvars = [mesh.CreateDisplayColorPrimvar(interpolation)]

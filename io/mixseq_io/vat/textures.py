@@ -177,9 +177,9 @@ class Texels:
                 mesh.scene_mesh.vertex_count if hard_edges is None else int(hard_edges.max(initial=-1)) + 1
             )
             for each in mesh.primitives:
-                assert each.normals is not None  # new documents have some
-                vertices = np.arange(header.vertex_count)[mesh.scene_mesh.vertices][each.vertices]
-                keys.append(np.column_stack([vertices, each.normals + first]))
+                assert each.normal_ids is not None  # new documents have some
+                vertices = np.arange(header.vertex_count)[mesh.scene_mesh.vertices][each.vertex_ids]
+                keys.append(np.column_stack([vertices, each.normal_ids + first]))
             first += groups
         distinct, numbers = np.unique(np.concatenate(keys), axis=0, return_inverse=True)
         ends = np.cumsum([len(each) for each in keys])[:-1]
@@ -194,7 +194,7 @@ class Texels:
 
     def normals_of(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return the normals ``(n, N, 3)`` of texels for points ``(n, V, 3)``."""
-        found = [mesh.normals_of(points.astype(np.float32)) for mesh in self.meshes]
+        found = [mesh.compute_normals(points.astype(np.float32)) for mesh in self.meshes]
         return np.asarray(np.concatenate(found, axis=1)[:, self.normals])
 
     @cached_property

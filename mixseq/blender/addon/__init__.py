@@ -1,7 +1,7 @@
-"""Deforming meshes from mixseq models: evaluated at every frame and sub-frame, retimed, baked.
+"""The Blender add-on: meshes deformed by mixseq models at every frame and sub-frame, retimed and baked.
 
-`settings` holds the settings of a mesh in a .blend file, `live` moves the vertices, `making` makes meshes of models,
-`importing`, `timing` and `baking` hold the operators, `panel` the user interface.
+`settings` defines the properties of a mesh, `live` moves vertices, `making` creates meshes from models. `importing`,
+`timing` and `baking` are the operators, `panel` is the user interface.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ _MODULES = (settings, live, importing, timing, baking, panel)
 
 
 def register() -> None:
-    """Register all classes; Blender calls it when the add-on is switched on."""
+    """Register all classes when Blender enables the add-on."""
     for module in _MODULES:
         module.register()
 
 
 def unregister() -> None:
-    """Unregister all classes."""
+    """Unregister all classes when Blender disables the add-on."""
     for module in reversed(_MODULES):
         module.unregister()

@@ -1,4 +1,4 @@
-"""Baking: the scene's frames as shape keys or as Alembic, which play without the add-on or the model."""
+"""Bake the scene's frames to shape keys or Alembic, which play without the add-on and the model."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from mixseq.errors import SettingsError
 from mixseq.types import Single
 
 from . import live
-from .timing import BLUR, linear
+from .timing import BLUR_MODIFIER_NAME, make_linear
 
 
 class _Bake:
-    """Base of the operators: read the scene's frames, and stop the live motion of the mesh."""
+    """Base class of the operators: bake the scene's frames, then turn off Live."""
 
     bl_options = {"REGISTER", "UNDO"}
     report: Any
@@ -29,25 +29,22 @@ class _Bake:
         default=1,
         min=1,
         max=64,
-        description="Per frame; motion blur sees those between frames",
+        description="Samples per frame, for motion blur",
     )
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        """Return whether a model moves the active object."""
-        thing = context.object
-        return (
-            thing is not None and thing.type == "MESH" and thing.data.mixseq.moves and thing.mode == "OBJECT"
-        )
+        """Whether a model moves the active object, in object mode."""
+        return live.is_driven(context.object) and context.object.mode == "OBJECT"
 
     def execute(self, context: Any) -> set[str]:
-        """Run the operator; report an error as a message of Blender's."""
+        """Run the operator; report errors in Blender."""
         mesh = context.object.data
         try:
-            with _frame_kept(context.scene):
+            with _keep_frame(context.scene):
                 self.bake(context)
         except Exception as error:
-            self.report({"ERROR"}, live.in_words(error))
+            self.report({"ERROR"}, live.format_error(error))
             return {"CANCELLED"}
         mesh.mixseq.is_live = False
         context.view_layer.update()
@@ -59,31 +56,31 @@ class _Bake:
 
 
 class BakeShapeKeys(_Bake, bpy.types.Operator):
-    """Make a shape key of every frame of the scene, played by the evaluation time of the keys."""
+    """Bake every frame of the scene to an absolute shape key, animated by the evaluation time."""
 
     bl_idname = "mixseq.bake_shape_keys"
     bl_label = "Bake to Shape Keys"
 
     def bake(self, context: Any) -> None:
-        """Add one absolute key per frame, and one F-curve for all of them."""
-        scene, thing = context.scene, context.object
+        """Add one absolute shape key per sample, and an F-curve of the evaluation time."""
+        scene, active = context.scene, context.object
         count = (scene.frame_end - scene.frame_start) * self.samples + 1
-        moments = scene.frame_start + np.arange(count) / self.samples
-        poses = [_pose(scene, thing.data, moment) for moment in moments.tolist()]
-        for moment, pose in zip(moments.tolist(), poses, strict=True):
-            key = thing.shape_key_add(name=f"{moment:g}", from_mix=False)
+        frames = scene.frame_start + np.arange(count) / self.samples
+        poses = [_evaluate_pose(scene, active.data, frame) for frame in frames.tolist()]
+        for frame, pose in zip(frames.tolist(), poses, strict=True):
+            key = active.shape_key_add(name=f"{frame:g}", from_mix=False)
             key.data.foreach_set("co", pose.reshape(-1))
             key.interpolation = "KEY_LINEAR"
-        keys = thing.data.shape_keys
+        keys = active.data.shape_keys
         keys.use_relative = False
-        for moment, block in ((moments[0], keys.key_blocks[0]), (moments[-1], keys.key_blocks[-1])):
+        for frame, block in ((frames[0], keys.key_blocks[0]), (frames[-1], keys.key_blocks[-1])):
             keys.eval_time = block.frame
-            keys.keyframe_insert("eval_time", frame=moment)
-        linear(keys)
+            keys.keyframe_insert("eval_time", frame=frame)
+        make_linear(keys)
 
 
 class BakeAlembic(_Bake, bpy.types.Operator, ExportHelper):
-    """Write the mesh, before its modifiers, into an Alembic file, which then moves it."""
+    """Bake the mesh, without its modifiers, to an Alembic file, and play that file."""
 
     bl_idname = "mixseq.bake_alembic"
     bl_label = "Bake to Alembic"
@@ -91,10 +88,10 @@ class BakeAlembic(_Bake, bpy.types.Operator, ExportHelper):
     filter_glob: StringProperty(default="*.abc", options={"HIDDEN"})
 
     def bake(self, context: Any) -> None:
-        """Export an object with only the mesh, and add a modifier that reads it to the original."""
-        thing, scene = context.object, context.scene
-        _pose(scene, thing.data, scene.frame_start)  # raises errors before a file is written
-        with _alone(context, thing.data) as bare:
+        """Export a temporary object of the mesh, and add a Mesh Sequence Cache modifier to the active object."""
+        active, scene = context.object, context.scene
+        _evaluate_pose(scene, active.data, scene.frame_start)  # raises errors before a file is written
+        with _temporary_object(context, active.data) as exported:
             bpy.ops.wm.alembic_export(
                 filepath=self.filepath,
                 start=scene.frame_start,
@@ -104,49 +101,50 @@ class BakeAlembic(_Bake, bpy.types.Operator, ExportHelper):
                 face_sets=True,
                 as_background_job=False,
             )
-            inside = "".join("/" + re.sub("[ .:]", "_", each.name) for each in (bare, thing.data))
+            object_path = "".join("/" + re.sub("[ .:]", "_", block.name) for block in (exported, active.data))
         bpy.ops.cachefile.open(filepath=self.filepath)
-        modifier = thing.modifiers.new("mixseq", "MESH_SEQUENCE_CACHE")
+        modifier = active.modifiers.new("mixseq", "MESH_SEQUENCE_CACHE")
         modifier.cache_file = bpy.data.cache_files[-1]
-        modifier.object_path = inside
-        thing.modifiers.move(len(thing.modifiers) - 1, 0)
-        if BLUR in thing.modifiers:
-            thing.modifiers.remove(thing.modifiers[BLUR])
+        modifier.object_path = object_path
+        active.modifiers.move(len(active.modifiers) - 1, 0)
+        if BLUR_MODIFIER_NAME in active.modifiers:
+            active.modifiers.remove(active.modifiers[BLUR_MODIFIER_NAME])
 
 
-def _pose(scene: bpy.types.Scene, mesh: bpy.types.Mesh, moment: float) -> Single:
-    """Return the vertices ``(V, 3)`` at a frame of the scene, in Blender's axes."""
-    scene.frame_set(int(moment // 1), subframe=moment % 1)
-    if told := live.problem(mesh):
-        raise SettingsError(told)
+def _evaluate_pose(scene: bpy.types.Scene, mesh: bpy.types.Mesh, frame: float) -> Single:
+    """Return the vertices ``(V, 3)`` at a frame or sub-frame of the scene, in Blender's axes."""
+    scene.frame_set(int(frame // 1), subframe=frame % 1)
+    if message := live.error_message(mesh):
+        raise SettingsError(message)
     pose = np.empty((len(mesh.vertices), 3), dtype=np.float32)
     mesh.attributes["position"].data.foreach_get("vector", pose.reshape(-1))
     return pose
 
 
 @contextmanager
-def _frame_kept(scene: bpy.types.Scene) -> Iterator[None]:
-    frame, part = scene.frame_current, scene.frame_subframe
+def _keep_frame(scene: bpy.types.Scene) -> Iterator[None]:
+    """Restore the scene's frame after the block."""
+    frame, subframe = scene.frame_current, scene.frame_subframe
     try:
         yield
     finally:
-        scene.frame_set(frame, subframe=part)
+        scene.frame_set(frame, subframe=subframe)
 
 
 @contextmanager
-def _alone(context: Any, mesh: bpy.types.Mesh) -> Iterator[bpy.types.Object]:
-    """Yield a new object of a mesh, the only one selected."""
-    selected, active = context.selected_objects, context.object
-    bare = bpy.data.objects.new(f"{active.name}_baked", mesh)
-    context.scene.collection.objects.link(bare)
+def _temporary_object(context: Any, mesh: bpy.types.Mesh) -> Iterator[bpy.types.Object]:
+    """Yield a temporary object of a mesh, the only selected one; restore the selection afterwards."""
+    selection, active = context.selected_objects, context.object
+    temporary = bpy.data.objects.new(f"{active.name}_baked", mesh)
+    context.scene.collection.objects.link(temporary)
     bpy.ops.object.select_all(action="DESELECT")
-    bare.select_set(True)
+    temporary.select_set(True)
     try:
-        yield bare
+        yield temporary
     finally:
-        bpy.data.objects.remove(bare)
-        for each in selected:
-            each.select_set(True)
+        bpy.data.objects.remove(temporary)
+        for item in selection:
+            item.select_set(True)
         context.view_layer.objects.active = active
 
 

@@ -1,9 +1,8 @@
 """Move the vertices of meshes whenever Blender evaluates a frame or sub-frame.
 
-Blender calls `_evaluated` with the scene at a frame and the dependency graph that evaluates it: that of the viewport,
-or of a render, with sub-frames for motion blur. Animated settings are read from the evaluated mesh, as only the
-viewport writes them back to the original one. The vertices of the original are moved, whose tag makes Blender evaluate
-it again.
+Blender calls `_update_meshes` with the scene and the dependency graph of the viewport, or of a render, which evaluates
+sub-frames for motion blur. Animated settings are read from the evaluated mesh, since only the viewport writes them back
+to the original mesh. Then the vertices of the original mesh are set, which tags it for evaluation.
 """
 
 from __future__ import annotations
@@ -14,151 +13,154 @@ from typing import Any
 import bpy
 from bpy.app.handlers import persistent
 
-from mixseq.blender.motion import Frames, Models, Motion, Placement, part_of, seconds
+from mixseq.blender.motion import FrameCache, ModelCache, Motion, Placement, part_slices
 from mixseq.errors import MixseqError, SettingsError
 from mixseq.signals.model import Model
 from mixseq_io.loading import load
 
-from .settings import MotionSettings, memory
+from .settings import MotionSettings, max_cache_bytes
 
-models = Models(load)
-frames = Frames()
+models = ModelCache(load)
+frame_cache = FrameCache()
 
-_shown: dict[int, tuple[Any, ...]] = {}
-"""State shown by every mesh, by its number in this session."""
+_mesh_states: dict[int, tuple[Any, ...]] = {}
+"""Motion, time and part that meshes currently show, by session UID."""
 
-_problems: dict[int, str] = {}
-"""Error that stops a mesh, by its number."""
+_error_messages: dict[int, str] = {}
+"""Messages of errors that stop meshes, by session UID."""
 
-_paths: dict[int, str] = {}
-"""Relative paths of models, while a file is saved elsewhere."""
+_relative_paths: dict[int, str] = {}
+"""Relative paths of models while a copy of the .blend file is saved, by session UID."""
 
-_rendering = False
+_is_rendering = False
 
 
-def model_of(settings: MotionSettings) -> Model:
-    """Return the model that moves a mesh; raises a `MixseqError` if it cannot be read."""
+def load_model(settings: MotionSettings) -> Model:
+    """Return the model that moves a mesh, from the cache if possible."""
     return models.get(settings.path)
 
 
-def problem(mesh: bpy.types.Mesh) -> str:
-    """Return the error that stops a mesh, "" for none."""
-    return _problems.get(mesh.session_uid, "")
+def is_driven(target: bpy.types.Object | None) -> bool:
+    """Whether a model moves the mesh of an object."""
+    return target is not None and target.type == "MESH" and target.data.mixseq.is_driven
 
 
-def in_words(error: Exception) -> str:
-    """Return the message of an error, also of an unexpected one: Blender goes on."""
+def error_message(mesh: bpy.types.Mesh) -> str:
+    """Return the message of the error that stops a mesh, "" if there is none."""
+    return _error_messages.get(mesh.session_uid, "")
+
+
+def format_error(error: Exception) -> str:
+    """Return the message of an error, with its type if it is a bug."""
     return str(error) if isinstance(error, MixseqError | RuntimeError) else f"{type(error).__name__}: {error}"
 
 
-def rate(scene: bpy.types.Scene) -> float:
+def scene_fps(scene: bpy.types.Scene) -> float:
     """Return the frames per second of a scene."""
     return float(scene.render.fps / scene.render.fps_base)
 
 
-def show(mesh: bpy.types.Mesh, animated: MotionSettings, fps: float) -> None:
-    """Move a mesh to the model's points, by evaluated settings; errors are shown in the panel."""
+def update_mesh(mesh: bpy.types.Mesh, settings: MotionSettings, fps: float) -> None:
+    """Move a mesh to its model's points, by evaluated settings; keep errors for the panel."""
+    message = ""
     try:
-        _move(mesh, animated, fps)
-        told = ""
+        _move_vertices(mesh, settings, fps)
     except Exception as error:
-        told = in_words(error)
-    if told:
-        _shown.pop(mesh.session_uid, None)
-        if told != problem(mesh):
-            print(f"mixseq: {mesh.name}: {told}")  # one line, for renders without a panel
-    _problems[mesh.session_uid] = told
+        message = format_error(error)
+        _mesh_states.pop(mesh.session_uid, None)
+        if message != error_message(mesh):
+            print(f"mixseq: {mesh.name}: {message}")  # for renders without a user interface
+    _error_messages[mesh.session_uid] = message
 
 
-def _move(mesh: bpy.types.Mesh, settings: MotionSettings, fps: float) -> None:
+def _move_vertices(mesh: bpy.types.Mesh, settings: MotionSettings, fps: float) -> None:
     if mesh.shape_keys is not None:
         raise SettingsError(
-            "the mesh has shape keys, which would move it back; delete them, or switch Live off"
+            "the mesh has shape keys, which override the model; delete them, or turn Live off"
         )
-    motion = Motion(model_of(mesh.mixseq), Placement(settings.up_axis, settings.scale))
-    time = motion.held(seconds(settings.frame, settings.frame_offset, fps))
-    shown = motion, time, settings.part
-    if _shown.get(mesh.session_uid) == shown or mesh.is_editmode:
+    motion = Motion(load_model(mesh.mixseq), Placement(settings.up_axis, settings.scale))
+    time = motion.clamp_time((settings.frame - settings.frame_offset) / fps)
+    state = motion, time, settings.part
+    if _mesh_states.get(mesh.session_uid) == state or mesh.is_editmode:
         return
-    rows, _ = part_of(motion.model.header, settings.part)
-    points = frames.get((motion, time), lambda: motion.points(time))[rows]
+    vertices, _ = part_slices(motion.model.header, settings.part)
+    points = frame_cache.get((motion, time), lambda: motion.points(time))[vertices]
     if len(mesh.vertices) != len(points):
         raise SettingsError(
-            f"the mesh has {len(mesh.vertices):,} vertices, the model {len(points):,}; apply no modifiers to it, and "
-            "delete nothing of it"
+            f"the mesh has {len(mesh.vertices):,} vertices, the model {len(points):,}; undo applied modifiers and "
+            "deleted vertices, or import the model again"
         )
-    # The attribute "position" would leave the bounds as they were.
-    mesh.vertices.foreach_set("co", points.reshape(-1))
+    mesh.vertices.foreach_set("co", points.reshape(-1))  # the attribute "position" does not update the bounds
     mesh.update()
-    _shown[mesh.session_uid] = shown
+    _mesh_states[mesh.session_uid] = state
 
 
 @persistent
-def _evaluated(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
-    if _rendering and depsgraph.mode != "RENDER":
+def _update_meshes(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+    if _is_rendering and depsgraph.mode != "RENDER":
         return  # the viewport waits until the render is done
-    frames.memory = memory()
+    frame_cache.max_bytes = max_cache_bytes()
     for mesh in bpy.data.meshes:
         evaluated = mesh.evaluated_get(depsgraph)
-        if mesh.mixseq.moves and evaluated.is_evaluated:
-            show(mesh, evaluated.mixseq, rate(scene))
+        if mesh.mixseq.is_driven and evaluated.is_evaluated:
+            update_mesh(mesh, evaluated.mixseq, scene_fps(scene))
 
 
 @persistent
 def _begin_render(*_: Any) -> None:
-    global _rendering
-    _rendering = True
+    global _is_rendering
+    _is_rendering = True
 
 
 @persistent
 def _end_render(*_: Any) -> None:
-    global _rendering
-    _rendering = False
-    _look_again()
+    global _is_rendering
+    _is_rendering = False
+    _reset()
 
 
 @persistent
-def _look_again(*_: Any) -> None:
-    """Clear the states of meshes, after undoing or opening a file, and have them evaluated."""
-    _shown.clear()
-    _problems.clear()
+def _reset(*_: Any) -> None:
+    """Forget the states of all meshes, and tag driven ones for evaluation."""
+    _mesh_states.clear()
+    _error_messages.clear()
     for mesh in bpy.data.meshes:
-        if mesh.mixseq.moves:
+        if mesh.mixseq.is_driven:
             mesh.update_tag()
 
 
 @persistent
-def _before_saving(filepath: str, *_: Any) -> None:
-    """Change relative paths to reach the same models from the new place of the .blend file."""
-    _paths.clear()
+def _remap_paths(filepath: str, *_: Any) -> None:
+    """Make relative paths of models relative to the .blend file that is about to be saved."""
+    _relative_paths.clear()
     for mesh in bpy.data.meshes:
         settings = mesh.mixseq
         if settings.filepath.startswith("//") and mesh.library is None:
-            _paths[mesh.session_uid] = settings.filepath
+            _relative_paths[mesh.session_uid] = settings.filepath
             settings.filepath = bpy.path.relpath(str(settings.path), start=str(Path(filepath).parent))
 
 
 @persistent
-def _after_saving(filepath: str, *_: Any) -> None:
+def _restore_paths(filepath: str, *_: Any) -> None:
     """Restore the paths after a copy was saved."""
     if filepath == bpy.data.filepath:
         return
     for mesh in bpy.data.meshes:
-        if mesh.session_uid in _paths:
-            mesh.mixseq.filepath = _paths[mesh.session_uid]
+        if mesh.session_uid in _relative_paths:
+            mesh.mixseq.filepath = _relative_paths[mesh.session_uid]
 
 
 _HANDLERS = {
-    "frame_change_post": _evaluated,
-    "depsgraph_update_post": _evaluated,
+    "frame_change_post": _update_meshes,
+    "depsgraph_update_post": _update_meshes,
     "render_init": _begin_render,
     "render_complete": _end_render,
     "render_cancel": _end_render,
-    "undo_post": _look_again,
-    "redo_post": _look_again,
-    "load_post": _look_again,
-    "save_pre": _before_saving,
-    "save_post": _after_saving,
+    "undo_post": _reset,
+    "redo_post": _reset,
+    "load_post": _reset,
+    "save_pre": _remap_paths,
+    "save_post": _restore_paths,
 }
 
 
@@ -172,5 +174,5 @@ def unregister() -> None:
     """Remove the handlers, and free the memory."""
     for event, handler in _HANDLERS.items():
         getattr(bpy.app.handlers, event).remove(handler)
-    frames.clear()
+    frame_cache.clear()
     models.clear()

@@ -1,18 +1,18 @@
-"""Meshes made from models: polygons, texture coordinates, colours, materials, hard edges."""
+"""Create meshes from models: polygons, UVs, colour attributes, materials, sharp edges."""
 
 from __future__ import annotations
 
 import bpy
 import numpy as np
 
-from mixseq.blender.motion import MeshParts, part_of
+from mixseq.blender.motion import MeshParts, part_slices
 from mixseq.sequence.header import SequenceHeader
 
 
 def new_mesh(header: SequenceHeader, part: str) -> bpy.types.Mesh:
-    """Make a mesh of one part of a model, "" for all; `live` moves its vertices."""
-    parts = MeshParts.of(header, part)
-    vertices, _ = part_of(header, part)
+    """Create the mesh of one part of a model, of all for ""; `live` moves its vertices."""
+    parts = MeshParts.from_header(header, part)
+    vertices, _ = part_slices(header, part)
     mesh = bpy.data.meshes.new(part.rpartition("/")[2] or header.name)
     mesh.vertices.add(vertices.stop - vertices.start)
     mesh.loops.add(len(parts.corners))
@@ -26,22 +26,22 @@ def new_mesh(header: SequenceHeader, part: str) -> bpy.types.Mesh:
     mesh.update(calc_edges=True)
     if parts.uvs is not None:
         mesh.uv_layers.new(name="UVMap").uv.foreach_set("vector", np.ravel(parts.uvs).astype(np.float32))
-    if parts.colours is not None:  # Blender's floats are linear, too
-        painted = mesh.color_attributes.new(name="Color", type="FLOAT_COLOR", domain="CORNER")
-        painted.data.foreach_set("color", np.ravel(parts.colours).astype(np.float32))
-    _harden(mesh, parts)
-    mesh.validate(clean_customdata=False)  # Blender cannot have polygons that meet a vertex twice
+    if parts.colours is not None:  # linear, as Blender's float colours
+        attribute = mesh.color_attributes.new(name="Color", type="FLOAT_COLOR", domain="CORNER")
+        attribute.data.foreach_set("color", np.ravel(parts.colours).astype(np.float32))
+    _mark_sharp_edges(mesh, parts)
+    mesh.validate(clean_customdata=False)  # removes polygons with a repeated vertex, which Blender forbids
     return mesh
 
 
 def _material(name: str) -> bpy.types.Material | None:
-    """Return the material of a name, new or existing."""
+    """Return the material of a name, created if there is none."""
     return (bpy.data.materials.get(name) or bpy.data.materials.new(name)) if name else None
 
 
-def _harden(mesh: bpy.types.Mesh, parts: MeshParts) -> None:
-    edges = np.empty(len(mesh.loops), dtype=np.int32)
-    mesh.loops.foreach_get("edge_index", edges)
-    sharp = parts.sharp(edges)
-    if sharp.any():
-        mesh.attributes.new("sharp_edge", "BOOLEAN", "EDGE").data.foreach_set("value", sharp)
+def _mark_sharp_edges(mesh: bpy.types.Mesh, parts: MeshParts) -> None:
+    edge_of_corner = np.empty(len(mesh.loops), dtype=np.int32)
+    mesh.loops.foreach_get("edge_index", edge_of_corner)
+    is_sharp = parts.sharp_edges(edge_of_corner)
+    if is_sharp.any():
+        mesh.attributes.new("sharp_edge", "BOOLEAN", "EDGE").data.foreach_set("value", is_sharp)

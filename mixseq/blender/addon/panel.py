@@ -1,4 +1,4 @@
-"""The user interface: a panel among the properties of a mesh."""
+"""The panel in the properties of a mesh."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from . import baking, importing, live, timing
 
 
 class MotionPanel(bpy.types.Panel):
-    """What moves the mesh, when, and why not."""
+    """Settings and operators of the model that moves a mesh, and its errors."""
 
     bl_idname = "MIXSEQ_PT_motion"
     bl_label = "mixseq Model"
@@ -21,7 +21,7 @@ class MotionPanel(bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        """Return whether a mesh is shown."""
+        """Whether the properties editor shows a mesh."""
         return context.mesh is not None
 
     def draw(self, context: Any) -> None:
@@ -32,14 +32,14 @@ class MotionPanel(bpy.types.Panel):
         if not settings.filepath:
             return
         layout.prop(settings, "filepath")
-        if told := live.problem(context.mesh):
-            _tell(layout, told, context.region.width)
+        if message := live.error_message(context.mesh):
+            _draw_warning(layout, message, context.region.width)
         layout.prop(settings, "is_live")
-        body = layout.column()
-        body.active = settings.is_live
-        _draw_settings(body, settings)
+        column = layout.column()
+        column.active = settings.is_live
+        _draw_settings(column, settings)
         if not context.scene.render.use_lock_interface:
-            _tell(layout, "Switch Render > Lock Interface on before you render", context.region.width)
+            _draw_warning(layout, "Turn on Render > Lock Interface before rendering", context.region.width)
         row = layout.row()
         row.operator(baking.BakeShapeKeys.bl_idname, text="Shape Keys")
         row.operator(baking.BakeAlembic.bl_idname, text="Alembic")
@@ -57,11 +57,11 @@ def _draw_settings(layout: Any, settings: Any) -> None:
         column.prop(settings, "part")
 
 
-def _tell(layout: Any, text: str, width: int) -> None:
-    box = layout.box().column(align=True)
-    box.alert = True
+def _draw_warning(layout: Any, text: str, width: int) -> None:
+    column = layout.box().column(align=True)
+    column.alert = True
     for number, line in enumerate(wrap(text, max(20, width // 8))):
-        box.label(text=line, icon="NONE" if number else "ERROR")
+        column.label(text=line, icon="NONE" if number else "ERROR")
 
 
 register, unregister = bpy.utils.register_classes_factory((MotionPanel,))

@@ -1,6 +1,6 @@
-"""The frame of a model that is shown: that of the scene, by a driver, or by keys after retiming.
+"""Drive the displayed frame of a model by the scene's frame, or by an F-curve that retimes it.
 
-Either makes the mesh animated data, without which Blender's exporters write one frame.
+Blender's exporters write only one frame of meshes without drivers or keyframes.
 """
 
 from __future__ import annotations
@@ -11,36 +11,35 @@ import bpy
 
 from . import live
 
-BLUR = "mixseq motion blur"
-"""Name of the empty modifier for motion blur."""
+BLUR_MODIFIER_NAME = "mixseq motion blur"
 
 
-def follow_scene(mesh: bpy.types.Mesh) -> None:
-    """Drive a mesh by the frame of the scene; keys of an earlier model are kept."""
+def drive_by_scene(mesh: bpy.types.Mesh) -> None:
+    """Drive the displayed frame by the scene's frame; existing animation is kept."""
     animation = mesh.animation_data
     if animation is None or not (animation.action or animation.drivers or animation.nla_tracks):
         mesh.mixseq.driver_add("frame").driver.expression = "frame"
 
 
-def let_blur(thing: bpy.types.Object) -> None:
-    """Add an empty modifier to an object: renderers evaluate sub-frames of objects with modifiers only."""
-    if BLUR not in thing.modifiers:
-        nothing = thing.modifiers.new(BLUR, "SMOOTH")
-        nothing.iterations = 0
-        nothing.show_viewport = False
+def enable_motion_blur(target: bpy.types.Object) -> None:
+    """Add a modifier without effect: renderers evaluate sub-frames only of objects with modifiers."""
+    if BLUR_MODIFIER_NAME not in target.modifiers:
+        modifier = target.modifiers.new(BLUR_MODIFIER_NAME, "SMOOTH")
+        modifier.iterations = 0
+        modifier.show_viewport = False
 
 
-def linear(animated: bpy.types.ID) -> None:
-    """Make all F-curves of a data-block linear."""
-    for curve in _curves(animated):
+def make_linear(animated: bpy.types.ID) -> None:
+    """Set all keyframes of a data-block to linear interpolation."""
+    for curve in _fcurves(animated):
         for point in curve.keyframe_points:
             point.interpolation = "LINEAR"
         curve.update()
     animated.update_tag()
 
 
-def _curves(animated: bpy.types.ID) -> Any:
-    """Return the F-curves of a data-block; since Blender 4.4 it has a slot of an action that it may share."""
+def _fcurves(animated: bpy.types.ID) -> Any:
+    """Return the F-curves of a data-block, since Blender 4.4 those of its slot in the action."""
     animation = animated.animation_data
     slot = getattr(animation, "action_slot", None)
     if slot is None:
@@ -49,7 +48,7 @@ def _curves(animated: bpy.types.ID) -> Any:
 
 
 class Retime(bpy.types.Operator):
-    """Replace the driver of Frame by an F-curve that plays the model as it is: edit that to retime it."""
+    """Replace the driver of Frame by an F-curve at the original speed; edit the curve to retime the model."""
 
     bl_idname = "mixseq.retime"
     bl_label = "Retime by F-Curve"
@@ -57,24 +56,23 @@ class Retime(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        """Return whether a model moves the active object."""
-        thing = context.object
-        return thing is not None and thing.type == "MESH" and thing.data.mixseq.moves
+        """Whether a model moves the active object."""
+        return live.is_driven(context.object)
 
     def execute(self, context: Any) -> set[str]:
-        """Key the first and the last frame."""
+        """Insert keyframes at the first and the last frame of the model."""
         mesh = context.object.data
         settings = mesh.mixseq
         try:
-            model = live.model_of(settings)
+            model = live.load_model(settings)
         except Exception as error:
-            self.report({"ERROR"}, live.in_words(error))
+            self.report({"ERROR"}, live.format_error(error))
             return {"CANCELLED"}
         settings.driver_remove("frame")
         for time in (model.start, model.end):
-            settings.frame = time * live.rate(context.scene) + settings.frame_offset
+            settings.frame = time * live.scene_fps(context.scene) + settings.frame_offset
             settings.keyframe_insert("frame", frame=settings.frame)
-        linear(mesh)
+        make_linear(mesh)
         context.view_layer.update()
         return {"FINISHED"}
 

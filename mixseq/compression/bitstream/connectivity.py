@@ -40,7 +40,7 @@ from mixseq.compression.bitstream.arithmetic import (
 )
 from mixseq.compression.bitstream.connectivity_kernels import GUESSES, KINDS, no_half_edges, no_past, walk
 from mixseq.errors import FormatError, InvalidSequenceError
-from mixseq.mesh.polygons import Polygons, in_canonical_order
+from mixseq.mesh.polygons import Polygons, canonical_order
 from mixseq.runtime.jit import compiled
 from mixseq.types import Index
 
@@ -159,7 +159,7 @@ def growing_order(corners: Corners) -> Index:
 
 def walk_polygons(polygons: Polygons, vertex_count: int) -> tuple[Index, Index]:
     """Return the polygons ``(P,)`` in walk order, and their entry corners ``(P,)``; components by lowest vertex."""
-    canonical = in_canonical_order(polygons)
+    canonical = canonical_order(polygons)
     listed = Polygons(polygons.counts[canonical.polygons], polygons.indices[canonical.corners])
     corners = corners_of(listed, vertex_count)
     entered = _walk(corners)

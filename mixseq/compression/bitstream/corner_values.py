@@ -40,7 +40,7 @@ from mixseq.compression.bitstream.uv_seams import (
 from mixseq.compression.bitstream.uv_values import LARGEST, LONGEST, VALUE_KINDS, walk_values
 from mixseq.errors import FormatError
 from mixseq.mesh.polygons import Polygons
-from mixseq.mesh.surface import CornerValues, by_first_use
+from mixseq.mesh.surface import CornerValues, renumber_by_first_use
 from mixseq.types import FloatArray, Index, IntArray
 
 _MOST_BITS = 2 * (2 * LONGEST + 1)
@@ -130,9 +130,9 @@ def _walked_values(
 def encode_hard_edges(polygons: Polygons, vertex_count: int, numbers: IntArray) -> bytes | None:
     """Code which corners share a normal for `decode_hard_edges`: numbers ``(sum of counts,)``."""
     bits = bits_to_write(len(numbers) * MOST_SEAM_BITS, SEAM_KINDS)
-    wanted = by_first_use(numbers)
+    wanted = renumber_by_first_use(numbers)
     nodes = _walked_seams(bits, polygons, vertex_count, wanted)
-    if not np.array_equal(by_first_use(nodes), wanted):
+    if not np.array_equal(renumber_by_first_use(nodes), wanted):
         return None
     return with_check(written(bits.coded), check_of(wanted))
 
@@ -142,7 +142,7 @@ def decode_hard_edges(data: bytes, polygons: Polygons, vertex_count: int) -> Ind
     stream, expected = without_check(data)
     bits = bits_to_read(stream, SEAM_KINDS)
     nodes = _walked_seams(bits, polygons, vertex_count, np.zeros(polygons.indices.size, dtype=np.int64))
-    numbers = by_first_use(nodes)
+    numbers = renumber_by_first_use(nodes)
     if bits.failed[0] or check_of(numbers) != expected:
         raise FormatError(
             f"hard edges at {polygons.indices.size} corners are damaged, or those of another mesh"

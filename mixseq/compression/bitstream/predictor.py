@@ -51,7 +51,7 @@ from numpy.typing import NDArray
 from mixseq.compression.bitstream import predictor_kernels as kernels
 from mixseq.compression.bitstream.predictor_kernels import UNIT
 from mixseq.compression.bitstream.signal_graph import MOST, SignalGraph, coarser_levels, renumbered
-from mixseq.mesh.polygons import frozen
+from mixseq.mesh.polygons import read_only
 from mixseq.runtime.jit import compiled
 from mixseq.types import Float, Index
 
@@ -272,7 +272,7 @@ class Predictor:
         """Set the neighbours of nodes, and their initial weights."""
         self.neighbours = neighbours.astype(np.int32)
         self.counts = counts.astype(np.int32)
-        self._start = kernels.rounded(frozen(weights))  # as those of stencils are: one type to numba
+        self._start = kernels.rounded(read_only(weights))  # as those of stencils are: one type to numba
         self.weights = self._start.copy()
         self._blocks, self._sizes = blocks(self.counts)
         entries = self._sizes.astype(np.int64) * (self._sizes + 1) // 2 - 1

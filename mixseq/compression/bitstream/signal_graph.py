@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.mesh.polygons import frozen
+from mixseq.mesh.polygons import read_only
 from mixseq.runtime.jit import compiled
 from mixseq.types import Float, Index, Mask
 
@@ -193,7 +193,7 @@ class SignalGraph:
     def __post_init__(self) -> None:
         for name in ("order", "neighbours", "counts", "weights", "ring", "ring_starts"):
             # Always: numba would compile again for writable arrays, which have another type.
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     @property
     def size(self) -> int:
@@ -334,7 +334,7 @@ def _graph(
     place = np.empty(len(order), dtype=np.int64)
     place[order] = np.arange(len(order))
     # Frozen as those of stencils are: one type to numba.
-    starts, ring = renumbered(frozen(ring_starts), frozen(ring), order, frozen(place))
+    starts, ring = renumbered(read_only(ring_starts), read_only(ring), order, read_only(place))
     counts = counts[order]
     known = np.arange(neighbours.shape[1]) < counts[:, None]
     neighbours = np.where(known, place[neighbours[order]], 0)

@@ -26,18 +26,18 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from mixseq.mesh.measures import triangle_areas
-from mixseq.mesh.nearest import attach
+from mixseq.mesh.nearest import attach_pieces
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.rotations import (
-    continuous_vectors,
-    inverse,
-    normalised,
-    product,
-    quaternions,
-    rotations_of,
-    turned,
+    continuous_rotvec,
+    matrix_to_quat,
+    normalise_quat,
+    quat_conjugate,
+    quat_multiply,
+    quat_to_matrix,
+    rotate_vectors,
 )
-from mixseq.mesh.topology import Topology, connected
+from mixseq.mesh.topology import Topology, connected_components
 from mixseq.segmentation.elements import Boundaries
 from mixseq.segmentation.joints import Decomposition
 from mixseq.spaces.base import flatten_blocks
@@ -172,8 +172,8 @@ class Articulation:
         rest_offsets = self.rest_centres - self._body_means(self.rest_centres[None])[0][self.body_of_part]
         offsets = poses.centres - centres[:, self.body_of_part]
         moments = np.einsum("p,tpa,pb->tpab", self.masses, offsets, rest_offsets)
-        moments += (self.masses * np.square(self.radii))[:, None, None] * rotations_of(poses.rotations)
-        return Poses(quaternions(nearest_rotations(self._body_sums(moments))), centres)
+        moments += (self.masses * np.square(self.radii))[:, None, None] * quat_to_matrix(poses.rotations)
+        return Poses(matrix_to_quat(nearest_rotations(self._body_sums(moments))), centres)
 
     def _body_means(self, centres: Float) -> Float:
         """Means ``(T, B, 3)`` of the centres ``(T, p, 3)`` of parts, weighted by mass."""
@@ -191,23 +191,25 @@ class Articulation:
 
     def to_body_axes(self, poses: Poses, bodies: Poses) -> Poses:
         """Return poses of parts ``(T, p)`` in the axes of their bodies ``(T, B)``."""
-        back = inverse(normalised(bodies.rotations))[:, self.body_of_part]
+        back = quat_conjugate(normalise_quat(bodies.rotations))[:, self.body_of_part]
         offsets = poses.centres - bodies.centres[:, self.body_of_part]
-        return Poses(product(back, poses.rotations), turned(rotations_of(back), offsets))
+        return Poses(quat_multiply(back, poses.rotations), rotate_vectors(quat_to_matrix(back), offsets))
 
     def to_world_axes(self, poses: Poses, bodies: Poses) -> Poses:
         """Return poses of parts in world axes; the inverse of `to_body_axes`."""
-        rotations = normalised(bodies.rotations)[:, self.body_of_part]
-        centres = turned(rotations_of(rotations), poses.centres) + bodies.centres[:, self.body_of_part]
-        return Poses(product(rotations, poses.rotations), centres)
+        rotations = normalise_quat(bodies.rotations)[:, self.body_of_part]
+        centres = (
+            rotate_vectors(quat_to_matrix(rotations), poses.centres) + bodies.centres[:, self.body_of_part]
+        )
+        return Poses(quat_multiply(rotations, poses.rotations), centres)
 
     def add_relations(self, poses: Poses) -> PartPoses:
         """Return poses ``(T, p)``, in any common axes, with their relations."""
         i, j = self.pairs.T
-        back = inverse(poses.rotations[:, i])
-        pivots = turned(rotations_of(poses.rotations[:, j]), self.pivots) + poses.centres[:, j]
-        points = turned(rotations_of(back), pivots - poses.centres[:, i])
-        return PartPoses(*poses, product(back, poses.rotations[:, j]), points)
+        back = quat_conjugate(poses.rotations[:, i])
+        pivots = rotate_vectors(quat_to_matrix(poses.rotations[:, j]), self.pivots) + poses.centres[:, j]
+        points = rotate_vectors(quat_to_matrix(back), pivots - poses.centres[:, i])
+        return PartPoses(*poses, quat_multiply(back, poses.rotations[:, j]), points)
 
     # To frames ---------------------------------------------------------------------------------------------
 
@@ -219,9 +221,9 @@ class Articulation:
 
     def _reconcile_frame(self, poses: PartPoses) -> tuple[RealOrComplex, RealOrComplex]:
         """Return the part poses ``(p, 4)``, ``(p, 3)`` that fit those of one frame best."""
-        tree = *self._tree, self._tree_relations
-        arrays = map(np.ascontiguousarray, poses)
-        return kernels.reconcile_poses(*arrays, self.pairs, self.pivots, *tree, *self._systems)
+        graph = self.pairs, self.pivots, *self._tree, self._tree_relations
+        arrays = *map(np.ascontiguousarray, poses), *graph, *self._systems
+        return kernels.reconcile_poses(*arrays)
 
     def measure_steadiness(self, poses: PartPoses) -> Steadiness:
         """Return the inverse variances of part poses and relations over frames ``(T, ...)``."""
@@ -229,7 +231,7 @@ class Articulation:
         radii = self.radii, np.minimum(self.radii[i], self.radii[j])
         result = []
         for rotations, points, radius in zip(poses[::2], poses[1::2], radii, strict=True):
-            mean = normalised(rotations.mean(axis=0))
+            mean = normalise_quat(rotations.mean(axis=0))
             cosines = np.minimum(np.abs(np.einsum("tpi,pi->tp", rotations, mean)), 1.0)
             arcs = 2.0 * np.arccos(cosines) * radius
             distances = np.linalg.norm(points - points.mean(axis=0), axis=2)
@@ -239,8 +241,8 @@ class Articulation:
 
     def pose_corrections(self, poses: Poses, targets: Poses) -> Float:
         """Return rotation vectors and shifts ``(T, 6 p)`` from poses to targets, continuous in time."""
-        rotation_vectors = continuous_vectors(
-            rotations_of(product(inverse(poses.rotations), targets.rotations))
+        rotation_vectors = continuous_rotvec(
+            quat_to_matrix(quat_multiply(quat_conjugate(poses.rotations), targets.rotations))
         )
         shifts = targets.centres - poses.centres
         return flatten_blocks((rotation_vectors, shifts))
@@ -274,10 +276,10 @@ def find_articulation(
     Without steadiness, all poses and relations have unit weights; `relation_weight` multiplies those of relations.
     """
     labels, count = decomposition.part_of_face, len(decomposition.parts)
-    boundaries = Boundaries.of(topology, labels)
+    boundaries = Boundaries.from_labels(topology, labels)
     pairs, pivots = boundaries.parts, boundaries.middles(reference)
     areas = np.bincount(labels, triangle_areas(reference, topology.faces), minlength=count).astype(np.float64)
-    component = connected(count, pairs)
+    component = connected_components(count, pairs)
     part_of_vertex = np.full(topology.vertex_count, -1, dtype=np.int64)
     for number, part in enumerate(decomposition.parts):
         part_of_vertex[part] = number
@@ -286,8 +288,8 @@ def find_articulation(
         np.flatnonzero((part_of_vertex >= 0) & (component[part_of_vertex] == piece))
         for piece in range(component.max(initial=-1) + 1)
     ]
-    contacts = attach(pieces, reference, np.arange(len(reference)))
-    contact_vertices = np.stack([contacts.own, contacts.other], axis=1)
+    contacts = attach_pieces(pieces, reference, np.arange(len(reference)))
+    contact_vertices = np.stack([contacts.vertices, contacts.holder_vertices], axis=1)
     touching = np.linalg.norm(np.diff(reference[contact_vertices], axis=1)[:, 0], axis=1) <= CONTACT_DISTANCE
     pairs = np.concatenate([pairs, part_of_vertex[contact_vertices[touching]]])
     pivots = np.concatenate([pivots, reference[contact_vertices[touching]].mean(axis=1)])
@@ -297,7 +299,7 @@ def find_articulation(
         radii=radii,
         masses=np.array([len(part) for part in decomposition.parts], dtype=np.float64),
         areas=areas,
-        body_of_part=connected(count, pairs),
+        body_of_part=connected_components(count, pairs),
         pairs=pairs,
         pivots=pivots - rest_centres[pairs[:, 1]],
         steadiness=steadiness or Steadiness(*np.ones((2, count)), *np.ones((2, len(pairs)))),

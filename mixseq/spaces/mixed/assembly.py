@@ -19,10 +19,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mixseq.mesh.measures import edge_lengths, sound_lengths
+from mixseq.mesh.measures import clamp_lengths, edge_lengths
 from mixseq.mesh.rigid import kabsch
-from mixseq.mesh.rotations import inverse, product, quaternions, rotations_of
-from mixseq.mesh.topology import Topology, connected
+from mixseq.mesh.rotations import matrix_to_quat, quat_conjugate, quat_multiply, quat_to_matrix
+from mixseq.mesh.topology import Topology, connected_components
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.shells.face_frames import (
     FrameGraph,
@@ -95,7 +95,7 @@ class Assembly(PickledWithoutCaches):
     @cached_property
     def _seed_nodes(self) -> Index:
         """First node ``(r,)`` of every hinge-connected component: a rigid part, if it has one."""
-        component = connected(self._node_count, self._node_of_face[self.topology.hinge_faces])
+        component = connected_components(self._node_count, self._node_of_face[self.topology.hinge_faces])
         return np.unique(component, return_index=True)[1]
 
     @cached_property
@@ -138,7 +138,9 @@ class Assembly(PickledWithoutCaches):
     @cached_property
     def _component_of_vertex(self) -> Index:
         """Component ``(V,)`` of every vertex by edges and ties."""
-        return connected(self.topology.vertex_count, np.concatenate([self.topology.edges, self._ties[:, 1:]]))
+        return connected_components(
+            self.topology.vertex_count, np.concatenate([self.topology.edges, self._ties[:, 1:]])
+        )
 
     @cached_property
     def _components(self) -> list[tuple[Index, list[int]]]:
@@ -157,7 +159,7 @@ class Assembly(PickledWithoutCaches):
     def targets(self, frame: FreeFrame) -> tuple[Float, Float]:
         """Return target lengths ``(E,)`` and angles ``(H,)`` of all edges and hinges."""
         lengths, angles = lengths_and_angles(frame.rest_vertices, self.topology.edges, self.topology.hinges)
-        lengths[self.edge_ids] = sound_lengths(frame.lengths, self.shell.length_weights[self.edge_ids])
+        lengths[self.edge_ids] = clamp_lengths(frame.lengths, self.shell.length_weights[self.edge_ids])
         angles[self.hinge_ids] = frame.angles
         return lengths, angles
 
@@ -181,12 +183,12 @@ class Assembly(PickledWithoutCaches):
         rest_frames[~joint] = triangle_frames(frame.rest_vertices, rigid_faces)
         first, second = rest_frames[t.hinge_faces[hinge_ids]].transpose(1, 0, 2)
         across = self.shell.hinge_frames.rotations(flat, angles)[hinge_ids]
-        rotations = product(product(first, across), inverse(second))
+        rotations = quat_multiply(quat_multiply(first, across), quat_conjugate(second))
         frames = self.frame_graph.chain(rotations, self._seed_frames(frame))
         frames = self.frame_graph.average(frames, rotations, AVERAGING_ROUNDS)
         sides = np.empty((len(t.faces), 3, 3))
         sides[joint] = rotate_sides(frames[self._node_of_face[joint]], flat[joint])
-        matrices = rotations_of(frames[: len(self._rigid_parts)])
+        matrices = quat_to_matrix(frames[: len(self._rigid_parts)])
         corners = frame.rest_vertices[rigid_faces]
         rest_sides = np.roll(corners, -1, axis=1) - corners
         sides[~joint] = rest_sides @ np.swapaxes(matrices, 1, 2)[self._node_of_face[~joint]]
@@ -200,7 +202,7 @@ class Assembly(PickledWithoutCaches):
         for node, vertex_ids in zip(self._seed_nodes, self._seed_vertices, strict=True):
             skinned = frame.skinned_vertices[vertex_ids]
             if node < len(self._rigid_parts):
-                rotations.append(quaternions(kabsch(frame.rest_vertices[vertex_ids], skinned)[0]))
+                rotations.append(matrix_to_quat(kabsch(frame.rest_vertices[vertex_ids], skinned)[0]))
             else:
                 rotations.append(triangle_frames(skinned, np.arange(3)[None])[0])
         return np.array(rotations).reshape(-1, 4)

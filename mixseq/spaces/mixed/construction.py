@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 
 from mixseq.choices import PLACEMENTS, PlacementName
 from mixseq.errors import SettingsError
-from mixseq.mesh.measures import dihedral_angles, edge_lengths, flat_faces, wrap
+from mixseq.mesh.measures import degenerate_faces, dihedral_angles, edge_lengths, wrap_angles
 from mixseq.mesh.rigid import mean_shape
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.progress import Progress, silent
-from mixseq.segmentation.joints import Decomposition, frames_to_look_at
+from mixseq.segmentation.joints import Decomposition, sample_frame_ids
 from mixseq.sequence.sequence import bounding_diagonal
 from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
 from mixseq.spaces.mixed.skinning_weights import fit_skinning_weights
-from mixseq.types import Float, FloatArray, Mask, evenly
+from mixseq.types import Float, FloatArray, Mask, evenly_spaced
 
 Purpose = Literal["sequence", "reduced", "blends"]
 """Use of a space: frames in time, models of a given rank or knots, or blends of poses that may be far apart."""
@@ -96,7 +96,7 @@ def mixed_space(
         raise SettingsError(f"placement is {placement!r}; {' or '.join(map(repr, PLACEMENTS))} is expected")
     first = points[:1][0]
     scale = bounding_diagonal(first) or 1.0
-    frames = points[frames_to_look_at(len(points), MAX_SHAPE_FRAMES)]
+    frames = points[sample_frame_ids(len(points), MAX_SHAPE_FRAMES)]
     shapes = np.concatenate([mean_shape(frames[:, part] / scale) for part in decomposition.parts])
     shapes = _round_positions(shapes)
     reference = _round_positions(first.astype(np.float64) / scale)
@@ -176,7 +176,7 @@ def _limit_joint_faces(space: MixedSpace, errors: Float) -> Mask:
 
 def faces_without_area(topology: Topology, frames: FloatArray) -> Mask:
     """Mark the faces ``(F,)`` that are degenerate in any of the frames ``(S, V, 3)``."""
-    flat = [flat_faces(frame.astype(np.float64), topology.faces, MIN_HEIGHT_RATIO) for frame in frames]
+    flat = [degenerate_faces(frame.astype(np.float64), topology.faces, MIN_HEIGHT_RATIO) for frame in frames]
     return np.asarray(np.any(flat, axis=0))
 
 
@@ -230,12 +230,12 @@ def _all_pairs(frames: FloatArray) -> Iterator[FloatArray]:
 
 def _neighbour_pairs(frames: LargeArray) -> Iterator[FloatArray]:
     """Yield evenly spread pairs of neighbours among frames ``(T, V, 3)``."""
-    return (frames[first : first + 2] for first in frames_to_look_at(len(frames) - 1, MAX_NEIGHBOUR_PAIRS))
+    return (frames[first : first + 2] for first in sample_frame_ids(len(frames) - 1, MAX_NEIGHBOUR_PAIRS))
 
 
 def _torn_share(topology: Topology, midpoint: Float, pair: FloatArray) -> float:
     """Return the fraction of faces, or of a sample of them, that are torn half-way between two frames."""
-    faces = topology.faces[evenly(len(topology.faces), SAMPLED_FACES)]
+    faces = topology.faces[evenly_spaced(len(topology.faces), SAMPLED_FACES)]
     sides = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
     is_torn = _length_errors(midpoint, pair, sides) > TORN_STRETCH
     return float(is_torn.reshape(-1, 3).any(axis=1).mean())
@@ -261,5 +261,5 @@ def _length_errors(midpoint: Float, pair: FloatArray, edges: NDArray[np.integer]
 def _angle_errors(midpoint: Float, pair: FloatArray, hinges: NDArray[np.integer]) -> Float:
     """Return errors ``(H,)`` of angles, in degrees, against the means of two frames."""
     first, second = dihedral_angles(pair.astype(np.float64), hinges)
-    expected = first + 0.5 * wrap(second - first)
-    return np.degrees(np.abs(wrap(dihedral_angles(midpoint, hinges) - expected)))
+    expected = first + 0.5 * wrap_angles(second - first)
+    return np.degrees(np.abs(wrap_angles(dihedral_angles(midpoint, hinges) - expected)))

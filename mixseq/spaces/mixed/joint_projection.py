@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.mesh.measures import edge_lengths, wrap
+from mixseq.mesh.measures import edge_lengths, wrap_angles
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.jit import compiled, inlined
 from mixseq.runtime.lazy import PickledWithoutCaches
@@ -469,7 +469,7 @@ class JointProjection(PickledWithoutCaches):
         all_lengths, all_angles = lengths_and_angles(x, topology.edges, topology.hinges)
         quality = triangle_quality(flatten_triangles(all_lengths, topology.face_edges.astype(np.int64)))
         weights = quality[topology.hinge_faces[self.hinge_ids]].prod(axis=1)
-        all_angles[self.hinge_ids] += weights * wrap(angles - all_angles[self.hinge_ids])
+        all_angles[self.hinge_ids] += weights * wrap_angles(angles - all_angles[self.hinge_ids])
         all_lengths[self.edge_ids] = np.maximum(lengths, 0.0)
         return all_lengths, all_angles
 

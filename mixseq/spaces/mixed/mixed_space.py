@@ -31,8 +31,16 @@ from scipy import sparse
 
 from mixseq.choices import PlacementName
 from mixseq.errors import SettingsError
-from mixseq.mesh.measures import dihedral_angles, edge_lengths, unwrap_angles, wrap
-from mixseq.mesh.rotations import continued, exponentials, inverse, product, quaternions, rotations_of, turned
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, unwrap_angles, wrap_angles
+from mixseq.mesh.rotations import (
+    align_quat_signs,
+    matrix_to_quat,
+    quat_conjugate,
+    quat_multiply,
+    quat_to_matrix,
+    rotate_vectors,
+    rotvec_to_quat,
+)
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, silent
@@ -195,7 +203,7 @@ class MixedSpace(ShapeSpace):
     def _rest_poses(self) -> Poses:
         """Poses of the parts in the reference frame, relative to their mean shapes."""
         _, rotations, centres = register_parts(self.shapes, self.decomposition.parts, self.reference)
-        return Poses(quaternions(rotations)[None], centres[None])
+        return Poses(matrix_to_quat(rotations)[None], centres[None])
 
     @cached_property
     def part_radii(self) -> Float:
@@ -348,7 +356,9 @@ class MixedSpace(ShapeSpace):
         frames = [frame.astype(np.float64) / self.scale for frame in points]
         poses = [register_parts(self.shapes, self.decomposition.parts, x)[1:] for x in frames]
         rotations, centres = (np.stack(arrays) for arrays in zip(*poses, strict=True))
-        world = Poses(product(quaternions(rotations), inverse(self._rest_poses.rotations)), centres)
+        world = Poses(
+            quat_multiply(matrix_to_quat(rotations), quat_conjugate(self._rest_poses.rotations)), centres
+        )
         bodies = self.articulation.fit_bodies(world)
         parts = self.articulation.add_relations(self.articulation.to_body_axes(world, bodies))
         parts = parts._replace(
@@ -376,7 +386,9 @@ class MixedSpace(ShapeSpace):
         before = None if previous is None else self.split(previous[None])
         start = self.measure_joints(self.reference)[1] if before is None else before.angles[0]
         signed = {
-            name: continued(getattr(blocks, name), None if before is None else getattr(before, name)[0])
+            name: align_quat_signs(
+                getattr(blocks, name), None if before is None else getattr(before, name)[0]
+            )
             for name in QUATERNION_BLOCKS
         }
         return self.join(blocks._replace(angles=unwrap_angles(blocks.angles, start), **signed))
@@ -457,7 +469,7 @@ class MixedSpace(ShapeSpace):
         first, second = (x / self.scale for x in (before, after))
         (lengths, angles), (new_lengths, new_angles) = map(self.measure_joints, (first, second))
         rest_change = self._unskin(motions, second) - self._unskin(motions, first)
-        changes = new_lengths - lengths, wrap(new_angles - angles), rest_change.reshape(-1)
+        changes = new_lengths - lengths, wrap_angles(new_angles - angles), rest_change.reshape(-1)
         return np.concatenate([*changes, np.zeros(self.pose_dim)])
 
     # Between frames ----------------------------------------------------------------------------------------
@@ -468,7 +480,7 @@ class MixedSpace(ShapeSpace):
         """Implement `ShapeSpace.interpolate_poses`: in world axes, optionally body axes, and by relations."""
         bodies, parts = self.pose_interpolation(operator, poses, placements, in_body_axes).at(times)
         first = self.unpack_placements(placements[:1]).rotations[0]
-        bodies = bodies._replace(rotations=continued(bodies.rotations, first))
+        bodies = bodies._replace(rotations=align_quat_signs(bodies.rotations, first))
         return flatten_blocks(parts), self.pack_placements(bodies)
 
     def pose_interpolation(
@@ -478,7 +490,7 @@ class MixedSpace(ShapeSpace):
         parts = self.split_poses(poses)
         bodies = self.unpack_placements(placements)
         world = self.articulation.to_world_axes(Poses(parts.rotations, parts.centres), bodies)
-        world = world._replace(rotations=continued(world.rotations))
+        world = world._replace(rotations=align_quat_signs(world.rotations))
         return PoseInterpolation(self.articulation, operator, world, in_body_axes)
 
     def to_body_axes(self, points: Float, vertex_ids: Index, placements: Float) -> Float:
@@ -486,8 +498,8 @@ class MixedSpace(ShapeSpace):
         bodies = self.unpack_placements(placements)
         main_parts = np.asarray(self.skinning_weights[vertex_ids].argmax(axis=1)).reshape(-1)
         body = self.articulation.body_of_part[main_parts]
-        back = np.swapaxes(rotations_of(bodies.rotations), -1, -2)[:, body]
-        return turned(back, points - self.scale * bodies.centres[:, body])
+        back = np.swapaxes(quat_to_matrix(bodies.rotations), -1, -2)[:, body]
+        return rotate_vectors(back, points - self.scale * bodies.centres[:, body])
 
     def quaternion_signs(self, poses: Float, previous: Float) -> Float:
         """Implement `ShapeSpace.quaternion_signs`."""
@@ -511,7 +523,9 @@ class MixedSpace(ShapeSpace):
         """Return part poses ``(T, p)`` in body axes, from pose columns and corrections ``(T, ...)``."""
         blended = self.articulation.reconcile(self.split_poses(poses))
         rotation_vectors, shifts = corrections.reshape(len(poses), 2, -1, 3).swapaxes(0, 1)
-        return Poses(product(blended.rotations, exponentials(rotation_vectors)), blended.centres + shifts)
+        return Poses(
+            quat_multiply(blended.rotations, rotvec_to_quat(rotation_vectors)), blended.centres + shifts
+        )
 
 
 def as_mixed(space: ShapeSpace) -> MixedSpace:

@@ -24,7 +24,7 @@ from functools import cached_property
 import numpy as np
 
 from mixseq.mesh.rigid import nearest_rotations
-from mixseq.mesh.rotations import continued, quaternions, rotations_of, turned
+from mixseq.mesh.rotations import align_quat_signs, matrix_to_quat, quat_to_matrix, rotate_vectors
 from mixseq.spaces.mixed.articulation import Articulation
 from mixseq.spaces.temporal import FrameWeights, Poses, TemporalOperator, chain_rotations, interpolate_poses
 from mixseq.types import Float, Index, Mask
@@ -100,9 +100,9 @@ class PoseInterpolation:
     def _frame_poses(self) -> tuple[Poses, Poses]:
         """Body poses and part poses in body axes at the frames."""
         bodies = self.articulation.fit_bodies(self.poses)
-        bodies = bodies._replace(rotations=continued(bodies.rotations))
+        bodies = bodies._replace(rotations=align_quat_signs(bodies.rotations))
         parts = self.articulation.to_body_axes(self.poses, bodies)
-        return bodies, parts._replace(rotations=continued(parts.rotations))
+        return bodies, parts._replace(rotations=align_quat_signs(parts.rotations))
 
     @cached_property
     def _left_out(self) -> tuple[Index, FrameWeights]:
@@ -129,7 +129,7 @@ class PoseInterpolation:
     def _frame_relations(self) -> Poses:
         """Relations at the frames ``(T, n)``: rotations, and positions of pivots."""
         poses = self.articulation.add_relations(self.poses)
-        return Poses(continued(poses.relation_rotations), poses.relation_points)
+        return Poses(align_quat_signs(poses.relation_rotations), poses.relation_points)
 
     @cached_property
     def _relation_precisions(self) -> Float:
@@ -149,17 +149,17 @@ class PoseInterpolation:
 
 def _keep_frames(frames: Poses, poses: Poses, is_frame: Mask) -> Poses:
     """Return poses with aligned signs, replaced by those of the frames where `is_frame` ``(N, 1, 1)``."""
-    rotations = continued(poses.rotations, frames.rotations[0])
+    rotations = align_quat_signs(poses.rotations, frames.rotations[0])
     centres = np.where(is_frame, frames.centres, poses.centres)
     return Poses(np.where(is_frame, frames.rotations, rotations), centres)
 
 
 def _interpolate_relations(weights: FrameWeights, relations: Poses, pivots: Float) -> Float:
     """Return the matrices G ``(N, n, 4, 4)`` of relations interpolated in time."""
-    rotations = rotations_of(chain_rotations(weights, relations.rotations))
+    rotations = quat_to_matrix(chain_rotations(weights, relations.rotations))
     result = np.zeros((*rotations.shape[:2], 4, 4))
     result[..., :3, :3] = np.swapaxes(rotations, -1, -2)
-    result[..., 3, :3] = weights.interpolate(relations.centres) - turned(rotations, pivots)
+    result[..., 3, :3] = weights.interpolate(relations.centres) - rotate_vectors(rotations, pivots)
     result[..., 3, 3] = 1.0
     return result
 
@@ -204,10 +204,10 @@ def _fuse(
 
 def _pose_matrices(poses: Poses) -> Float:
     """Return poses as matrices X ``(T, p, 4, 3)``."""
-    rotations = np.swapaxes(rotations_of(poses.rotations), -1, -2)
+    rotations = np.swapaxes(quat_to_matrix(poses.rotations), -1, -2)
     return np.concatenate([rotations, poses.centres[:, :, None]], axis=2)
 
 
 def _nearest_poses(x: Float) -> Poses:
     """Return the poses of matrices X ``(T, p, 4, 3)``, projected to rotations."""
-    return Poses(quaternions(nearest_rotations(np.swapaxes(x[:, :, :3], -1, -2))), x[:, :, 3])
+    return Poses(matrix_to_quat(nearest_rotations(np.swapaxes(x[:, :, :3], -1, -2))), x[:, :, 3])

@@ -16,8 +16,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from mixseq.mesh.rotations import turned
-from mixseq.mesh.topology import Topology, vertices_near
+from mixseq.mesh.rotations import rotate_vectors
+from mixseq.mesh.topology import Topology, dilate_vertices
 from mixseq.runtime.jit import compiled
 from mixseq.segmentation.joints import Decomposition
 from mixseq.shells.solvers import factorise
@@ -168,7 +168,7 @@ def fit_skinning_weights(
             x = frame.astype(np.float64)
             _, rotations, centres = register_parts(shapes, decomposition.parts, x)
             turns = rotations @ np.swapaxes(rest_rotations, 1, 2)
-            shifts = centres - turned(turns, rest_centres)
+            shifts = centres - rotate_vectors(turns, rest_centres)
             motions = turns, shifts, reference[fitted], x[fitted]
             accumulate_errors(blended, parts, weights, *motions, products, variances)
         smoothness = SMOOTHNESS_WEIGHT * variances + MOTION_NOISE * len(frames)
@@ -197,7 +197,7 @@ def _split_vertices(topology: Topology, decomposition: Decomposition) -> tuple[I
         mask[topology.faces] = True
     else:
         mask[topology.faces[part[topology.faces] != labels]] = True
-        mask = vertices_near(topology, mask, FITTED_BOUNDARY_RINGS)
+        mask = dilate_vertices(topology, mask, FITTED_BOUNDARY_RINGS)
     rigid = np.flatnonzero(~mask)
     return np.flatnonzero(mask), rigid, part[rigid]
 
@@ -222,8 +222,8 @@ def _diffuse(graph: sparse.csr_array, fractions: sparse.csr_array) -> tuple[Inde
     factor = factorise(
         sparse.csr_array(sparse.eye_array(vertex_count) + INFLUENCE_RINGS**2 / 4.0 * laplacian)
     )
-    parts = np.full((vertex_count, MAX_PARTS_PER_VERTEX), -1, dtype=np.int64)
-    weights = np.zeros(parts.shape)
+    parts: Index = np.full((vertex_count, MAX_PARTS_PER_VERTEX), -1, dtype=np.int64)
+    weights: Float = np.zeros(parts.shape)
     for start in range(0, part_count, _PARTS_PER_BLOCK):
         columns = fractions[:, start : start + _PARTS_PER_BLOCK].toarray()
         diffused = factor.solve(factor.solve(columns))

@@ -26,21 +26,32 @@ from mixseq.spaces.mixed.mixed_space import MixedSpace
 from mixseq.viewer.export import script_json
 from mixseq.viewer.live.stage import LiveStage
 from mixseq.viewer.playback import Moment, Playback
-from mixseq.viewer.session import Drag, Edit, Message, Picked, Retime, Seek, Session, Sketch, signals_of
+from mixseq.viewer.session import (
+    Drag,
+    Edit,
+    Message,
+    RayHit,
+    Retime,
+    Seek,
+    Session,
+    Sketch,
+    before_retiming,
+    chart_data,
+)
 
 SPEEDS = {"1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
-HAND = 0.5
-"""Seconds for which a moved slider keeps its value, as the display lags behind."""
+SLIDER_HOLD_SECONDS = 0.5
+"""Time for which a dragged slider keeps its value, because displayed frames lag behind."""
 
-DIGITS = 3
+FRAME_DECIMALS = 3
 """Decimals of fractional frame numbers."""
 
-ROW, PLACE = "side by side", "in one place"
+SIDE_BY_SIDE, OVERLAID = "side by side", "in one place"
 
 
 @dataclass(frozen=True)
 class TimeBase:
-    """The displayed times: seconds and frame numbers of one mesh of a scene."""
+    """Conversion of elapsed seconds to frame numbers of one mesh of a scene."""
 
     start: float  # time of the mesh's first frame, in seconds
     fps: float  # frames per second of the mesh
@@ -48,54 +59,54 @@ class TimeBase:
     rate: float  # frames per second of the scene
 
     @classmethod
-    def of(cls, scene: Scene, index: int) -> TimeBase:
-        """Make the time base of a mesh."""
+    def from_scene(cls, scene: Scene, index: int) -> TimeBase:
+        """Return the time base of a mesh of a scene."""
         header = scene.items[index].header
         return cls(float(header.times[0]), header.fps, scene.elapsed(scene.count - 1), scene.fps)
 
     def number(self, elapsed: float) -> float:
-        """Return the frame number at a time since the first frame."""
+        """Return the frame number at elapsed seconds."""
         return number_at(self.start + elapsed, self.fps)
 
     def elapsed(self, number: float) -> float:
-        """Return the time since the first frame of a frame number."""
+        """Return the elapsed seconds of a frame number."""
         return time_of(number, self.fps) - self.start
 
     @property
     def slider(self) -> tuple[float, float, float, int]:
-        """Smallest and largest number, the step between frames, and their decimals."""
+        """Range of the frame slider: smallest and largest number, step, and number of decimals."""
         low, high, step = self.number(0.0), self.number(self.last), self.fps / self.rate
-        digits = 0 if all(each == round(each) for each in (low, high, step)) else DIGITS
-        scale = 10.0**digits  # what is rounded must not be outside
+        digits = 0 if all(number == round(number) for number in (low, high, step)) else FRAME_DECIMALS
+        scale = 10.0**digits  # rounded inwards
         return floor(low * scale + 1e-6) / scale, ceil(high * scale - 1e-6) / scale, step, digits
 
     def text(self, elapsed: float) -> str:
-        """Format a time."""
+        """Format elapsed seconds as frame and time, with those of the last frame."""
         number, end = frame_text(self.start + elapsed, self.fps), frame_text(self.start + self.last, self.fps)
         return f"frame {number} of {end}, {self.start + elapsed:.3f} of {self.start + self.last:.3f} s"
 
 
 class PlayControls:
-    """Playback, scrubbing, and frame rate."""
+    """Controls of playback, scrubbing and frame rate."""
 
     def __init__(self, server: Any, playback: Playback, index: int) -> None:
         gui = server.gui
         self._playback = playback
-        self._base = TimeBase.of(playback.scene, index)
+        self._base = TimeBase.from_scene(playback.scene, index)
         low, high, step, digits = self._base.slider
         self._icons = _icon("PLAYER_PLAY"), _icon("PLAYER_PAUSE")
-        self._hand = -HAND
+        self._dragged_at = -SLIDER_HOLD_SECONDS
         self._button = gui.add_button("Play", icon=self._icons[0], hint="Play or pause (P)")
         self._slider = gui.add_slider("Frame", low, high, step, low)
         self._slider.precision = digits
         self._text = gui.add_html("")
         speed = gui.add_dropdown("Speed", tuple(SPEEDS), initial_value="1")
         self._rate = gui.add_number(
-            "Frames/s", playback.scene.fps, min=1e-3, max=1e4, hint="Models are decoded at any rate"
+            "Frames/s", playback.scene.fps, min=1e-3, max=1e4, hint="Models are decoded at any frame rate"
         )
         self._button.on_click(lambda _: self.toggle())
         self._slider.on_update(self._scrub)
-        speed.on_update(lambda _: playback.pace(SPEEDS[speed.value]))
+        speed.on_update(lambda _: playback.set_speed(SPEEDS[speed.value]))
         self._rate.on_update(self._set_rate)
         for label, key, step in (("Next frame", "]", 1), ("Previous frame", "[", -1)):
             gui.add_command(label, hotkey=key).on_trigger(lambda _, by=step: self._step(by))
@@ -103,28 +114,28 @@ class PlayControls:
 
     def toggle(self) -> None:
         """Play or pause."""
-        if self._playback.plays:
+        if self._playback.is_playing:
             self._playback.pause()
         else:
             self._playback.play()
         self.refresh()
 
     def refresh(self) -> None:
-        """Show the state of playback."""
-        plays = self._playback.plays
-        self._button.label = "Pause" if plays else "Play"
-        self._button.icon = self._icons[plays]
+        """Show whether the scene is playing."""
+        is_playing = self._playback.is_playing
+        self._button.label = "Pause" if is_playing else "Play"
+        self._button.icon = self._icons[is_playing]
 
     def show(self, moment: Moment, index: int) -> None:
-        """Show the current time, in the time base of a mesh."""
-        base, elapsed = TimeBase.of(moment.scene, index), moment.scene.elapsed(moment.frame)
+        """Show the time of a moment, in the time base of a mesh."""
+        base, elapsed = TimeBase.from_scene(moment.scene, index), moment.scene.elapsed(moment.frame)
         if base != self._base:
             self._base = base
             slider = self._slider
             slider.min, slider.max, slider.step, slider.precision = base.slider
-        if monotonic() > self._hand + HAND:
+        if monotonic() > self._dragged_at + SLIDER_HOLD_SECONDS:
             self._slider.value = base.number(elapsed)
-        self._text.content = _line(base.text(elapsed), "mixseq-time")
+        self._text.content = _text_line(base.text(elapsed), "mixseq-time")
 
     def _step(self, by: int) -> None:
         self._playback.pause()
@@ -132,23 +143,23 @@ class PlayControls:
         self.refresh()
 
     def _scrub(self, event: Any) -> None:
-        if event.client is not None:  # a hand, and not `show`
-            self._hand = monotonic()
+        if event.client is not None:  # dragged by the user, not set by `show`
+            self._dragged_at = monotonic()
             self._playback.seek(self._playback.scene.frame_at(self._base.elapsed(self._slider.value)))
 
     def _set_rate(self, event: Any) -> None:
         if event.client is None:
             return
         try:
-            self._playback.rate(float(self._rate.value))
-        except SettingsError:  # half-typed numbers come here, too
-            self._text.content = _line(
-                f"not at {self._rate.value:g} frames/s: too few, or too many", "mixseq-time"
+            self._playback.set_frame_rate(float(self._rate.value))
+        except SettingsError:  # also numbers that are not yet typed completely
+            self._text.content = _text_line(
+                f"{self._rate.value:g} frames/s is out of range; enter another frame rate", "mixseq-time"
             )
 
 
-class ShowControls:
-    """Colours, arrangement, and visibility of meshes."""
+class DisplayControls:
+    """Controls of colours, arrangement and visibility of meshes."""
 
     def __init__(self, server: Any, playback: Playback, stage: LiveStage, colours: SceneColours) -> None:
         gui, names = server.gui, [item.name for item in playback.scene.items]
@@ -156,26 +167,30 @@ class ShowControls:
         with gui.add_folder("Show"):
             self._colour = gui.add_dropdown("Colour", colours.names, initial_value="clay")
             self._legend = gui.add_html("")
-            wire = gui.add_checkbox("Wireframe", False)
+            wireframe = gui.add_checkbox("Wireframe", False)
             follow = gui.add_checkbox(
-                "Follow", stage.following, hint="Bodies that travel stay in the middle, and the ground moves"
+                "Follow", stage.following, hint="Keep bodies that travel in the middle of the view"
             )
             if len(names) > 1:
-                places = gui.add_dropdown(
-                    "Meshes", (ROW, PLACE), initial_value=PLACE if stage.overlaid else ROW
+                arrangement = gui.add_dropdown(
+                    "Meshes",
+                    (SIDE_BY_SIDE, OVERLAID),
+                    initial_value=OVERLAID if stage.overlaid else SIDE_BY_SIDE,
                 )
-                places.on_update(lambda _: self._arrange(playback, places.value == ROW))
+                arrangement.on_update(lambda _: self._arrange(playback, arrangement.value == SIDE_BY_SIDE))
                 for index, name in enumerate(names):
-                    switch = gui.add_checkbox(name, True)
-                    switch.on_update(lambda _, of=index, switch=switch: stage.hide(of, not switch.value))
-            self._picked = gui.add_html(_line("Click a mesh for its vertex and part", "mixseq-picked"))
-        self._colour.on_update(lambda event: self._paint(event, playback))
-        wire.on_update(lambda _: stage.wire(wire.value))
+                    checkbox = gui.add_checkbox(name, True)
+                    checkbox.on_update(
+                        lambda _, of=index, checkbox=checkbox: stage.set_visible(of, checkbox.value)
+                    )
+            self._picked = gui.add_html(_text_line("Click a mesh for its vertex and part", "mixseq-picked"))
+        self._colour.on_update(lambda event: self._set_colour(event, playback))
+        wireframe.on_update(lambda _: stage.set_wireframe(wireframe.value))
         follow.on_update(lambda _: self._follow(playback, follow.value))
 
-    def picked(self, text: str) -> None:
+    def show_picked(self, text: str) -> None:
         """Show the picked mesh element."""
-        self._picked.content = _line(text, "mixseq-picked")
+        self._picked.content = _text_line(text, "mixseq-picked")
 
     def _follow(self, playback: Playback, on: bool) -> None:
         self._stage.following = on
@@ -185,28 +200,28 @@ class ShowControls:
         self._stage.arrange(playback.scene, side_by_side)
         playback.refresh()
 
-    def _paint(self, event: Any, playback: Playback) -> None:
+    def _set_colour(self, event: Any, playback: Playback) -> None:
         if event.client is not None:
-            self._stage.colour(self._colour.value)
+            self._stage.set_colour(self._colour.value)
             self._legend.content = _legend(self._stage.colours)
             playback.refresh()
 
 
 def _legend(colourings: list[Colouring]) -> str:
-    """Return the colour scale as a bar with its ends."""
-    shown = next((each for each in colourings if not each.constant), None)
-    if shown is None:
+    """Return the colour scale as a bar with its ends, in HTML."""
+    measured = next((colouring for colouring in colourings if not colouring.is_constant), None)
+    if measured is None:
         return ""
-    stops = ", ".join(f"rgb({r} {g} {b})" for r, g, b in shown.palette[::15])
+    stops = ", ".join(f"rgb({r} {g} {b})" for r, g, b in measured.palette[::15])
     bar = f'<div style="height: 10px; border-radius: 3px; background: linear-gradient(to right, {stops})"></div>'
     ends = (
-        f'<div style="display: flex; justify-content: space-between"><span>0</span><span>{shown.top:.3g} '
-        f"{escape(shown.unit)}</span></div>"
+        f'<div style="display: flex; justify-content: space-between"><span>0</span><span>{measured.top:.3g} '
+        f"{escape(measured.unit)}</span></div>"
     )
     return f'<div id="mixseq-legend" style="padding: 2px 12px; font-size: 12px">{bar}{ends}</div>'
 
 
-def _line(text: str, name: str) -> str:
+def _text_line(text: str, name: str) -> str:
     return f'<div id="{name}" style="padding: 0 12px; font-size: 12px; opacity: 0.75">{escape(text)}</div>'
 
 
@@ -216,23 +231,23 @@ def _icon(name: str) -> Any:
     return getattr(Icon, name)
 
 
-def notify(client: Any, title: str, text: str, good: bool = False) -> None:
-    """Show a notification on a page for some seconds."""
-    client.add_notification(title, text, auto_close_seconds=6.0, color="teal" if good else "red")
+def notify(client: Any, title: str, text: str, is_success: bool = False) -> None:
+    """Show a notification on a page for a few seconds."""
+    client.add_notification(title, text, auto_close_seconds=6.0, color="teal" if is_success else "red")
 
 
-def notify_all(server: Any, title: str, text: str, good: bool = False) -> None:
+def notify_all(server: Any, title: str, text: str, is_success: bool = False) -> None:
     """Show a notification on all pages."""
     for client in server.get_clients().values():
-        notify(client, title, text, good)
+        notify(client, title, text, is_success)
 
 
-LONGEST_NAME = 200
-"""Longest file name in bytes: folders allow 255, and writers temporarily add some letters."""
+MAX_NAME_BYTES = 200
+"""Longest file name: file systems allow 255 bytes, and writers temporarily add a suffix."""
 
 
 class SaveControls:
-    """Save edits under a name in the folder where the viewer was started."""
+    """Controls that save edits in the folder where the viewer was started."""
 
     def __init__(self, server: Any, folder: Path, name: str, save: Callable[[Path, bool], None]) -> None:
         gui = server.gui
@@ -242,36 +257,36 @@ class SaveControls:
             self._name = gui.add_text(
                 "File", name, hint=f"A model (.h5), or a sequence in any format, in {folder}"
             )
-            self._replace = gui.add_checkbox("Replace", False, hint="Whether a file of this name is replaced")
+            self._replace = gui.add_checkbox("Replace", False, hint="Replace an existing file")
             self._button = gui.add_button("Save", icon=_icon("DEVICE_FLOPPY"))
         self._button.on_click(self._clicked)
 
-    def name(self, name: str) -> None:
-        """Propose another name."""
+    def set_name(self, name: str) -> None:
+        """Set the proposed file name."""
         self._name.value = name
 
     def _clicked(self, event: Any) -> None:
         name = self._name.value.strip()
         path = self._folder / name
-        # whoever can reach the page should not write anywhere
+        # pages must not write outside the folder
         if not _is_file_name(name):
             notify(
                 event.client,
                 "Not saved",
-                f"{name!r}: only the name of a file is expected, which goes to {self._folder}",
+                f"{name!r} is not a plain file name; enter a name without folders, it is saved in {self._folder}",
             )
         else:
             self._save(path, bool(self._replace.value))
 
 
 def _is_file_name(name: str) -> bool:
-    """Whether a text is a plain file name on any system, without a path."""
-    plain = name not in ("", ".", "..") and not any(each in name for each in "/\\:")
-    return plain and name.isprintable() and len(name.encode(errors="replace")) <= LONGEST_NAME
+    """Whether a text is a file name on any system, without folders."""
+    has_no_path = name not in ("", ".", "..") and not any(separator in name for separator in "/\\:")
+    return has_no_path and name.isprintable() and len(name.encode(errors="replace")) <= MAX_NAME_BYTES
 
 
 class Charts:
-    """The time curve, coefficients, and keys of a retiming."""
+    """Charts of the time curve, its coefficients, and the keys of a retiming."""
 
     def __init__(
         self, server: Any, session: Session, playback: Playback, reach: float, seconds: float
@@ -282,7 +297,7 @@ class Charts:
         self._lock = Lock()
         self._planes: dict[int, Plane] = {}
         self._version = 0
-        self._pen = False
+        self._is_drawing = False
         self._reach = reach
         self._seconds = seconds
         gui.add_html('<div id="mixseq-charts" style="height: calc(100vh - 88px); min-height: 420px"></div>')
@@ -291,61 +306,61 @@ class Charts:
         self.draw()
 
     def draw(self) -> None:
-        """Draw the edited model."""
-        with self._lock:  # the newest model is drawn last, whoever asks
+        """Send the chart data of the edited model to the page."""
+        with self._lock:  # so that the newest model is sent last
             self._version += 1
             history = self._session.history
-            signals = signals_of(history.model, self._plane) | {"reach": self._reach}
-            if keys := history.steps[history.now].keys:  # which can be moved on
-                before = history.before_retiming.model
-                signals |= {"keys": keys, "source": [before.start, before.end]}
+            data = chart_data(history.current.model, self._plane) | {"reach": self._reach}
+            if keys := history.current.keys:  # the keys can still be moved
+                source = before_retiming(history).current.model
+                data |= {"keys": keys, "source": [source.start, source.end]}
             self._signals.content = (
                 f'<script type="application/json" id="mixseq-signals" data-version="{self._version}">'
-                f"{script_json(signals)}</script>"
+                f"{script_json(data)}</script>"
             )
 
     def show(self, moment: Moment) -> None:
-        """Move the point of the current time."""
+        """Move the playhead to the time of a moment."""
         model = self._session.model
         time = min(model.start + moment.scene.elapsed(moment.frame), model.end)
-        pen = "true" if self._pen else "false"
+        pen = "true" if self._is_drawing else "false"
         self._now.content = f'<span id="mixseq-now" data-time="{time:.6f}" data-pen="{pen}" hidden></span>'
 
-    def pen(self, on: bool) -> None:
-        """Set the mouse to drawing or dragging."""
-        self._pen = on
+    def set_pen(self, on: bool) -> None:
+        """Make the mouse draw curves, or drag them."""
+        self._is_drawing = on
         self._playback.refresh()
 
-    def reach(self, seconds: float) -> None:
-        """Set the reach of dragging, in seconds."""
+    def set_reach(self, seconds: float) -> None:
+        """Set the reach of drags, in seconds."""
         self._reach = seconds
         self.draw()
 
-    def last(self, seconds: float) -> None:
+    def set_duration(self, seconds: float) -> None:
         """Set the duration of drawn curves."""
         self._seconds = seconds
 
-    def heard(self, message: Message) -> None:
-        """Apply a mouse message of the charts."""
+    def handle(self, message: Message) -> None:
+        """Apply a message of the charts."""
         session, scene = self._session, self._playback.scene
         match message:
             case Seek(time):
                 self._playback.seek(scene.frame_at(time - session.model.start))
-            case Drag(time, to, done):
-                if not self._playback.plays:  # what is dragged should be seen
+            case Drag(time, target, is_done):
+                if not self._playback.is_playing:  # show the frame that is dragged
                     self._playback.seek(scene.frame_at(time - session.model.start))
-                edit = partial(drag, time=time, to=to.tolist(), reach=self._reach, plane=self._plane)
-                session.edit("drag", edit, preview=not done)
+                edit = partial(drag, time=time, to=target.tolist(), reach=self._reach, plane=self._plane)
+                session.edit("drag", edit, preview=not is_done)
             case Sketch(points):
                 session.edit(
                     "sketch", partial(sketch, curve=points, duration=self._seconds, plane=self._plane)
                 )
-            case Retime(keys, done):
-                session.retime(keys, preview=not done)
+            case Retime(keys, is_done):
+                session.retime(keys, preview=not is_done)
 
     @property
     def _plane(self) -> Plane:
-        """The drawn embedding, which is kept while dragging so that the picture stays."""
+        """Plane of the drawn embedding; edits keep it if they can, so that the chart does not turn."""
         model, index = self._session.model, self._session.index
         if index not in self._planes or not _fits(model, self._planes[index]):
             self._planes[index] = model.plane
@@ -360,19 +375,19 @@ def _fits(model: Model, plane: Plane) -> bool:
     return True
 
 
-WHOLE = "whole body"
+WHOLE_BODY = "whole body"
 
-NO_HOLD = (
-    "the whole body has nothing to rest against; click a part of the mesh, or choose it under Part. To stop all for a "
-    "while, drag keys of the retiming"
+NO_HOLD_MESSAGE = (
+    "the whole body cannot be held; click a part of the mesh, or choose one under Part. To freeze the whole body, drag "
+    "keys of the retiming"
 )
 
-SHORTEST = 1e-3
-"""Smallest duration in controls, in seconds."""
+MIN_DURATION_SECONDS = 1e-3
+"""Smallest duration in controls."""
 
 
 class Editor:
-    """All controls that edit: charts, undo, sections, parts and saving."""
+    """Controls of edits: charts, undo, sections, parts and saving."""
 
     def __init__(self, server: Any, session: Session, playback: Playback, folder: Path) -> None:
         gui, model = server.gui, session.model
@@ -384,87 +399,91 @@ class Editor:
         panel.dock_left()
         panel.set_width(360)
         with gui.add_folder("Edit"):
-            if len(session.editable) > 1:
-                names = {playback.scene.items[index].name: index for index in session.editable}
+            if len(session.editable_ids) > 1:
+                names = {playback.scene.items[index].name: index for index in session.editable_ids}
                 which = gui.add_dropdown("Model", tuple(names))
-                which.on_update(lambda _: session.choose(names[which.value]))
+                which.on_update(lambda _: session.select(names[which.value]))
             self._undo = gui.add_button_group("Steps", ("Undo", "Redo"))
             self._steps = gui.add_html("")
-            pen = gui.add_checkbox("Pen", False, hint="Draw a new curve (shift and drag does it, too)")
-            self._seconds = gui.add_number("Draw for (s)", duration(model), min=SHORTEST, step=0.05)
+            pen = gui.add_checkbox("Pen", False, hint="Draw a new curve (or drag with shift)")
+            self._seconds = gui.add_number(
+                "Draw for (s)", duration(model), min=MIN_DURATION_SECONDS, step=0.05
+            )
             self._reach = gui.add_number(
                 "Drag over (s)",
                 reach_of(model),
-                min=SHORTEST,
+                min=MIN_DURATION_SECONDS,
                 step=0.01,
-                hint="How far before and after the point the curve follows it",
+                hint="Time before and after the point within which the curve follows it",
             )
-            self._section = gui.add_multi_slider("Section (s)", *span(model), SHORTEST, span(model))
+            self._section = gui.add_multi_slider(
+                "Section (s)", *span(model), MIN_DURATION_SECONDS, span(model)
+            )
             self._frames = gui.add_html("")
-            self._times = gui.add_number("Times", 2, min=1, max=100, step=1, hint="How often Repeat shows it")
+            self._times = gui.add_number("Times", 2, min=1, max=100, step=1, hint="Number of repetitions")
             sections = gui.add_button_group("", ("Repeat", "Cut", "Loop", "Reverse"))
             self._part = gui.add_dropdown(
-                "Part", (WHOLE, *_parts(model)), hint="Click a part of the mesh to choose it"
+                "Part", (WHOLE_BODY, *_parts(model)), hint="Click a part of the mesh to choose it"
             )
             self._gain = gui.add_number("Gain", 1.5, min=-10.0, max=10.0, step=0.1)
             parts = gui.add_button_group("", ("Exaggerate", "Hold"))
-        self._show_steps()  # a line that came later would push all else down
-        self._saving = SaveControls(server, folder, self._target, session.save)
+        self._show_steps()  # now, as a later line would move the controls below it
+        self._save_controls = SaveControls(server, folder, self._default_name, session.save)
         self._undo.on_click(lambda _: session.undo() if self._undo.value == "Undo" else session.redo())
-        self._section.on_update(lambda _: self._tell_frames())
-        pen.on_update(lambda _: charts.pen(pen.value))
-        self._seconds.on_update(lambda _: charts.last(float(self._seconds.value)))
-        self._reach.on_update(lambda _: charts.reach(float(self._reach.value)))
+        self._section.on_update(lambda _: self._show_section_frames())
+        pen.on_update(lambda _: charts.set_pen(pen.value))
+        self._seconds.on_update(lambda _: charts.set_duration(float(self._seconds.value)))
+        self._reach.on_update(lambda _: charts.set_reach(float(self._reach.value)))
         sections.on_click(lambda _: self._edit_section(sections.value))
         parts.on_click(lambda event: self._edit_part(parts.value, event.client))
         gui.add_command("Undo", hotkey="Z", modifier="cmd/ctrl").on_trigger(lambda _: session.undo())
         gui.add_command("Redo", hotkey="Z", modifier="cmd/ctrl+shift").on_trigger(lambda _: session.redo())
 
-    def edited(self) -> None:
-        """Show the model after an edit, and keep the choices that still fit."""
+    def show_edit(self) -> None:
+        """Show the edited model, and keep settings that are still valid."""
         self.charts.draw()
         self._show_steps()
 
     def _show_steps(self) -> None:
         model, history = self._session.model, self._session.history
-        done = f"{history.now} of {len(history.steps) - 1} steps"
-        last = f": {history.undoes}" if history.undoes else ""
+        position = f"{history.index} of {len(history.states) - 1} steps"
+        last = f": {history.current.name}" if history.index else ""
         self._steps.content = (
-            f'<div id="mixseq-steps" style="padding: 0 12px; font-size: 12px">{done}{last}</div>'
+            f'<div id="mixseq-steps" style="padding: 0 12px; font-size: 12px">{position}{last}</div>'
         )
         before, after = (self._section.min, self._section.max), span(model)
         if after != before:
-            first, end = (min(max(each, after[0]), after[1]) for each in self._section.value)
-            whole = self._section.value == before or first >= end
+            start, end = (min(max(time, after[0]), after[1]) for time in self._section.value)
+            is_whole = self._section.value == before or start >= end
             self._section.min, self._section.max = after
-            self._section.value = after if whole else (first, end)
-        self._tell_frames()
+            self._section.value = after if is_whole else (start, end)
+        self._show_section_frames()
 
-    def chosen(self) -> None:
-        """Show another model."""
+    def show_selected(self) -> None:
+        """Show the controls of another model."""
         model = self._session.model
         self._section.min, self._section.max = span(model)
         self._section.value = span(model)
         self._seconds.value = duration(model)
         self._reach.value = reach_of(model)
-        self._part.value = WHOLE
-        self._part.options = (WHOLE, *_parts(model))
-        self._saving.name(self._target)
-        self.edited()
+        self._part.value = WHOLE_BODY
+        self._part.options = (WHOLE_BODY, *_parts(model))
+        self._save_controls.set_name(self._default_name)
+        self.show_edit()
         self._playback.refresh()
 
-    def picked(self, index: int, picked: Picked) -> str:
-        """Choose the part that was clicked, and return its description, empty for meshes without parts."""
-        cut_up = self._playback.scene.items[index].decomposition
-        if cut_up is None:
+    def select_part(self, index: int, hit: RayHit) -> str:
+        """Select the clicked part, and return its description, empty for meshes without parts."""
+        decomposition = self._playback.scene.items[index].decomposition
+        if decomposition is None:
             return ""
-        part, joint = int(cut_up.part_of_face[picked.face]), int(cut_up.joint_of_face[picked.face])
-        if index == self._session.index:  # the root has nothing that it could move against
-            self._part.value = str(part) if str(part) in self._part.options else WHOLE
+        part, joint = int(decomposition.part_of_face[hit.face]), int(decomposition.joint_of_face[hit.face])
+        if index == self._session.index:  # the root part has no parent, and is not an option
+            self._part.value = str(part) if str(part) in self._part.options else WHOLE_BODY
         return f", part {part}" if joint < 0 else f", joint {joint} of part {part}"
 
     def _edit_section(self, name: str) -> None:
-        start, end = self._chosen_section
+        start, end = self._section_times
         edits: dict[str, Edit] = {
             "Repeat": partial(repeat, start=start, end=end, times=int(self._times.value)),
             "Cut": partial(cut, start=start, end=end),
@@ -475,60 +494,62 @@ class Editor:
 
     def _edit_part(self, name: str, client: Any) -> None:
         part, gain = self._part.value, float(self._gain.value)
-        if name == "Exaggerate" and part == WHOLE:
+        if name == "Exaggerate" and part == WHOLE_BODY:
             self._session.edit("exaggerate", partial(exaggerate, gain=gain))
         elif name == "Exaggerate":
             self._session.edit("exaggerate part", partial(exaggerate_part, part=int(part), gain=gain))
-        elif part == WHOLE:
-            notify(client, "Hold: not done", NO_HOLD)
+        elif part == WHOLE_BODY:
+            notify(client, "Hold: not done", NO_HOLD_MESSAGE)
         else:
-            start, end = self._chosen_section
-            self._session.edit("hold", partial(hold, part=int(part), time=self._time, start=start, end=end))
+            start, end = self._section_times
+            self._session.edit(
+                "hold", partial(hold, part=int(part), time=self._current_time, start=start, end=end)
+            )
 
     @property
-    def _chosen_section(self) -> tuple[float, float]:
-        """Start and end in seconds of the model, clipped, as the slider rounds them."""
+    def _section_times(self) -> tuple[float, float]:
+        """Start and end of the section in seconds, clamped to the model, because the slider rounds them."""
         model = self._session.model
-        first, last = (min(max(each, model.start), model.end) for each in self._section.value)
+        first, last = (min(max(time, model.start), model.end) for time in self._section.value)
         return first, last
 
-    def _tell_frames(self) -> None:
+    def _show_section_frames(self) -> None:
         fps = self._session.model.header.fps
-        first, last = (frame_text(each, fps) for each in self._chosen_section)
-        self._frames.content = _line(f"frames {first} to {last}", "mixseq-section")
+        first, last = (frame_text(time, fps) for time in self._section_times)
+        self._frames.content = _text_line(f"frames {first} to {last}", "mixseq-section")
 
     @property
-    def _time(self) -> float:
+    def _current_time(self) -> float:
         """Current time of the model, in seconds."""
         model, playback = self._session.model, self._playback
         return min(model.start + playback.scene.elapsed(playback.frame), model.end)
 
     @property
-    def _target(self) -> str:
+    def _default_name(self) -> str:
         """Default file name of the model."""
         return f"{Path(self._playback.scene.items[self._session.index].name).stem}-edited.h5"
 
 
 def span(model: Model) -> tuple[float, float]:
-    """Return start and end of a model in seconds, at least a frame apart, rounded outwards to the slider's steps."""
-    first = float(np.floor(model.start / SHORTEST + 1e-6) * SHORTEST)
-    last = float(np.ceil(model.end / SHORTEST - 1e-6) * SHORTEST)
-    return first, max(last, first + max(1 / model.header.fps, SHORTEST))
+    """Return start and end of a model in seconds, at least a frame apart, rounded outwards to steps of the slider."""
+    first = float(np.floor(model.start / MIN_DURATION_SECONDS + 1e-6) * MIN_DURATION_SECONDS)
+    last = float(np.ceil(model.end / MIN_DURATION_SECONDS - 1e-6) * MIN_DURATION_SECONDS)
+    return first, max(last, first + max(1 / model.header.fps, MIN_DURATION_SECONDS))
 
 
 def duration(model: Model) -> float:
-    """Return the duration of a model in seconds, at least a frame, rounded up to the slider's steps."""
-    lasts = max(model.end - model.start, 1 / model.header.fps, SHORTEST)
-    return float(np.ceil(lasts / SHORTEST - 1e-6) * SHORTEST)
+    """Return the duration of a model in seconds, at least a frame, rounded up to steps of the controls."""
+    seconds = max(model.end - model.start, 1 / model.header.fps, MIN_DURATION_SECONDS)
+    return float(np.ceil(seconds / MIN_DURATION_SECONDS - 1e-6) * MIN_DURATION_SECONDS)
 
 
 def reach_of(model: Model) -> float:
-    """Return the default reach of dragging, in seconds."""
-    return max(round(default_reach(model), 3), SHORTEST)
+    """Return the default reach of drags, in seconds."""
+    return max(round(default_reach(model), 3), MIN_DURATION_SECONDS)
 
 
 def _parts(model: Model) -> tuple[str, ...]:
-    """Return the numbers of parts with a parent."""
+    """Return the numbers of parts with a parent, which can be edited alone."""
     if not isinstance(model.space, MixedSpace) or model.space.placement == "free":
         return ()
     return tuple(str(part) for part in np.flatnonzero(model.space.articulation.parents >= 0))

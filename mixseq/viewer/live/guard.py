@@ -1,7 +1,7 @@
-"""A guard in front of viser's server: only browsers with the token of the viewer, and a few kinds of checked messages.
+"""Guard viser's server: only browsers with the viewer's token may connect, and only validated messages pass.
 
-viser creates its server with ``websockets.asyncio.server.serve``, whose arguments for a request hook and a connection
-class are set by replacing that function.
+viser creates its server with ``websockets.asyncio.server.serve``. That function is replaced while the server starts, to
+add a request hook and a connection class.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ import websockets.asyncio.server as sockets
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
 
-EVERYWHERE = ("0.0.0.0", "::", "")
-"""Hosts that mean all addresses of a machine."""
+WILDCARD_HOSTS = ("0.0.0.0", "::", "")
+"""Hosts that stand for all addresses of a machine."""
 
-CLOSED = "This is a viewer of mixseq. Open the address that it printed, with its token."
-"""Message without the token, for any refusal."""
+ACCESS_DENIED_MESSAGE = "This is a viewer of mixseq. Open the address that it printed, with its token."
+"""Answer to all refused requests, which does not reveal the reason."""
 
 
 class Headers(Protocol):
-    """Headers of a request, with repetitions."""
+    """Headers of a request, which may be repeated."""
 
     def get_all(self, key: str) -> list[str]:
         """Return all values of a header."""
@@ -42,11 +42,11 @@ class Headers(Protocol):
 
 @dataclass
 class Access:
-    """Decides which requests a viewer answers.
+    """Access control of a viewer.
 
     Other pages in the same browser can send requests, with cookies if they are on the same host. They lack the token,
-    its cookie is ``SameSite=Strict``, and the browser sends their ``Origin``. Pages whose name resolves to this machine
-    (DNS rebinding) are recognised by that name (``Host``).
+    its cookie is ``SameSite=Strict``, and the browser sends their ``Origin``. DNS rebinding, by pages whose name
+    resolves to this machine, is recognised by that name (``Host``).
     """
 
     host: str
@@ -56,8 +56,8 @@ class Access:
     @property
     def address(self) -> str:
         """Address of the viewer for a browser, with the token."""
-        name = "127.0.0.1" if self.host in EVERYWHERE else self.host
-        return f"http://{_bracketed(name)}:{self.port}/?token={self.token}"
+        name = "127.0.0.1" if self.host in WILDCARD_HOSTS else self.host
+        return f"http://{_bracket_ipv6(name)}:{self.port}/?token={self.token}"
 
     @property
     def cookie(self) -> str:
@@ -67,51 +67,51 @@ class Access:
     def refusal(self, path: str, headers: Headers) -> str | None:
         """Return the reason for refusing a request, None if it is allowed."""
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
-        if len(hosts) != 1 or not self._is_ours(hosts[0].lower()):
-            return "a name that is not this machine's"
+        if len(hosts) != 1 or not self._is_own_host(hosts[0].lower()):
+            return "its host is not this machine"
         if any(origin.lower() != f"http://{hosts[0].lower()}" for origin in origins):
-            return "a page from elsewhere"
-        if not (self.brings_token(path) or any(map(self._is_token, self._cookies(headers)))):
-            return "no token, or a wrong one"
+            return "it comes from another site"
+        if not (self.has_token(path) or any(map(self._is_token, self._cookies(headers)))):
+            return "its token is missing or wrong"
         return None
 
-    def brings_token(self, path: str) -> bool:
-        """Whether the token is in the query of a path."""
+    def has_token(self, path: str) -> bool:
+        """Whether the query of a path has the token."""
         try:
             return any(map(self._is_token, parse_qs(urlsplit(path).query).get("token", [])))
-        except ValueError:  # too many fields, or no address at all
+        except ValueError:  # too many fields, or not a valid address
             return False
 
     @property
     def _cookie_name(self) -> str:
-        """Name with the port, as all ports of a host share cookies."""
+        """Name with the port, because all ports of a host share cookies."""
         return f"mixseq-{self.port}"
 
     def _cookies(self, headers: Headers) -> list[str]:
-        pairs = (each.partition("=") for line in headers.get_all("Cookie") for each in line.split(";"))
+        pairs = (pair.partition("=") for line in headers.get_all("Cookie") for pair in line.split(";"))
         return [value.strip() for name, _, value in pairs if name.strip() == self._cookie_name]
 
     def _is_token(self, given: str) -> bool:
         return secrets.compare_digest(given.encode(errors="replace"), self.token.encode())
 
-    def _is_ours(self, given: str) -> bool:
-        """Whether a host, as a browser writes it, is one of this machine's names, with the port."""
-        name, found, port = given.rpartition(":")
-        if not found or port.endswith("]"):  # a browser leaves the usual port out
+    def _is_own_host(self, given: str) -> bool:
+        """Whether a ``Host`` header is a name of this machine, with the port."""
+        name, separator, port = given.rpartition(":")
+        if not separator or port.endswith("]"):  # browsers omit the default port
             name, port = given, "80"
         if port != str(self.port):
             return False
-        if name in ("localhost", "127.0.0.1", "[::1]", _bracketed(self.host.lower())):
+        if name in ("localhost", "127.0.0.1", "[::1]", _bracket_ipv6(self.host.lower())):
             return True
-        # names can be made to mean any machine, numbers cannot
-        return self.host in EVERYWHERE and (name == socket.gethostname().lower() or _is_number(name))
+        # other names can be made to resolve to this machine, IP addresses cannot
+        return self.host in WILDCARD_HOSTS and (name == socket.gethostname().lower() or _is_ip_address(name))
 
 
-def _bracketed(host: str) -> str:
+def _bracket_ipv6(host: str) -> str:
     return f"[{host}]" if ":" in host else host
 
 
-def _is_number(name: str) -> bool:
+def _is_ip_address(name: str) -> bool:
     try:
         ip_address(name.removeprefix("[").removesuffix("]"))
     except ValueError:
@@ -119,8 +119,8 @@ def _is_number(name: str) -> bool:
     return True
 
 
-LARGEST = 2**20
-"""Largest message, in bytes; a stroke of the pen has some 200,000."""
+MAX_MESSAGE_BYTES = 2**20
+"""Largest message; a sketch has up to 200,000 bytes."""
 
 Number = Annotated[float, msgspec.Meta(ge=-1e15, le=1e15)]
 Pixels = Annotated[float, msgspec.Meta(ge=1, le=1e6)]
@@ -130,12 +130,12 @@ Triple = tuple[Number, Number, Number]
 Value = bool | Number | str | Annotated[list[Number], msgspec.Meta(max_length=16)]
 
 
-class Said(msgspec.Struct, tag_field="type", forbid_unknown_fields=True):
-    """A message of a page; viser's other kinds (uploads, tunnels, images) are rejected."""
+class ClientMessage(msgspec.Struct, tag_field="type", forbid_unknown_fields=True):
+    """Message of a page; viser's other kinds (uploads, tunnels, images) are rejected."""
 
 
-class Camera(Said, tag="ViewerCameraMessage"):
-    """The view of the scene."""
+class Camera(ClientMessage, tag="ViewerCameraMessage"):
+    """Change of the camera."""
 
     wxyz: tuple[Number, Number, Number, Number]
     position: Triple
@@ -148,8 +148,8 @@ class Camera(Said, tag="ViewerCameraMessage"):
     up_direction: Triple
 
 
-class Click(Said, tag="SceneNodeClickMessage"):
-    """A mesh was clicked."""
+class Click(ClientMessage, tag="SceneNodeClickMessage"):
+    """Click on a mesh."""
 
     name: Text
     instance_index: int | None
@@ -160,115 +160,117 @@ class Click(Said, tag="SceneNodeClickMessage"):
     owner: Text = ""
 
 
-class Command(Said, tag="CommandTriggerMessage"):
-    """A key was pressed."""
+class Command(ClientMessage, tag="CommandTriggerMessage"):
+    """Keyboard shortcut."""
 
     uuid: Text
 
 
-class NewValue(msgspec.Struct, forbid_unknown_fields=True):
-    """The new value of a control, without other properties."""
+class ControlValue(msgspec.Struct, forbid_unknown_fields=True):
+    """New value of a control, without its other properties."""
 
     value: Value
 
 
-class Change(Said, tag="GuiUpdateMessage"):
-    """A control was used."""
+class ControlUpdate(ClientMessage, tag="GuiUpdateMessage"):
+    """Use of a control."""
 
     uuid: Text
-    updates: NewValue
+    updates: ControlValue
 
 
-_DECODER = msgspec.msgpack.Decoder(Camera | Click | Command | Change)
-_ENCODER = msgspec.msgpack.Encoder()
+_MESSAGE_DECODER = msgspec.msgpack.Decoder(Camera | Click | Command | ControlUpdate)
+_MESSAGE_ENCODER = msgspec.msgpack.Encoder()
 
 
-def checked_message(raw: bytes | str, controls: Mapping[str, Any]) -> bytes | None:
-    """Validate a message and encode it for viser; None to ignore it, ValueError if it is bad."""
+def validate_message(raw: bytes | str, controls: Mapping[str, Any]) -> bytes | None:
+    """Return a message encoded for viser, None if it is to be ignored; raise ValueError if it is invalid."""
     if isinstance(raw, str):
-        raise ValueError("text, where bytes are expected")
+        raise ValueError("it is text, not bytes")
     try:
-        said = _DECODER.decode(raw)
+        message = _MESSAGE_DECODER.decode(raw)
     except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
         raise ValueError(str(error)) from None
-    if isinstance(said, Change):
-        if said.uuid not in controls:
-            raise ValueError("there is no such control")
-        state = controls[said.uuid]._impl
-        _check_kind(said.updates.value, state.value, getattr(state.props, "options", None))
-        if not _in_range(said.updates.value, state.props):
+    if isinstance(message, ControlUpdate):
+        if message.uuid not in controls:
+            raise ValueError("its control does not exist")
+        state = controls[message.uuid]._impl
+        _check_type(message.updates.value, state.value, getattr(state.props, "options", None))
+        if not _is_in_range(message.updates.value, state.props):
             return None
-    return _ENCODER.encode(said)
+    return _MESSAGE_ENCODER.encode(message)
 
 
-def _check_kind(value: Any, before: Any, options: Any) -> None:
-    """Raise ValueError for a value of a wrong type for a control."""
+def _check_type(value: Any, before: Any, options: Any) -> None:
+    """Raise ValueError for a value that a control cannot have."""
     if isinstance(before, bool):
-        fits = isinstance(value, bool)
+        is_valid = isinstance(value, bool)
     elif isinstance(before, int | float):
-        fits = isinstance(value, float)
+        is_valid = isinstance(value, float)
     elif isinstance(before, tuple):
-        fits = isinstance(value, list) and len(value) == len(before)
+        is_valid = isinstance(value, list) and len(value) == len(before)
     else:
-        fits = isinstance(before, str) and isinstance(value, str)
-    if not fits:
-        raise ValueError("a control cannot have this kind of value")
+        is_valid = isinstance(before, str) and isinstance(value, str)
+    if not is_valid:
+        raise ValueError("its value has the wrong type for the control")
     if options is not None and value not in options:
-        raise ValueError("a control has no such option")
+        raise ValueError("its value is not an option of the control")
 
 
-def _in_range(value: Any, props: Any) -> bool:
+def _is_in_range(value: Any, props: Any) -> bool:
+    """Whether a value is within the limits of a control."""
     low, high = getattr(props, "min", None), getattr(props, "max", None)
     if isinstance(value, str | bool):
         return True
     numbers = value if isinstance(value, list) else [value]
-    slack = 1e-9 * max(1.0, *map(abs, numbers)) if numbers else 0.0
+    tolerance = 1e-9 * max(1.0, *map(abs, numbers)) if numbers else 0.0
     return all(
-        (low is None or each >= low - slack) and (high is None or each <= high + slack) for each in numbers
+        (low is None or number >= low - tolerance) and (high is None or number <= high + tolerance)
+        for number in numbers
     )
 
 
 @dataclass
-class Rate:
-    """A token bucket: events per second, and in a burst."""
+class RateLimit:
+    """Rate limit by a token bucket."""
 
-    persecond: float
-    atonce: float
-    _left: float = field(init=False)
-    _when: float = field(init=False)
+    per_second: float
+    burst: float
+    _tokens: float = field(init=False)
+    _updated_at: float = field(init=False)
 
     def __post_init__(self) -> None:
-        self._left, self._when = self.atonce, monotonic()
+        self._tokens, self._updated_at = self.burst, monotonic()
 
-    def wait(self) -> float:
-        """Count an event, and return the seconds by which it is early."""
+    def delay(self) -> float:
+        """Count an event, and return the seconds by which it has to be delayed."""
         now = monotonic()
-        self._left = min(self.atonce, self._left + (now - self._when) * self.persecond) - 1
-        self._when = now
-        return max(0.0, -self._left / self.persecond)
+        self._tokens = min(self.burst, self._tokens + (now - self._updated_at) * self.per_second) - 1
+        self._updated_at = now
+        return max(0.0, -self._tokens / self.per_second)
 
-    def spare(self) -> bool:
-        """Whether another event is allowed; only then it is counted."""
-        if self.wait() > 0:
-            self._left += 1
+    def allow(self) -> bool:
+        """Return whether another event is allowed; only then it is counted."""
+        if self.delay() > 0:
+            self._tokens += 1
             return False
         return True
 
 
-FAST = 1000.0, 2000.0
-"""Messages of a page per second, and in a burst; more are delayed. At 144 Hz a page sends some 400."""
+MESSAGE_RATE = 1000.0, 2000.0
+"""Messages of a page per second, and in a burst; more are delayed. At 144 Hz a page sends about 400."""
 
-BAD = 1.0, 20.0
-"""Bad messages of a page per second, and in a burst; more close the connection."""
+INVALID_MESSAGE_RATE = 1.0, 20.0
+"""Invalid messages of a page per second, and in a burst; more close the connection."""
 
-MOST = 256
-"""Largest number of websockets; a page has one."""
+MAX_CONNECTIONS = 256
+"""Largest number of websockets; each page has one."""
 
-LINES = 0.5, 20.0
+LOG_LINE_RATE = 0.5, 20.0
 """Lines on the terminal per second, and in a burst; more are dropped."""
 
-PATIENCE = 1.0
-"""Seconds to wait for the other side when closing a connection."""
+CLOSE_TIMEOUT_SECONDS = 1.0
+"""Time to wait for the other side when a connection is closed."""
 
 HEADERS = {
     "Cache-Control": "no-store",
@@ -277,54 +279,54 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "SAMEORIGIN",
 }
-"""Headers of every page: no embedding elsewhere, no referrer."""
+"""Headers of all responses: no caching, no referrer, no embedding in other sites."""
 
 
 class Guard:
-    """Guards one viser server."""
+    """Guard of one viser server."""
 
     def __init__(self, access: Access) -> None:
         self.access = access
         self.controls: Mapping[str, Any] = {}
-        self._lines = Rate(*LINES)
+        self._log_rate = RateLimit(*LOG_LINE_RATE)
         self._refusals: set[str] = set()
-        self.connected = 0
-        self._log = logging.Logger("mixseq.viewer")  # nobody else's
+        self.connection_count = 0
+        self._log = logging.Logger("mixseq.viewer")  # without the handlers of other loggers
         self._log.addHandler(logging.NullHandler())
 
-    def tell(self, text: str) -> None:
-        """Print a line about a refusal, within the rate `LINES`."""
-        if self._lines.spare():
-            line = "".join(each if each.isprintable() else "?" for each in text[:200])
+    def report(self, text: str) -> None:
+        """Print a line about a refusal on the terminal, within the rate `LOG_LINE_RATE`."""
+        if self._log_rate.allow():
+            line = "".join(letter if letter.isprintable() else "?" for letter in text[:200])
             print(f"mixseq: viewer: {line}", file=sys.stderr, flush=True)
 
     @contextmanager
-    def posted(self) -> Iterator[None]:
+    def guard_new_server(self) -> Iterator[None]:
         """Guard the server that is started in the block."""
-        usual, started = sockets.serve, []
+        original_serve, ports = sockets.serve, []
 
         def serve(handler: Any, host: str, port: int, **settings: Any) -> Any:
-            started.append(port)
+            ports.append(port)
             self.access.port = port
             settings |= {
                 "process_request": partial(self._answer, settings["process_request"]),
                 "create_connection": partial(_Connection, self),
-                "max_size": LARGEST,
-                "close_timeout": PATIENCE,
+                "max_size": MAX_MESSAGE_BYTES,
+                "close_timeout": CLOSE_TIMEOUT_SECONDS,
                 "logger": self._log,
             }
-            return usual(handler, host, port, **settings)
+            return original_serve(handler, host, port, **settings)
 
         sockets.serve = serve  # type: ignore[misc, assignment]
         try:
             yield
         finally:
-            sockets.serve = usual  # type: ignore[misc]
-        if not started:
-            raise RuntimeError("this version of viser cannot be guarded")
+            sockets.serve = original_serve  # type: ignore[misc]
+        if not ports:
+            raise RuntimeError("this version of viser starts its server in a way that cannot be guarded")
 
-    def unhook(self, server: Any) -> None:
-        """Remove viser's handlers of public tunnels and uploads, and get its controls."""
+    def attach(self, server: Any) -> None:
+        """Remove viser's handlers of public tunnels and uploads, and use its controls to validate messages."""
         from viser import _messages as kinds
 
         for kind in (
@@ -336,48 +338,49 @@ class Guard:
             server._websock_server.unregister_handler(kind)
         self.controls = server.gui._gui_input_handle_from_uuid
 
-    def _answer(self, pages: Callable[..., Any], connection: Any, request: Any) -> Any:
-        """Answer a request, or accept a websocket."""
-        why = self.access.refusal(request.path, request.headers)
-        if why is not None:
-            if why not in self._refusals:  # a page of an earlier viewer asks again and again
-                self._refusals.add(why)
-                self.tell(f"a request was refused: {why}; further ones are not told")
-            response = connection.respond(http.HTTPStatus.FORBIDDEN, f"{CLOSED}\n")
+    def _answer(self, answer_page: Callable[..., Any], connection: Any, request: Any) -> Any:
+        """Return the response to a request, None to accept a websocket."""
+        refusal = self.access.refusal(request.path, request.headers)
+        if refusal is not None:
+            if refusal not in self._refusals:  # pages of earlier viewers repeat their requests
+                self._refusals.add(refusal)
+                self.report(f"refused a request: {refusal}; further ones are not reported")
+            response = connection.respond(http.HTTPStatus.FORBIDDEN, f"{ACCESS_DENIED_MESSAGE}\n")
         else:
-            response = pages(connection, request) or self._connected(connection)
+            response = answer_page(connection, request) or self._count_connection(connection)
         if response is not None:
             for name, value in HEADERS.items():
                 response.headers[name] = value
-            if why is None and self.access.brings_token(request.path):
+            if refusal is None and self.access.has_token(request.path):
                 response.headers["Set-Cookie"] = self.access.cookie
         return response
 
-    def _connected(self, connection: Any) -> Any:
-        """Count a websocket, or refuse it."""
-        if self.connected >= MOST:
-            self.tell(f"a page was refused: there are {MOST} already")
+    def _count_connection(self, connection: Any) -> Any:
+        """Count a websocket, or refuse it if there are too many."""
+        if self.connection_count >= MAX_CONNECTIONS:
+            self.report(f"refused a page: {MAX_CONNECTIONS} are open already")
             return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, "Too many pages are open.\n")
-        self.connected += 1
-        connection.counted = True
+        self.connection_count += 1
+        connection.is_counted = True
         return None
 
 
 class _Connection(sockets.ServerConnection):
-    """A connection that passes only allowed messages."""
+    """A connection that only passes valid messages, within the rate limits."""
 
     def __init__(self, guard: Guard, *args: Any, **settings: Any) -> None:
         super().__init__(*args, **settings)
         self._guard = guard
-        self._fast, self._bad = Rate(*FAST), Rate(*BAD)
-        self.counted = False
+        self._message_rate = RateLimit(*MESSAGE_RATE)
+        self._invalid_message_rate = RateLimit(*INVALID_MESSAGE_RATE)
+        self.is_counted = False
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Free the place of the connection."""
+        """Uncount the connection."""
         super().connection_lost(exc)
-        if self.counted:
-            self.counted = False
-            self._guard.connected -= 1
+        if self.is_counted:
+            self.is_counted = False
+            self._guard.connection_count -= 1
 
     async def recv(self, decode: bool | None = None) -> Any:
         """Return the next valid message."""
@@ -386,17 +389,19 @@ class _Connection(sockets.ServerConnection):
                 raw = await super().recv(decode)
             except ConnectionClosed as closed:
                 if closed.sent is not None and closed.sent.code == CloseCode.MESSAGE_TOO_BIG:
-                    self._guard.tell(f"a page was cut off: its message is larger than {LARGEST} bytes")
+                    self._guard.report(
+                        f"disconnected a page: its message is larger than {MAX_MESSAGE_BYTES} bytes"
+                    )
                 raise
-            await sleep(self._fast.wait())  # what is not read, the page has to keep
+            await sleep(self._message_rate.delay())  # unread messages stay in the page
             try:
-                message = checked_message(raw, self._guard.controls)
+                message = validate_message(raw, self._guard.controls)
             except ValueError as error:
-                self._guard.tell(f"a message was left out: {error}")
-                if not self._bad.spare():
-                    self._guard.tell("a page was cut off: many bad messages")
-                    await self.close(CloseCode.POLICY_VIOLATION, "many bad messages")
-                    raise self.protocol.close_exc from None  # and what came after them is not read
+                self._guard.report(f"ignored a message: {error}")
+                if not self._invalid_message_rate.allow():
+                    self._guard.report("disconnected a page: too many invalid messages")
+                    await self.close(CloseCode.POLICY_VIOLATION, "too many invalid messages")
+                    raise self.protocol.close_exc from None
                 continue
             if message is not None:
                 return message

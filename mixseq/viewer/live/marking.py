@@ -1,6 +1,7 @@
-"""The viewer for markers: two meshes at rest, side by side, whose points are clicked in pairs.
+"""The viewer for markers: two meshes at rest, side by side, on which pairs of vertices are clicked.
 
-Both ends of a pair have a ball and its number, proposals dark balls; a panel has undo, proposals, and the map.
+Both vertices of a pair have a ball and its number; proposals have dark balls. A panel shows undo, proposals and the
+examination of the map.
 """
 
 from __future__ import annotations
@@ -18,46 +19,45 @@ import numpy as np
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.pictures.colours import SceneColours
-from mixseq.pictures.scene import HEIGHT, Scene, SceneItem
+from mixseq.pictures.scene import SCENE_SIZE, Scene, SceneItem
 from mixseq.retargeting.markers import Markers
 from mixseq.retargeting.suggestions import MIN_EXAMINED_MARKERS, Examination
 from mixseq.sequence.sequence import MeshSequence, frame_store
 from mixseq.types import Float, Index
 from mixseq.viewer.live.controls import notify_all
 from mixseq.viewer.live.stage import LiveStage
-from mixseq.viewer.live.viewer import ViewSettings, add_bridge, served
+from mixseq.viewer.live.viewer import ViewSettings, add_bridge, run_server
 from mixseq.viewer.marking import SOURCE, TARGET, Marking, MarkingSession, Pair
 from mixseq.viewer.playback import Playback
 from mixseq.viewer.session import Drawn, Message
 
-RADIUS = 0.004
+BALL_RADIUS_RATIO = 0.004
 """Radius of a ball, relative to the distance of the camera from its target."""
 
-FARTHEST = 2.5 * HEIGHT
-"""Distance beyond which balls shrink on the screen."""
+MAX_BALL_DISTANCE = 2.5 * SCENE_SIZE
+"""Camera distance above which balls get smaller on the screen, in scene units."""
 
-STEP = 1.15
-"""Factor of the radius at which balls are drawn again."""
+RADIUS_CHANGE_RATIO = 1.15
+"""Change of the radius above which balls are drawn again."""
 
-CHOSEN = 1.6
-"""Relative size of the ball of a chosen or begun pair."""
+SELECTED_SCALE = 1.6
+"""Relative size of the ball of a selected or incomplete pair."""
 
-ABOVE = 3.0
-"""Distance of a number from the surface, in radii, for visibility."""
+LABEL_HEIGHT_RADII = 3.0
+"""Distance of a number from the surface, in radii of the balls."""
 
-SPARE, AWAY = 64, 1e4
-"""Smallest number of balls, and the depth of unused ones below the ground."""
+MIN_BALL_COUNT, UNUSED_BALL_DEPTH = 64, 1e4
+"""Smallest number of allocated balls, and the depth of unused ones below the ground."""
 
-PROPOSED = (40, 40, 40)
-"""Colour of proposals."""
+PROPOSAL_COLOUR = (40, 40, 40)
 
-GOLDEN = 0.618034
-"""Step of the hue between consecutive numbers, so that neighbours differ."""
+GOLDEN_RATIO_STEP = 0.618034
+"""Step of the hue between consecutive numbers."""
 
 
-def colour(number: int) -> tuple[int, int, int]:
+def pair_colour(number: int) -> tuple[int, int, int]:
     """Return the colour of a pair by its number, from 0."""
-    red, green, blue = colorsys.hsv_to_rgb((0.02 + GOLDEN * number) % 1.0, 0.85, 0.9)
+    red, green, blue = colorsys.hsv_to_rgb((0.02 + GOLDEN_RATIO_STEP * number) % 1.0, 0.85, 0.9)
     return round(255 * red), round(255 * green), round(255 * blue)
 
 
@@ -65,81 +65,85 @@ def colour(number: int) -> tuple[int, int, int]:
 class Ball:
     """A ball on one of the meshes."""
 
-    vertex: int  # vertex of the mesh
-    text: str  # label, may be empty
-    colour: tuple[int, int, int]  # its colour
-    scale: float  # radius relative to the usual one
+    vertex: int
+    text: str  # label; may be empty
+    colour: tuple[int, int, int]
+    scale: float  # relative radius
 
 
-def balls(marking: Marking, proposals: Sequence[Pair], suspects: frozenset[int], side: int) -> Iterator[Ball]:
-    """Yield the balls of a side: pairs with their numbers, with ``!`` for suspects."""
+def make_balls(
+    marking: Marking, proposals: Sequence[Pair], suspects: frozenset[int], side: int
+) -> Iterator[Ball]:
+    """Yield the balls of a side; the numbers of suspicious pairs have a ``!``."""
     for number, pair in enumerate(marking.pairs):
         text = f"{number + 1}{'!' if number in suspects else ''}"
-        scale = CHOSEN if number == marking.chosen else 1.0
-        yield Ball(pair.vertices[side], text, colour(number), scale)
-    if marking.begun is not None and marking.begun[0] == side:
+        scale = SELECTED_SCALE if number == marking.selected else 1.0
+        yield Ball(pair.vertices[side], text, pair_colour(number), scale)
+    if marking.started is not None and marking.started[0] == side:
         number = len(marking.pairs)
-        yield Ball(marking.begun[1], f"{number + 1} ...", colour(number), CHOSEN)
+        yield Ball(marking.started[1], f"{number + 1} ...", pair_colour(number), SELECTED_SCALE)
     for place, pair in enumerate(proposals):
-        yield Ball(pair.vertices[side], "" if place else "?", PROPOSED, 0.7 if place else 1.2)
+        yield Ball(pair.vertices[side], "" if place else "?", PROPOSAL_COLOUR, 0.7 if place else 1.2)
 
 
 class MarkingStage:
-    """Balls and numbers in the scene of a server."""
+    """Balls and numbers of markers in the scene of a viser server."""
 
     def __init__(
-        self, server: Any, topologies: tuple[Topology, Topology], clicked: Callable[[int, int], None]
+        self, server: Any, topologies: tuple[Topology, Topology], on_click: Callable[[int, int], None]
     ) -> None:
         from trimesh.creation import icosphere
 
         self._server = server
-        self._clicked = clicked
+        self._on_click = on_click
         self._topologies = topologies
-        self._radius = RADIUS * FARTHEST
-        self._placed: dict[int, tuple[Float, Float]] = {}
+        self._radius = BALL_RADIUS_RATIO * MAX_BALL_DISTANCE
+        self._surfaces: dict[int, tuple[Float, Float]] = {}
         self._labels: dict[str, Any] = {}
         self._nodes: dict[int, Any] = {}
         self._frames = [server.scene.add_frame(f"/markers/{side}", show_axes=False) for side in range(2)]
         ball = icosphere(subdivisions=2, radius=1.0)
         self._ball = np.asarray(ball.vertices), np.asarray(ball.faces)
 
-    def place(self, side: int, points: Float) -> None:
-        """Set the vertices ``(V, 3)`` of a mesh, relative to its place."""
-        self._placed[side] = points, TriangleMesh(points, self._topologies[side]).vertex_normals
+    def set_points(self, side: int, points: Float) -> None:
+        """Set the vertices ``(V, 3)`` of a mesh, relative to its offset."""
+        self._surfaces[side] = points, TriangleMesh(points, self._topologies[side]).vertex_normals
 
-    def stand(self, offsets: Float) -> None:
-        """Set the places ``(2, 3)`` of the meshes."""
+    def set_offsets(self, offsets: Float) -> None:
+        """Set the offsets ``(2, 3)`` of the meshes in the scene."""
         for frame, offset in zip(self._frames, offsets, strict=True):
             frame.position = offset
 
-    def standing(self, side: int, vertices: Index) -> Float:
-        """Return the places ``(n, 3)`` of vertices in the scene."""
-        return np.asarray(self._placed[side][0][vertices] + self._frames[side].position)
+    def positions(self, side: int, vertices: Index) -> Float:
+        """Return the positions ``(n, 3)`` of vertices in the scene."""
+        return np.asarray(self._surfaces[side][0][vertices] + self._frames[side].position)
 
-    def resolve_view(self, distance: float) -> bool:
-        """Set the distance of the camera; returns whether balls must be drawn again."""
-        radius = RADIUS * min(distance, FARTHEST)
-        if 1 / STEP < radius / self._radius < STEP:
+    def set_camera_distance(self, distance: float) -> bool:
+        """Adapt the radius of the balls, and return whether they must be drawn again."""
+        radius = BALL_RADIUS_RATIO * min(distance, MAX_BALL_DISTANCE)
+        if 1 / RADIUS_CHANGE_RATIO < radius / self._radius < RADIUS_CHANGE_RATIO:
             return False
         self._radius = radius
         return True
 
-    def draw(self, side: int, drawn: Sequence[Ball]) -> None:
-        """Draw exactly the given balls of a side."""
-        points, normals = self._placed[side]
-        vertices = np.array([ball.vertex for ball in drawn], np.int64)
+    def draw(self, side: int, balls: Sequence[Ball]) -> None:
+        """Draw the balls of a side, and remove all others."""
+        points, normals = self._surfaces[side]
+        vertices = np.array([ball.vertex for ball in balls], np.int64)
         with self._server.atomic():
-            self._show(side, drawn, points[vertices])
-            self._write(side, drawn, points[vertices] + ABOVE * self._radius * normals[vertices])
+            self._draw_balls(side, balls, points[vertices])
+            self._draw_labels(
+                side, balls, points[vertices] + LABEL_HEIGHT_RADII * self._radius * normals[vertices]
+            )
 
-    def _show(self, side: int, drawn: Sequence[Ball], places: Float) -> None:
-        """Move the balls of a side; spare ones are kept far away, as new ones blink."""
-        count = max(SPARE, 1 << len(drawn).bit_length())
-        positions = np.tile(np.array([0.0, -AWAY, 0.0], np.float32), (count, 1))
+    def _draw_balls(self, side: int, balls: Sequence[Ball], points: Float) -> None:
+        """Move the balls of a side to points ``(n, 3)``; unused ones wait below the ground, as new ones flicker."""
+        count = max(MIN_BALL_COUNT, 1 << len(balls).bit_length())
+        positions = np.tile(np.array([0.0, -UNUSED_BALL_DEPTH, 0.0], np.float32), (count, 1))
         scales = np.full(count, self._radius, np.float32)
         colours = np.zeros((count, 3), np.uint8)
-        for row, ball in enumerate(drawn):
-            positions[row], scales[row], colours[row] = places[row], self._radius * ball.scale, ball.colour
+        for row, ball in enumerate(balls):
+            positions[row], scales[row], colours[row] = points[row], self._radius * ball.scale, ball.colour
         node = self._nodes.get(side)
         if node is not None and len(node.batched_positions) == count:
             node.batched_positions, node.batched_scales, node.batched_colors = positions, scales, colours
@@ -159,30 +163,30 @@ class MarkingStage:
         @node.on_click  # type: ignore[untyped-decorator]
         def _(event: Any) -> None:
             if event.instance_index is not None:
-                self._clicked(side, event.instance_index)
+                self._on_click(side, event.instance_index)
 
-    def _write(self, side: int, drawn: Sequence[Ball], places: Float) -> None:
+    def _draw_labels(self, side: int, balls: Sequence[Ball], points: Float) -> None:
         texts = {
-            f"/markers/{side}/{row}": (ball.text, place)
-            for row, (ball, place) in enumerate(zip(drawn, places, strict=True))
+            f"/markers/{side}/{row}": (ball.text, point)
+            for row, (ball, point) in enumerate(zip(balls, points, strict=True))
             if ball.text
         }
-        for name in [each for each in self._labels if each.startswith(f"/markers/{side}/")]:
-            if name not in texts:
+        for name in list(self._labels):
+            if name.startswith(f"/markers/{side}/") and name not in texts:
                 self._labels.pop(name).remove()
-        for name, (text, place) in texts.items():
+        for name, (text, point) in texts.items():
             label = self._labels.get(name)
             if label is None:
                 self._labels[name] = self._server.scene.add_label(
                     name,
                     text,
-                    position=place,
+                    position=point,
                     anchor="center-center",
                     font_screen_scale=1.1,
                     depth_test=True,
                 )
                 continue
-            label.position = place
+            label.position = point
             if label.text != text:
                 label.text = text
 
@@ -197,12 +201,12 @@ VIEWS = {
 }
 """Views of both meshes: degrees from the front of the first, to its left, and above the horizon."""
 
-LISTED = 5
-"""Number of listed markers, those of largest residuals."""
+MAX_LISTED_MARKERS = 5
+"""Number of listed markers, those with the largest residuals."""
 
 
 class MarkingControls:
-    """Undo, proposals, examination of the map, and saving."""
+    """Controls of undo, proposals, examination of the map, and saving."""
 
     def __init__(
         self,
@@ -210,8 +214,8 @@ class MarkingControls:
         session: MarkingSession,
         names: tuple[str, str],
         file: str,
-        look: Callable[[tuple[float, float]], None],
-        other: Callable[[Any], None],
+        set_view: Callable[[tuple[float, float]], None],
+        show_other_mesh: Callable[[Any], None],
         save: Callable[[], None],
     ) -> None:
         gui = server.gui
@@ -219,22 +223,24 @@ class MarkingControls:
         self._names = names
         self._file = file
         with gui.add_folder("Markers"):
-            self._hint = gui.add_html("")
+            self._hint_line = gui.add_html("")
             steps = gui.add_button_group("Steps", ("Undo", "Redo", "Delete"))
             views = gui.add_button_group("See from", tuple(VIEWS))
-            across = gui.add_button("Other mesh", hint="Look at the same place of the other mesh (key O)")
+            across = gui.add_button("Other mesh", hint="View the same point of the other mesh (key O)")
         with gui.add_folder("Proposed"):
-            self._proposed = gui.add_html("")
+            self._proposal_line = gui.add_html("")
             proposals = gui.add_button_group("", ("Accept", "Skip", "Accept all"))
-            again = gui.add_button("Suggest", hint="Look for tips of limbs, tail, nose and ears")
+            again = gui.add_button("Suggest", hint="Suggest tips of limbs, tail, nose and ears")
         with gui.add_folder("Map"):
             self._map = gui.add_html("")
         with gui.add_folder("Save"):
             self._saved = gui.add_html("")
             button = gui.add_button("Save")
-        views.on_click(lambda _: look(VIEWS[views.value]))
-        across.on_click(lambda event: other(event.client.camera))
-        gui.add_command("Other mesh", hotkey="O").on_trigger(lambda event: other(event.client.camera))
+        views.on_click(lambda _: set_view(VIEWS[views.value]))
+        across.on_click(lambda event: show_other_mesh(event.client.camera))
+        gui.add_command("Other mesh", hotkey="O").on_trigger(
+            lambda event: show_other_mesh(event.client.camera)
+        )
         for group in (steps, proposals):
             group.on_click(lambda _, by=group: self._do(by.value))
         again.on_click(lambda _: session.suggest())
@@ -250,41 +256,45 @@ class MarkingControls:
             command.on_trigger(lambda _, by=label: self._do(by))
 
     def _do(self, label: str) -> None:
-        """Call the method of the session that a button or a command is named after."""
+        """Call the method of the session with the name of a button or command."""
         getattr(self._session, label.lower().replace(" ", "_"))()
 
     def show(self) -> None:
         """Show the current markers and their examination."""
         session = self._session
         marking, proposals, examination = session.marking, session.proposals, session.examination
-        self._hint.content = _lines("mixseq-hint", [_hint(marking, self._names)])
-        self._proposed.content = _lines("mixseq-proposed", [_proposed(len(proposals), session.work)])
+        self._hint_line.content = _lines("mixseq-hint", [_hint_text(marking, self._names)])
+        self._proposal_line.content = _lines(
+            "mixseq-proposed", [_proposal_text(len(proposals), session.work)]
+        )
         self._map.content = _lines("mixseq-map", _map_lines(marking, examination, session.work))
-        state = "changed since it was saved" if session.unsaved else "as in the file"
+        state = "changed since it was saved" if session.has_changes else "as in the file"
         self._saved.content = _lines("mixseq-saved", [escape(f"{self._file}: {state}")])
 
 
-def _hint(marking: Marking, names: tuple[str, str]) -> str:
+def _hint_text(marking: Marking, names: tuple[str, str]) -> str:
     count = len(marking.pairs)
-    done = f"{count} pair{'' if count == 1 else 's'}. "
-    if marking.chosen is not None:
-        text = f"{_number(marking.chosen)} is chosen: click where it should be on either mesh, or Delete"
-    elif marking.begun is None:
+    pair_count = f"{count} pair{'' if count == 1 else 's'}. "
+    if marking.selected is not None:
+        text = (
+            f"{_format_number(marking.selected)} is selected: click its new place on either mesh, or Delete"
+        )
+    elif marking.started is None:
         text = (
             f"Click a point of {escape(names[0])} or {escape(names[1])}; click a number to move or delete it"
         )
     else:
-        other = names[1 - marking.begun[0]]
-        text = f"{_number(count)}: now click the same point of {escape(other)}"
-    return done + text
+        other = names[1 - marking.started[0]]
+        text = f"{_format_number(count)}: now click the same point of {escape(other)}"
+    return pair_count + text
 
 
-def _proposed(count: int, work: str) -> str:
+def _proposal_text(count: int, work: str) -> str:
     if count:
-        return f"{count} to confirm, dark in the picture: the next one has a ?. Click one to accept it"
+        return f"{count} to confirm, as dark balls: the next one has a ?. Click a ball to accept it"
     if "look" in work:
         return escape(f"{work} ...")
-    return "Nothing: the other side of what you set is proposed here"
+    return "None: mirrored markers are proposed here"
 
 
 def _map_lines(marking: Marking, examination: Examination | None, work: str) -> list[str]:
@@ -294,26 +304,24 @@ def _map_lines(marking: Marking, examination: Examination | None, work: str) -> 
     lines = []
     if examination.residuals is not None:
         percent = 100 * examination.residuals
-        worst = np.argsort(-percent, kind="stable")[:LISTED]
-        listed = ", ".join(f"{_number(int(number))} {percent[number]:.1f} %" for number in worst)
+        worst_ids = np.argsort(-percent, kind="stable")[:MAX_LISTED_MARKERS]
+        worst = ", ".join(f"{_format_number(int(k))} {percent[k]:.1f} %" for k in worst_ids)
         lines = [
-            f"markers are off by {np.median(percent):.1f} % of the diagonal (median) where a stiff map takes them, "
-            f"{percent.max():.1f} % at most",
-            f"most: {listed}",
+            f"error of the markers in a stiff map: {np.median(percent):.1f} % of the diagonal (median), "
+            f"{percent.max():.1f} % (largest)",
+            f"largest errors: {worst}",
             f"{100 * examination.coverage:.0f} % of the target covered",
         ]
     elif examination.refusal:
         lines = [escape(examination.refusal)]
     elif count < MIN_EXAMINED_MARKERS:
-        lines = [f"tells how well pairs fit, from {MIN_EXAMINED_MARKERS} on"]
-    suspects = [
-        f'<span style="color: #c92a2a">{escape(each.message)}</span>' for each in examination.suspicions
-    ]
-    return lines + suspects
+        lines = [f"shows how well pairs fit, from {MIN_EXAMINED_MARKERS} pairs on"]
+    warnings = (escape(suspicion.message) for suspicion in examination.suspicions)
+    return [*lines, *(f'<span style="color: #c92a2a">{warning}</span>' for warning in warnings)]
 
 
-def _number(number: int) -> str:
-    red, green, blue = colour(number)
+def _format_number(number: int) -> str:
+    red, green, blue = pair_colour(number)
     return f'<b style="color: rgb({red} {green} {blue})">{number + 1}</b>'
 
 
@@ -322,28 +330,28 @@ def _lines(name: str, lines: list[str]) -> str:
     return f'<div id="{name}" style="padding: 2px 12px; font-size: 12px">{inside}</div>'
 
 
-TURNED = 2.0
-"""Degrees of camera rotation after which the meshes follow."""
+ROW_ROTATION_DEGREES = 2.0
+"""Rotation of the camera above which the row of meshes follows."""
 
-BETWEEN = 0.25
-"""Distance of the target from a mesh beyond which none is looked at, relative to the distance of both."""
+MAX_TARGET_DISTANCE_RATIO = 0.25
+"""Distance of the camera's target from a marker, relative to that of both meshes, above which it is ignored."""
 
-STEEP = 0.05
-"""Tangent of the angle to the vertical below which the azimuth of the view is undefined."""
+MIN_AZIMUTH_TANGENT = 0.05
+"""Tangent of the view's angle to the vertical below which its azimuth is undefined."""
 
 SaveMarkers = Callable[[Markers], str]
-"""Writes markers to the file given at start, and returns a sentence about it."""
+"""Function that saves markers to the file given at start, and returns a message."""
 
 
 @dataclass(frozen=True, eq=False)
 class MarkedMeshes:
-    """The meshes to be marked."""
+    """Meshes to be marked."""
 
     source: MeshSequence  # source at rest, in its first frame
     target: MeshSequence  # target at rest, in its first frame
     names: tuple[str, str]  # names of the meshes
     markers: Markers  # initial markers
-    file: str  # name of the file to save to
+    file: str  # name of the file in which markers are saved
 
     @property
     def scene(self) -> Scene:
@@ -352,13 +360,13 @@ class MarkedMeshes:
         for name, mesh in zip(self.names, (self.source, self.target), strict=True):
             points = np.asarray(mesh.points[:1], np.float64)
             size = float(np.linalg.norm(np.ptp(points[0], axis=0))) or 1.0
-            still = MeshSequence.from_header(mesh.header.with_times([0.0]), points / size)
-            items.append(SceneItem(name, frame_store(still)))
+            rest = MeshSequence.from_header(mesh.header.with_times([0.0]), points / size)
+            items.append(SceneItem(name, frame_store(rest)))
         return Scene(tuple(items))
 
 
 class MarkingViewer:
-    """A running viewer for markers; make it with `run_marking_viewer`."""
+    """A running viewer for markers, started by `run_marking_viewer`."""
 
     def __init__(
         self,
@@ -373,121 +381,123 @@ class MarkingViewer:
         self._server = server
         self._save = save
         self._lock = Lock()
-        self._controls: MarkingControls | None = None  # the session may have news before they are there
+        self._controls: MarkingControls | None = None  # the session may change before they exist
         scene = meshes.scene
-        topologies = [Topology(each.faces, each.vertex_count) for each in (meshes.source, meshes.target)]
+        topologies = [Topology(mesh.faces, mesh.vertex_count) for mesh in (meshes.source, meshes.target)]
         self._balls = MarkingStage(
             server, (topologies[0], topologies[1]), lambda side, row: self.session.click_ball(side, row)
         )
         camera = settings.camera or VIEWS["Left"]
         self._stage = LiveStage(server, SceneColours(scene), settings.material, False, lambda _: None, camera)
-        self._playback = stack.enter_context(Playback(scene, self._stage, self._failed, threads=1))
+        self._playback = stack.enter_context(
+            Playback(scene, self._stage, self._on_playback_failure, threads=1)
+        )
         self.session = stack.enter_context(MarkingSession(meshes.source, meshes.target, meshes.markers, self))
-        add_bridge(server, self._heard)
+        add_bridge(server, self._on_message)
         self._controls = MarkingControls(
-            server, self.session, meshes.names, meshes.file, self._look, self._other, self.save
+            server, self.session, meshes.names, meshes.file, self._set_view, self._show_other_mesh, self.save
         )
         server.gui.main_panel.dock_right()
         server.gui.main_panel.set_width(320)
-        self._stage.on_click(lambda side, picked: self.session.click(side, picked.vertex), mark=False)
-        server.on_client_connect(self._connected)
-        server.on_client_disconnect(self._stage.forget)
-        self._place()
+        self._stage.on_click(lambda side, hit: self.session.click(side, hit.vertex), mark=False)
+        server.on_client_connect(self._on_connect)
+        server.on_client_disconnect(self._stage.remove_client)
+        self._update_points()
 
-    # What the session tells -----------------------------------------------------------------------------
+    # Callbacks of the session ---------------------------------------------------------------------------
 
-    def changed(self) -> None:
+    def on_change(self) -> None:
         """Draw the current markers."""
         controls = self._controls
-        if controls is None:  # not all is there yet
+        if controls is None:  # during construction
             return
         with self._lock:
             session = self.session
             examination = session.examination
             suspects = frozenset() if examination is None else examination.suspects
             for side in (SOURCE, TARGET):
-                self._balls.draw(side, list(balls(session.marking, session.proposals, suspects, side)))
+                self._balls.draw(side, list(make_balls(session.marking, session.proposals, suspects, side)))
             controls.show()
 
-    def failed(self, what: str, error: Exception) -> None:
+    def on_failure(self, action: str, error: Exception) -> None:
         """Show an error on all pages."""
-        notify_all(self._server, f"{what}: not done", str(error))
+        notify_all(self._server, f"{action}: not done", str(error))
 
     def save(self) -> None:
         """Write the markers to the file."""
         marking = self.session.marking
         try:
-            what = self._save(marking.markers)
+            message = self._save(marking.markers)
         except Exception as error:
-            self.failed("save", error)
+            self.on_failure("save", error)
         else:
-            self.session.kept(marking.pairs)
-            notify_all(self._server, "Saved", what, good=True)
+            self.session.mark_saved(marking.pairs)
+            notify_all(self._server, "Saved", message, is_success=True)
 
-    # What the playback and the page tell ----------------------------------------------------------------
+    # Callbacks of the playback and the page -------------------------------------------------------------
 
-    def _failed(self, error: Exception) -> None:
+    def _on_playback_failure(self, error: Exception) -> None:
         notify_all(self._server, "The meshes cannot be shown", str(error))
 
-    def _look(self, camera: tuple[float, float]) -> None:
-        self._stage.look(self._playback.scene, camera)
+    def _set_view(self, camera: tuple[float, float]) -> None:
+        self._stage.set_view(self._playback.scene, camera)
         self._playback.refresh()
-        self._place()
+        self._update_points()
 
-    def _place(self) -> None:
-        """Move balls to the current places of the meshes."""
+    def _update_points(self) -> None:
+        """Move the balls with the meshes after a new arrangement."""
         arrangement = self._stage.arrangement
         for side, item in enumerate(self._playback.scene.items):
-            points = arrangement.placed(side, item.pose(0.0)).astype(np.float64)
-            self._balls.place(side, points - arrangement.offsets[side])
-        self._balls.stand(arrangement.offsets)
-        self.changed()
+            points = arrangement.to_scene(side, item.pose(0.0)).astype(np.float64)
+            self._balls.set_points(side, points - arrangement.offsets[side])
+        self._balls.set_offsets(arrangement.offsets)
+        self.on_change()
 
-    def _moved(self, camera: Any) -> None:
-        """Keep meshes side by side, and balls small, while the camera of a page moves."""
-        toward = camera.position - camera.look_at
-        azimuth, distance = float(np.degrees(np.arctan2(toward[0], toward[2]))), float(np.linalg.norm(toward))
-        turned = abs((azimuth - self._stage.arrangement.view.azimuth + 180) % 360 - 180)
-        if turned > TURNED and np.hypot(toward[0], toward[2]) > STEEP * abs(toward[1]):
-            self._stage.turn(azimuth, camera.look_at, distance)
-            self._balls.stand(self._stage.arrangement.offsets)
-        if self._balls.resolve_view(distance):
-            self.changed()
+    def _on_camera(self, camera: Any) -> None:
+        """Keep meshes side by side, and the size of balls on the screen, while the camera of a page moves."""
+        x, y, z = offset = camera.position - camera.look_at
+        azimuth, distance = float(np.degrees(np.arctan2(x, z))), float(np.linalg.norm(offset))
+        rotation = abs((azimuth - self._stage.arrangement.view.azimuth + 180) % 360 - 180)
+        if rotation > ROW_ROTATION_DEGREES and np.hypot(x, z) > MIN_AZIMUTH_TANGENT * abs(y):
+            self._stage.rotate_row(azimuth, camera.look_at, distance)
+            self._balls.set_offsets(self._stage.arrangement.offsets)
+        if self._balls.set_camera_distance(distance):
+            self.on_change()
 
-    def _other(self, camera: Any) -> None:
-        """Look at the corresponding place of the other mesh, by the nearest marker."""
-        middles = self._stage.arrangement.middles
-        here = int(np.linalg.norm(middles - camera.look_at, axis=1).argmin())
+    def _show_other_mesh(self, camera: Any) -> None:
+        """Move the camera to the corresponding point of the other mesh, by the nearest marker."""
+        centres = self._stage.arrangement.centres
+        side_in_view = int(np.linalg.norm(centres - camera.look_at, axis=1).argmin())
         pairs = np.array(
-            [each.vertices for each in (*self.session.marking.pairs, *self.session.proposals)], np.int64
+            [pair.vertices for pair in (*self.session.marking.pairs, *self.session.proposals)], np.int64
         )
-        ends = [
-            np.concatenate([middles[[side]], self._balls.standing(side, pairs.reshape(-1, 2)[:, side])])
-            for side in (here, 1 - here)
+        anchors = [
+            np.concatenate([centres[[side]], self._balls.positions(side, pairs.reshape(-1, 2)[:, side])])
+            for side in (side_in_view, 1 - side_in_view)
         ]
-        nearest = int(np.linalg.norm(ends[0] - camera.look_at, axis=1).argmin())
-        beside = camera.look_at - ends[0][nearest]
-        if np.linalg.norm(beside) > BETWEEN * np.linalg.norm(middles[1] - middles[0]):
-            beside = np.zeros(3)  # it looks at neither
-        # it takes along what it looks at
-        camera.position = camera.position + ends[1][nearest] + beside - camera.look_at
+        nearest = int(np.linalg.norm(anchors[0] - camera.look_at, axis=1).argmin())
+        offset = camera.look_at - anchors[0][nearest]
+        if np.linalg.norm(offset) > MAX_TARGET_DISTANCE_RATIO * np.linalg.norm(centres[1] - centres[0]):
+            offset = np.zeros(3)  # the target is between the meshes
+        # viser moves the target with the position
+        camera.position = camera.position + anchors[1][nearest] + offset - camera.look_at
 
-    def _connected(self, client: Any) -> None:
-        self._stage.welcome(client)
-        client.camera.on_update(self._moved)
+    def _on_connect(self, client: Any) -> None:
+        self._stage.add_client(client)
+        client.camera.on_update(self._on_camera)
         self._playback.refresh()
 
-    def _heard(self, message: Message) -> None:
+    def _on_message(self, message: Message) -> None:
         if isinstance(message, Drawn):
-            self._stage.busy = False
-            self._playback.drawn()
+            self._stage.is_busy = False
+            self._playback.wake()
 
 
 @contextmanager
 def run_marking_viewer(
     meshes: MarkedMeshes, settings: ViewSettings, save: SaveMarkers
 ) -> Iterator[MarkingViewer]:
-    """Run a viewer for markers in the background, for the duration of the context."""
+    """Run a viewer for markers in the background during the context."""
     with ExitStack() as stack:
-        server, address = stack.enter_context(served(settings.host, settings.port))
+        server, address = stack.enter_context(run_server(settings.host, settings.port))
         yield MarkingViewer(server, address, meshes, settings, save, stack)

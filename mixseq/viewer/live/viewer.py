@@ -1,4 +1,4 @@
-"""The viewer: a guarded viser server with a scene, controls and threads, and scripts of ours in its page.
+"""The viewer: a guarded viser server with a scene, controls, background threads and additional scripts in its page.
 
 viser's ``add_html`` does not run scripts, but the document of an ``iframe`` does, and can add them to the page. They
 send messages through a hidden text input, whose callback runs in order on viser's event loop.
@@ -19,61 +19,59 @@ from typing import Any
 from mixseq.errors import MissingExtraError, SettingsError
 from mixseq.pictures.colours import SceneColours
 from mixseq.runtime.progress import warnings_heard
-from mixseq.viewer.export import chart_scripts, script, script_json
-from mixseq.viewer.live.controls import Editor, PlayControls, ShowControls, notify_all
+from mixseq.viewer.export import chart_scripts, read_script, script_json
+from mixseq.viewer.live.controls import DisplayControls, Editor, PlayControls, notify_all
 from mixseq.viewer.live.stage import LiveStage
 from mixseq.viewer.playback import Moment, Playback
-from mixseq.viewer.session import Drawn, Message, Picked, Save, Session, message_of
+from mixseq.viewer.session import Drawn, Message, RayHit, Save, Session, parse_message
 
 
-def add_bridge(server: Any, heard: Callable[[Message], None]) -> None:
-    """Add the scripts to the page of a server, at the current position of its controls."""
-    line = server.gui.add_text("mixseq", "", visible=False)
+def add_bridge(server: Any, on_message: Callable[[Message], None]) -> None:
+    """Add the scripts to the page of a server, and call a function with their messages."""
+    text_input = server.gui.add_text("mixseq", "", visible=False)
 
-    @line.on_update  # type: ignore[untyped-decorator]
+    @text_input.on_update  # type: ignore[untyped-decorator]
     async def _(event: Any) -> None:
-        message = message_of(line.value)
+        message = parse_message(text_input.value)
         if message is not None:
-            heard(message)
+            on_message(message)
 
-    source = "\n".join([chart_scripts(), script("live_window.js"), script("live.js")])
-    start = f"""<script>
+    source = "\n".join([chart_scripts(), read_script("live_window.js"), read_script("live.js")])
+    document = f"""<script>
 const text = {script_json(source)};
 if (!parent.mixseqLive) {{
   const script = parent.document.createElement("script");
   script.textContent = text;
   parent.document.head.append(script);
 }}
-parent.mixseqLive.connect({script_json(line._impl.uuid)});
+parent.mixseqLive.connect({script_json(text_input._impl.uuid)});
 </script>"""
-    server.gui.add_html(f'<iframe style="display: none" title="mixseq" srcdoc="{escape(start)}"></iframe>')
+    server.gui.add_html(f'<iframe style="display: none" title="mixseq" srcdoc="{escape(document)}"></iframe>')
 
 
 def check_viser() -> None:
-    """Raise MissingExtraError without viser."""
+    """Raise MissingExtraError if viser is not installed."""
     try:
         import viser  # noqa: F401
     except ImportError:
-        raise MissingExtraError(
-            "the viewer needs viser, which is not installed; run: pip install 'mixseq[viewer]'"
-        ) from None
+        raise MissingExtraError("the viewer needs viser; get it with: pip install 'mixseq[viewer]'") from None
 
 
 @contextmanager
-def served(host: str, wanted: int | None) -> Iterator[tuple[Any, str]]:
-    """Run a server for the duration of the context; yields it, and its address with the token."""
+def run_server(host: str, requested_port: int | None) -> Iterator[tuple[Any, str]]:
+    """Run a server during the context, and yield it and its address with the token."""
     check_viser()
     import viser
 
     from mixseq.viewer.live.guard import Access, Guard
 
-    port = free_port(host, wanted)
+    port = find_port(host, requested_port)
     guard = Guard(Access(host))
     with ExitStack() as stack:
-        with redirect_stdout(StringIO()), guard.posted():  # viser has a greeting
+        with redirect_stdout(StringIO()), guard.guard_new_server():  # viser prints a greeting
             server = viser.ViserServer(host, port, label="mixseq", verbose=False)
             stack.callback(_stop, server)
-        guard.unhook(server)
+        guard.attach(server)
         server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(70, 95, 120))
         server.gui.set_panel_label("mixseq")
         yield server, guard.access.address
@@ -84,48 +82,50 @@ def _stop(server: Any) -> None:
         server.stop()
 
 
-FIRST_PORT, PORTS = 8080, 100
-"""Range of ports in which a free one is searched."""
+FIRST_PORT, PORT_COUNT = 8080, 100
+"""Range of ports that are tried by default."""
 
 
-def free_port(host: str, wanted: int | None) -> int:
-    """Return the wanted port, or by default the first free one."""
+def find_port(host: str, requested: int | None) -> int:
+    """Return the requested port, or by default the first free one; raise SettingsError if it cannot be used."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    for port in [wanted] if wanted is not None else range(FIRST_PORT, FIRST_PORT + PORTS):
+    for port in [requested] if requested is not None else range(FIRST_PORT, FIRST_PORT + PORT_COUNT):
         try:
             with socket.create_server((host, port), family=family):
                 return port
         except OSError as error:
-            if wanted is None and error.errno == errno.EADDRINUSE:
+            if requested is None and error.errno == errno.EADDRINUSE:
                 continue
-            why = str(error.strerror or error).partition(" (")[0]
+            reason = str(error.strerror or error).partition(" (")[0]
             cure = (
                 "give another --port"
                 if error.errno in (errno.EADDRINUSE, errno.EACCES)
                 else "give another --host"
             )
-            raise SettingsError(f"cannot listen at {host}:{port}: {why}; {cure}") from None
-    raise SettingsError(f"the ports {FIRST_PORT} to {FIRST_PORT + PORTS - 1} are all taken; give a --port")
+            raise SettingsError(f"cannot listen at {host}:{port}: {reason}; {cure}") from None
+    raise SettingsError(
+        f"the ports {FIRST_PORT} to {FIRST_PORT + PORT_COUNT - 1} are all taken; give a --port"
+    )
 
 
 @dataclass(frozen=True)
 class ViewSettings:
-    """The settings of the viewer."""
+    """Settings of the viewer."""
 
-    host: str = "127.0.0.1"  # listening address; 127.0.0.1 is this machine only
+    host: str = "127.0.0.1"  # address to listen at; 127.0.0.1 accepts this machine only
     port: int | None = None  # port, by default 8080 or the next free one
     folder: Path = Path()  # folder of saved motions
     threads: int = 2  # number of decoding threads
     material: str = "standard"  # or "toon5", for machines without a graphics card
-    overlaid: bool = False  # whether meshes initially stand in one place, instead of side by side
-    read_only: bool = False  # whether controls for editing and saving are left out
+    overlaid: bool = False  # whether meshes are initially overlaid, instead of side by side
+    read_only: bool = False  # whether controls of editing and saving are left out
     # Initial view: degrees from the front of the first mesh, to its left, and above the horizon.
     camera: tuple[float, float] | None = None
-    following: bool = False  # whether bodies that travel initially stay in the middle
+    following: bool = False  # whether the camera initially follows bodies that travel
 
 
 class Viewer:
-    """A running viewer; make it with `viewer`."""
+    """A running viewer, started by `run_viewer`."""
 
     def __init__(
         self,
@@ -137,104 +137,104 @@ class Viewer:
         stack: ExitStack,
     ) -> None:
         self._server = server
-        self._play: PlayControls | None = None  # the first frame may be there before they are
+        self._play: PlayControls | None = None  # frames may be shown before the controls exist
         self._editor: Editor | None = None
         self._stage = LiveStage(
             server,
             colours,
             settings.material,
             settings.overlaid,
-            self._show,
+            self._on_show,
             settings.camera,
             settings.following,
         )
         self.playback = stack.enter_context(
-            Playback(colours.scene, self._stage, self._failed, threads=settings.threads)
+            Playback(colours.scene, self._stage, self._on_playback_failure, threads=settings.threads)
         )
         self.session = stack.enter_context(Session(self.playback, self, save))
-        add_bridge(server, self._heard)
+        add_bridge(server, self._on_message)
         self._play = PlayControls(server, self.playback, self._index)
-        self._shown = ShowControls(server, self.playback, self._stage, colours)
+        self._display = DisplayControls(server, self.playback, self._stage, colours)
         server.gui.main_panel.dock_right()
         server.gui.main_panel.set_width(300)
-        if self.session.editable and not settings.read_only:
+        if self.session.editable_ids and not settings.read_only:
             self._editor = Editor(server, self.session, self.playback, settings.folder)
-        self._stage.on_click(self._clicked)
-        server.on_client_connect(self._connected)
-        server.on_client_disconnect(self._disconnected)
+        self._stage.on_click(self._on_click)
+        server.on_client_connect(self._on_connect)
+        server.on_client_disconnect(self._on_disconnect)
         self.address = address
 
-    # What the session tells -----------------------------------------------------------------------------
+    # Callbacks of the session ---------------------------------------------------------------------------
 
-    def edited(self, session: Session) -> None:
+    def on_edit(self, session: Session) -> None:
         """Show the edited model."""
         if self._editor is not None:
-            self._editor.edited()
+            self._editor.show_edit()
 
-    def chosen(self, session: Session) -> None:
-        """Show the chosen model."""
+    def on_select(self, session: Session) -> None:
+        """Show the selected model."""
         if self._editor is not None:
-            self._editor.chosen()
+            self._editor.show_selected()
 
-    def failed(self, what: str, error: Exception) -> None:
-        """Show an error on all pages, and draw the current model."""
-        notify_all(self._server, f"{what}: not done", str(error))
+    def on_failure(self, action: str, error: Exception) -> None:
+        """Show an error on all pages, and the charts of the current model."""
+        notify_all(self._server, f"{action}: not done", str(error))
         if self._editor is not None:
             self._editor.charts.draw()
 
-    def saved(self, what: str) -> None:
+    def on_save(self, message: str) -> None:
         """Notify all pages of a saved file."""
-        notify_all(self._server, "Saved", what, good=True)
+        notify_all(self._server, "Saved", message, is_success=True)
 
     @property
     def _index(self) -> int:
-        """The mesh of the displayed times: the edited model, or the first mesh."""
+        """Index of the mesh whose times are displayed: the edited model, or the first mesh."""
         return max(self.session.index, 0)
 
-    # What the playback tells ----------------------------------------------------------------------------
+    # Callbacks of the playback --------------------------------------------------------------------------
 
-    def _show(self, moment: Moment) -> None:
+    def _on_show(self, moment: Moment) -> None:
         if self._play is not None:
             self._play.show(moment, self._index)
         if self._editor is not None:
             self._editor.charts.show(moment)
 
-    def _failed(self, error: Exception) -> None:
+    def _on_playback_failure(self, error: Exception) -> None:
         if self._play is not None:
             self._play.refresh()
         notify_all(self._server, "This frame cannot be shown", str(error))
 
-    # What the page tells --------------------------------------------------------------------------------
+    # Callbacks of the page ------------------------------------------------------------------------------
 
-    def _connected(self, client: Any) -> None:
-        self._stage.welcome(client)
+    def _on_connect(self, client: Any) -> None:
+        self._stage.add_client(client)
         self.playback.refresh()
 
-    def _disconnected(self, client: Any) -> None:
-        self._stage.forget(client)
-        self.session.settle()  # a hand may have been dragging
+    def _on_disconnect(self, client: Any) -> None:
+        self._stage.remove_client(client)
+        self.session.discard_preview()  # of a drag that will not end
 
-    def _heard(self, message: Message) -> None:
+    def _on_message(self, message: Message) -> None:
         if isinstance(message, Drawn):
-            self._stage.busy = False
-            self.playback.drawn()
+            self._stage.is_busy = False
+            self.playback.wake()
         elif self._editor is not None:
-            self._editor.charts.heard(message)
+            self._editor.charts.handle(message)
 
-    def _clicked(self, index: int, picked: Picked) -> None:
+    def _on_click(self, index: int, hit: RayHit) -> None:
         items = self.playback.scene.items
-        what = f"vertex {picked.vertex}, triangle {picked.face}"
+        text = f"vertex {hit.vertex}, triangle {hit.face}"
         if self._editor is not None:
-            what += self._editor.picked(index, picked)
-        self._shown.picked(f"{items[index].name}: {what}" if len(items) > 1 else what)
+            text += self._editor.select_part(index, hit)
+        self._display.show_picked(f"{items[index].name}: {text}" if len(items) > 1 else text)
 
 
 @contextmanager
 def run_viewer(colours: SceneColours, settings: ViewSettings, save: Save) -> Iterator[Viewer]:
-    """Run a viewer in the background, for the duration of the context."""
+    """Run a viewer in the background during the context."""
     with ExitStack() as stack:
-        server, address = stack.enter_context(served(settings.host, settings.port))
+        server, address = stack.enter_context(run_server(settings.host, settings.port))
         running = Viewer(server, address, colours, settings, save, stack)
-        # of threads of ours
-        stack.enter_context(warnings_heard(lambda text: notify_all(server, "Please note", text)))
+        # warnings of background threads
+        stack.enter_context(warnings_heard(lambda text: notify_all(server, "Warning", text)))
         yield running

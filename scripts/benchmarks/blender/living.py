@@ -192,7 +192,7 @@ def told(folder: Path) -> Seen:
     for name in ("missing.h5", "damaged.h5", "slide.h5", "compressed.h5"):
         settings.filepath = str(folder / name)
         go(2)
-        found.append(sys.modules[f"{ADDON}.live"].problem(thing.data))
+        found.append(sys.modules[f"{ADDON}.live"].error_message(thing.data))
     return {"messages": found}
 
 

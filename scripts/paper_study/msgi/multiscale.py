@@ -30,7 +30,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from mixseq.errors import ReconstructionError
-from mixseq.mesh.measures import sound_lengths
+from mixseq.mesh.measures import clamp_lengths
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.segmentation.joints import make_joint
@@ -218,7 +218,7 @@ class MultiScale(PickledWithoutCaches):
             wrong = np.flatnonzero(~np.isfinite(values))
             if wrong.size:
                 raise ReconstructionError(f"the {name} of {of} {wrong[0]} is {values[wrong[0]]}")
-        lengths = sound_lengths(lengths, weights)  # also of the seams: an edge has no negative length
+        lengths = clamp_lengths(lengths, weights)  # also of the seams: an edge has no negative length
         pieces, reports = [], []
         for vertices, steps in zip(self.pieces.vertices, self.steps, strict=True):
             made: list[Float] = [] if steps else [np.zeros((len(vertices), 3))]

@@ -12,7 +12,7 @@ import pytest
 from pxr import Sdf, Tf, Usd, UsdGeom, UsdShade, UsdUtils, Vt
 
 from mixseq.errors import InvalidSequenceError, MixseqWarning, OutputError
-from mixseq.mesh.measures import shared_normals
+from mixseq.mesh.measures import corner_normals
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Surface
 from mixseq.sequence.header import header_fields
@@ -131,7 +131,7 @@ def test_everything_on_a_mesh_comes_back(path: Path) -> None:
     np.testing.assert_array_equal(after.uvs.at_corners, before.uvs.at_corners)
     assert before.hard_edges is not None and after.hard_edges is not None
     one, other = (
-        shared_normals(written.points, FACES_OF_TWO, each)[:, each]
+        corner_normals(written.points, FACES_OF_TWO, each)[:, each]
         for each in (before.hard_edges, after.hard_edges)
     )
     np.testing.assert_array_equal(one, other)
