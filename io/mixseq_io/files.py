@@ -30,7 +30,7 @@ from contextvars import ContextVar
 from pathlib import Path
 
 from mixseq.errors import FormatError, OutputError, SettingsError
-from mixseq.runtime.interrupts import held, raise_swallowed
+from mixseq.runtime.interrupts import deferred_signals, raise_pending_signal
 
 MEMORY_LIMIT_VARIABLE = "MIXSEQ_READER_MEMORY"
 """Environment variable of the limit, in GiB."""
@@ -116,12 +116,12 @@ def temporary_prefix(folder: Path) -> Iterator[Path]:
     """Yield a unique path prefix in a folder; paths with it are deleted at the end."""
     claimed: list[tuple[Path, int]] = []
     try:
-        with held():  # a signal right after the claim would skip the cleanup
+        with deferred_signals():  # a signal right after the claim would skip the cleanup
             delete_leftovers(folder)
             claimed.append(_claim_prefix(folder))
         yield claimed[0][0]
     finally:
-        with held():
+        with deferred_signals():
             for prefix, descriptor in claimed:
                 names = [name for name in _temporary_names(folder) if name.startswith(prefix.name)]
                 _delete(folder, names)
@@ -226,8 +226,8 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
             if target.exists():
                 shutil.copymode(target, temporary)
             _flush(temporary)
-            raise_swallowed()
-            with held():
+            raise_pending_signal()
+            with deferred_signals():
                 temporary.replace(target)
         _flush_folder(target.parent)
 
@@ -249,8 +249,8 @@ def atomic_files(pattern: str | os.PathLike[str]) -> Iterator[Path]:
             for file in files:
                 _check_target(folder / file.name)
                 _flush(file)
-            raise_swallowed()
-            with held():
+            raise_pending_signal()
+            with deferred_signals():
                 for file in files:
                     file.replace(folder / file.name)
         _flush_folder(folder)
@@ -273,8 +273,8 @@ def atomic_folder(path: str | os.PathLike[str], own: Container[str]) -> Iterator
             for file in temporary.iterdir():
                 _flush(file)
             _flush_folder(temporary)
-            raise_swallowed()
-            with held():
+            raise_pending_signal()
+            with deferred_signals():
                 if target.exists():
                     _exchange(temporary, target, own, Path(f"{prefix}.old"))
                 else:

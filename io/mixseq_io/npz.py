@@ -44,7 +44,7 @@ from numpy.typing import NDArray
 
 from mixseq.errors import FormatError
 from mixseq.mesh.polygons import Polygons
-from mixseq.sequence.frame_rates import exact_rate
+from mixseq.sequence.frame_rates import snap_to_ntsc
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import FloatArray
 from mixseq_io.files import atomic_file, check_memory, memory_limit
@@ -202,7 +202,7 @@ def _header(
         polygons = Polygons(np.full(len(faces), faces.shape[1]), faces.reshape(-1))
     rate = float(small["fps"].item()) if "fps" in small else fps if fps is not None else DEFAULT_FPS
     # A rate that is no rate is reported by the header; dividing by it here must not be an error of its own.
-    rate = rate if "times" in small else exact_rate(rate)
+    rate = rate if "times" in small else snap_to_ntsc(rate)
     times = small["times"] if "times" in small else np.arange(shape[0]) / (rate if rate > 0 else 1.0)
     if np.size(times) != shape[0]:
         raise FormatError(f"{path}: {shape[0]} frames of points for {np.size(times)} times; it is damaged")

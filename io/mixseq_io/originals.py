@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import FormatError, InvalidSequenceError, OutputError, SettingsError
-from mixseq.sequence.frame_rates import NEAR
+from mixseq.sequence.frame_rates import FRAME_TOLERANCE
 from mixseq.sequence.header import SequenceHeader
 from mixseq_io.reader import warn
 from mixseq_io.scene_meshes import SceneMesh, format_names, split_meshes
@@ -87,7 +87,9 @@ def match_meshes(
 
 def is_retimed(header: SequenceHeader, sources: ArrayLike | None) -> bool:
     """Whether the times of the original in seconds, if given, differ from those of the frames."""
-    return sources is not None and not np.allclose(sources, header.times, rtol=0, atol=NEAR / header.fps)
+    return sources is not None and not np.allclose(
+        sources, header.times, rtol=0, atol=FRAME_TOLERANCE / header.fps
+    )
 
 
 def warn_of_unretimed_motion(

@@ -12,7 +12,7 @@ import numpy as np
 from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, OutputError, SettingsError
 from mixseq.runtime.public import public
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import MeshSequence, collect
+from mixseq.sequence.sequence import MeshSequence, join_blocks
 from mixseq.types import FloatArray, PathLike
 from mixseq_io.files import memory_limit
 from mixseq_io.format import HDF5_SIGNATURE, OPAQUE_PER_VERTEX, PER_VERTEX, Capabilities, Format
@@ -274,7 +274,7 @@ def read(path: PathLike, **options: Any) -> MeshSequence:
     with open_sequence(path, **options) as reader:
         reader.check_total_memory()
         velocities = reader.velocity_blocks()
-        sequence = collect(reader.header, reader.blocks())
+        sequence = join_blocks(reader.header, reader.blocks())
         if velocities is None:
             return sequence
         return replace(sequence, velocities=np.concatenate(list(velocities)))

@@ -145,7 +145,7 @@ def read_bind_pose(path: PathLike, name: str | None = None) -> MeshSequence:
     AmbiguousError
         If there are several skeletons; the message names them.
     """
-    from mixseq.sequence.sequence import collect
+    from mixseq.sequence.sequence import join_blocks
 
     file = Path(path)
     _check_skeleton_file(file)
@@ -154,7 +154,7 @@ def read_bind_pose(path: PathLike, name: str | None = None) -> MeshSequence:
     else:
         from mixseq_io.usd.reader import open_usd_bind_pose as open_bind_pose
     with open_bind_pose(file, name) as reader:
-        return collect(reader.header, reader.blocks())
+        return join_blocks(reader.header, reader.blocks())
 
 
 def _check_skeleton_file(file: Path) -> None:

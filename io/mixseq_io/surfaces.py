@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 from mixseq.errors import InvalidSequenceError
 from mixseq.mesh.measures import Diagonal
 from mixseq.mesh.surface import DEFAULT_COLOUR, CornerValues, FaceSet, MeshObject, Origin, Surface
-from mixseq.sequence.frame_rates import NEAR
+from mixseq.sequence.frame_rates import FRAME_TOLERANCE
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import Float, FloatArray, IntArray
 from mixseq_io.reader import warn
@@ -164,7 +164,10 @@ def lost_times(header: SequenceHeader, first_number: float) -> list[str]:
     lost = []
     if header.fps != DEFAULT_FPS:
         lost.append(f"{header.fps:g} frames per second")
-    if not np.abs(header.times * header.fps - (first_number + np.arange(header.frame_count))).max() <= NEAR:
+    if (
+        not np.abs(header.times * header.fps - (first_number + np.arange(header.frame_count))).max()
+        <= FRAME_TOLERANCE
+    ):
         lost.append("the times of the frames")
     return lost
 

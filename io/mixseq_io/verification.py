@@ -19,8 +19,8 @@ from mixseq.compression.numbering import Renumbering
 from mixseq.errors import FormatError
 from mixseq.mesh.measures import Diagonal
 from mixseq.mesh.polygons import match_polygons
-from mixseq.metrics import comparable, paired_blocks
-from mixseq.runtime.progress import Progress, silent
+from mixseq.metrics import match_reference, paired_blocks
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames, LazyFrames, check_frames
@@ -125,7 +125,7 @@ class Verification:
 
 
 @public
-def verify(path: PathLike, original: Frames | None = None, progress: Progress = silent) -> Verification:
+def verify(path: PathLike, original: Frames | None = None, progress: Progress = no_progress) -> Verification:
     """Check the checksums of a compressed model, that its frames decode to finite points, and its error bound.
 
     Parameters
@@ -159,7 +159,7 @@ def verify(path: PathLike, original: Frames | None = None, progress: Progress = 
         uv_bound=parameters.uv_error,
     )
     if original is not None:
-        original, renumbering = comparable(original, header)
+        original, renumbering = match_reference(original, header)
         uv_error = None if parameters.uv_error is None else _uv_error(original.header, header)
         return replace(verification, **_measure_errors(original, frames, renumbering), uv_error=uv_error)
     for _ in frames.blocks(FRAMES_PER_BLOCK):

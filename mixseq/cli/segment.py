@@ -95,9 +95,9 @@ def command(
         check_picture(picture_file)
     with progress_bar(quiet) as progress, mixseq.open_sequence(path, **reading) as reader:
         from mixseq.segmentation.joints import sample_frame_ids
-        from mixseq.sequence.sequence import frame_store
+        from mixseq.sequence.sequence import load_frames
 
-        frames = frame_store(reader, progress)
+        frames = load_frames(reader, progress)
         points = frames.points[sample_frame_ids(len(frames.points))]
         if method_name in _LABEL_METHODS:
             choice = replace(labels, label_source="skeleton") if method_name == "skeleton" else labels

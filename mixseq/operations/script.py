@@ -34,7 +34,7 @@ import numpy as np
 
 from mixseq.errors import FormatError, MixseqError, SettingsError
 from mixseq.operations.retiming import RetimingKeys, Unit, check_unit, parse_toml, read_retiming_keys
-from mixseq.sequence.frame_rates import time_of
+from mixseq.sequence.frame_rates import number_to_time
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
@@ -199,7 +199,7 @@ def _read_keys(value: Any, folder: Path, readers: Readers) -> RetimingKeys:
 
 
 def _number_in_seconds(value: float, fps: float, unit: Unit) -> float:
-    return time_of(value, fps) if unit == "frames" else value
+    return number_to_time(value, fps) if unit == "frames" else value
 
 
 def _weight_in_seconds(value: float | Curve, fps: float, unit: Unit) -> float | Curve:

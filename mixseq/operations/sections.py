@@ -36,7 +36,7 @@ from mixseq.mesh.rotations import (
     quat_to_matrix,
     rotvec_to_quat,
 )
-from mixseq.sequence.frame_rates import seconds_meant, span_text
+from mixseq.sequence.frame_rates import format_span, hint_frame_number
 from mixseq.signals.curve import Curve
 from mixseq.signals.detail import DeviationNorm, max_norm
 from mixseq.signals.model import Model
@@ -388,8 +388,8 @@ def snap_time(model: Model, time: float, name: str = "time") -> float:
     if not model.start - slack <= time <= model.end + slack:
         fps = model.header.fps
         raise SettingsError(
-            f"{name} is {time:g} s; the model is from {span_text(model.start, model.end, fps)}, give a time within"
-            f"{seconds_meant(time, model.start, model.end, fps)}"
+            f"{name} is {time:g} s; the model is from {format_span(model.start, model.end, fps)}, give a time within"
+            f"{hint_frame_number(time, model.start, model.end, fps)}"
         )
     targets = np.concatenate(
         [[model.start, model.end], model.times, *(curve.times for curve in model.curves)]

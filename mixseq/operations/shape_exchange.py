@@ -26,9 +26,9 @@ from mixseq.mesh.rotations import (
     quat_to_matrix,
 )
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.progress import silent
+from mixseq.runtime.progress import no_progress
 from mixseq.runtime.public import public
-from mixseq.sequence.sequence import Frames, MeshSequence, check_frames, frame_store
+from mixseq.sequence.sequence import Frames, MeshSequence, check_frames, load_frames
 from mixseq.signals.curve import Curve
 from mixseq.signals.detail import encode_sequence
 from mixseq.signals.model import Model
@@ -116,7 +116,7 @@ def with_shapes(model: Model, keys: Frames | Model) -> Model:
                 f"{keys.header.name!r} has {count} frames; {len(model.shapes)} are expected, one per key shape of "
                 f"{model.header.name!r}: transfer the poses that key_poses makes"
             )
-        frames = frame_store(keys, silent)
+        frames = load_frames(keys, no_progress)
         second = as_mixed(make_space(frames))
         encoded = encode_sequence(frames, second)
         shapes, placements, header = np.asarray(encoded.shapes[:]), encoded.placement, keys.header

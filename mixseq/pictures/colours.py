@@ -51,7 +51,7 @@ INK_COLOUR = "#3a3a3a"
 FIRST_HUE, LAST_HUE = 90.0, 330.0
 """Range of part hues in degrees of OKLCH, from straw to mauve, equally far from the red of the joints at 30."""
 
-FIRST_PART_HUE_FRACTION = 0.3
+FIRST_HUE_FRACTION = 0.3
 """Position of the first part's hue in that range."""
 
 GOLDEN_RATIO_STEP = 0.61803
@@ -91,9 +91,7 @@ def viridis() -> Float:
 
 def part_colours(count: int) -> Float:
     """Return muted, distinguishable, cool colours ``(count, 3)``: hues by the golden ratio, varied lightness."""
-    fraction = np.asarray(
-        (FIRST_PART_HUE_FRACTION + GOLDEN_RATIO_STEP * np.arange(count)) % 1.0, dtype=np.float64
-    )
+    fraction = (FIRST_HUE_FRACTION + GOLDEN_RATIO_STEP * np.arange(count, dtype=np.float64)) % 1.0
     hue = FIRST_HUE + (LAST_HUE - FIRST_HUE) * fraction
     lightness = np.resize([0.78, 0.68, 0.85], count)
     return _oklch(lightness, 0.085, hue)

@@ -48,9 +48,9 @@ from mixseq.retargeting.mixed_transfer import MixedTransfer
 from mixseq.retargeting.parts import PartPoses, assign_vertices_to_parts
 from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.parallel import Executor
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import blocks_of
+from mixseq.sequence.sequence import iterate_blocks
 from mixseq.types import Float, FloatArray, Index, Mask
 
 FAST_SPEED_PERCENTILE = 95.0
@@ -382,7 +382,7 @@ def plant_contacts(
     header: SequenceHeader,
     contacts: Mapping[str, ArrayLike],
     workers: Executor,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> PlantedTransfer:
     """Find poses in which contacts ``(k,)`` are fixed while those of the source, with frames ``(T, V, 3)``, rest."""
     gradients = method.gradients
@@ -402,7 +402,7 @@ def plant_contacts(
     vertex_ids = np.concatenate(list(vertices.values()))
     shared = method, vertex_ids, part_of_vertex[vertex_ids]
     rotations, centres, paths, local_points, done_count = [], [], [], [], 0
-    for poses, block_path, block_local_points in workers(_measure_contacts, shared, blocks_of(points)):
+    for poses, block_path, block_local_points in workers(_measure_contacts, shared, iterate_blocks(points)):
         rotations.append(poses.rotations)
         centres.append(poses.centres)
         paths.append(block_path)

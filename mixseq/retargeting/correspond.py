@@ -15,7 +15,7 @@ from mixseq.retargeting.markers import Correspondence, Markers, Pairing, pair_co
 from mixseq.retargeting.matching import CorrespondenceQuality, MatchingSettings, assess, match
 from mixseq.retargeting.registration import RegistrationSettings, register
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
 from mixseq.sequence.sequence import MeshSequence
 
@@ -41,7 +41,7 @@ def correspond(
     markers: Markers,
     rest: int = 0,
     settings: CorrespondenceSettings | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> Correspondence:
     """Find a dense correspondence of two meshes from a few markers.
 
@@ -86,7 +86,7 @@ def correspond_and_assess(
     markers: Markers,
     rest: int = 0,
     settings: CorrespondenceSettings | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> tuple[Correspondence, CorrespondenceQuality]:
     """Find the correspondence of `correspond`, and its quality."""
     settings = CorrespondenceSettings() if settings is None else settings

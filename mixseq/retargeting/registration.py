@@ -44,7 +44,7 @@ from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.markers import Markers, Pairing, Similarity, fit_similarity
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.shells.solvers import Analysis, analyse
 from mixseq.types import Float, Index
 
@@ -206,7 +206,7 @@ def register(
     pairings: tuple[Pairing, ...],
     markers: Markers,
     settings: RegistrationSettings | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> Registration:
     """Deform a source onto a target in a similar pose, with closest points between paired components."""
     settings = RegistrationSettings() if settings is None else settings

@@ -34,7 +34,7 @@ from mixseq.retargeting.gradient_transfer import GradientTransfer, gradient_tran
 from mixseq.retargeting.transfer import Transfer
 from mixseq.runtime.low_memory import RunningStatistics, Statistics
 from mixseq.runtime.parallel import Executor
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import bounding_diagonal, check_block
 from mixseq.types import Float, FloatArray, Index, Mask, evenly_spaced
@@ -313,7 +313,7 @@ class TransferReport:
 def measure_transfer(
     transfer: Transfer,
     blocks: Iterable[FloatArray] | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     workers: Executor | None = None,
 ) -> TransferReport:
     """Measure a transfer, in blocks ``(B, V', 3)`` of its frames."""

@@ -22,11 +22,11 @@ from mixseq.mesh.polygons import match_triangles
 from mixseq.mesh.rigid import kabsch
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import LargeArray
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.segmentation.joints import sample_frame_ids
 from mixseq.segmentation.methods import segment, segment_by_labels
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import Frames, LazyFrames, MeshSequence, check_frames, frame_store
+from mixseq.sequence.sequence import Frames, LazyFrames, MeshSequence, check_frames, load_frames
 from mixseq.signals.model import Model
 from mixseq.types import Float, Index
 
@@ -57,7 +57,7 @@ def prepare_source(
     source: Frames | Model,
     rest: int | MeshSequence = 0,
     parts: int | ArrayLike | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> SourceMotion:
     """Prepare a sequence or a model as the source of transfers."""
     if isinstance(source, Model):
@@ -67,7 +67,7 @@ def prepare_source(
         source = LazyFrames(model.header_at(), lambda size: model.blocks(model.times, size))
     else:
         check_frames(source)
-    frames = frame_store(source, progress)
+    frames = load_frames(source, progress)
     header = frames.header
     topology = Topology(header.faces, header.vertex_count)
     if isinstance(rest, MeshSequence):

@@ -34,7 +34,7 @@ from mixseq.rigging.rigs import Skeleton, Skin, remove_sign_flips
 from mixseq.runtime.jit import compiled
 from mixseq.segmentation.motion import moments, union_errors
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import Frames, bounding_diagonal, frame_store
+from mixseq.sequence.sequence import Frames, bounding_diagonal, load_frames
 from mixseq.types import Float, Index
 
 ROUNDS = 60  # of an active set: each adds or removes a bone
@@ -357,7 +357,7 @@ class Centred:
     @classmethod
     def of(cls, sequence: Frames) -> Centred:
         """Read a sequence into memory."""
-        held = frame_store(sequence)
+        held = load_frames(sequence)
         points = np.asarray(held.points[: held.header.frame_count], dtype=np.float64)
         return cls(held.header, points, points.mean(axis=1), bounding_diagonal(points[0]) or 1.0)
 

@@ -307,11 +307,11 @@ def _converted(sequence: Centred, skeleton: Skeleton, bind_pose: MeshSequence) -
             "mesh is expected, or none, if the skeleton stands in the first frame"
         )
     conversion = UnitConversion.from_header(bind_pose.header, header.up_axis, header.metres_per_unit)
-    shape = np.asarray(conversion.values(bind_pose.points[0].astype(np.float64)), dtype=np.float64)
+    shape = np.asarray(conversion.convert(bind_pose.points[0].astype(np.float64)), dtype=np.float64)
     _check_size(shape, sequence)
-    turn = Rotation.from_matrix(conversion.turn)
+    turn = Rotation.from_matrix(conversion.rotation)
     axes = (turn * Rotation.from_quat(skeleton.axes)).as_quat()
-    pivots = np.asarray(conversion.values(skeleton.pivots), dtype=np.float64)
+    pivots = np.asarray(conversion.convert(skeleton.pivots), dtype=np.float64)
     return replace(skeleton, pivots=pivots, axes=axes), shape
 
 

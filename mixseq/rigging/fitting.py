@@ -34,7 +34,7 @@ from mixseq.rigging.bones import Centred
 from mixseq.rigging.decomposition import ROUGH, FreeBones, fit_free_bones, fit_to_skeleton, skin_of_tree
 from mixseq.rigging.rigs import INFLUENCES, Morph, Skeleton, Skin, rotation_matrices
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
 from mixseq.sequence.sequence import Frames, MeshSequence, check_frames
 from mixseq.types import Float
@@ -214,7 +214,7 @@ def fit_skin(
     correctives: float | None = None,
     max_targets: int = 32,
     rounds: int = 60,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     *,
     skeleton: Skeleton | None = None,
     bind_pose: MeshSequence | None = None,
@@ -317,7 +317,7 @@ def fit_morph(
     sequence: Frames,
     max_error: float | None = None,
     max_targets: int | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> Morph:
     """Fit a base shape and morph targets to a sequence: its mean and its principal shapes.
 

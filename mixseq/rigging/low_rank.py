@@ -27,7 +27,7 @@ from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.mesh.topology import Topology
 from mixseq.rigging.bones import Centred, label_vertices, merged
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
 from mixseq.segmentation.methods import segment
 from mixseq.sequence.header import SequenceHeader
@@ -93,7 +93,7 @@ class LowRank:
 
 @public
 def fit_low_rank(
-    sequence: Frames, max_error: float = 1e-3, parts: int | None = None, progress: Progress = silent
+    sequence: Frames, max_error: float = 1e-3, parts: int | None = None, progress: Progress = no_progress
 ) -> LowRank:
     """Fit the fewest basis vectors of parts to a sequence within `max_error`, in diagonals, from at most `parts` parts.
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mixseq.runtime.lazy import forwarded
+from mixseq.runtime.lazy import lazy_getattr
 
 if TYPE_CHECKING:
     from mixseq.segmentation.joints import (
@@ -37,7 +37,7 @@ __all__ = [
     "segment_by_motion",
 ]
 
-__getattr__ = forwarded(
+__getattr__ = lazy_getattr(
     __name__,
     {
         "METHODS": "mixseq.segmentation.methods",

@@ -103,7 +103,7 @@ class Passes:
     def cut(self, where: Index) -> Index:
         """Cut the tree at n hinges; number the regions ``(F,)`` by decreasing area."""
         kept = self.topology.hinge_faces[np.delete(self.hinges, where)]
-        return by_area(connected_components(len(self.face_areas), kept), self.face_areas)
+        return renumber_by_area(connected_components(len(self.face_areas), kept), self.face_areas)
 
     def deepest(self, parts: int, least_area: float) -> Index:
         """Choose the deepest passes that leave `parts` regions; the least area is halved until there are enough."""
@@ -128,7 +128,7 @@ def flood(topology: Topology, heights: Float, bottoms: Float, areas: Float) -> P
     return Passes(topology, areas, order[tree], area, depth)
 
 
-def by_area(labels: NDArray[np.integer], areas: Float) -> Index:
+def renumber_by_area(labels: NDArray[np.integer], areas: Float) -> Index:
     """Renumber the labels ``(F,)`` of faces by decreasing area, equal ones in the order of first faces."""
     _, first, dense = np.unique(labels, return_index=True, return_inverse=True)
     order = np.lexsort((first, -np.bincount(dense, areas)))
@@ -137,7 +137,7 @@ def by_area(labels: NDArray[np.integer], areas: Float) -> Index:
     return np.asarray(rank[dense], dtype=np.int64)
 
 
-def check_parts(parts: int | None, topology: Topology) -> None:
+def check_part_count(parts: int | None, topology: Topology) -> None:
     """Raise `SettingsError` for a number of parts that no segmentation has."""
     if parts is None:
         return

@@ -63,7 +63,7 @@ METHODS: dict[SegmentationName, Method] = {
 """Methods that need the moving mesh alone."""
 
 
-def chosen(segmentation: Segmentation) -> tuple[SegmentationName, MethodSettings]:
+def resolve_segmentation(segmentation: Segmentation) -> tuple[SegmentationName, MethodSettings]:
     """Return a method and its settings."""
     for name, method in METHODS.items():
         if isinstance(segmentation, method.settings):
@@ -88,7 +88,7 @@ def segment(
     Parts are connected across edges. Without `parts` their number is automatic, at least one per component; "motion"
     may find fewer where little moves. Raises `SettingsError` for wrong settings, or `parts` below 1 or above F.
     """
-    found = METHODS[chosen(method)[0]]
+    found = METHODS[resolve_segmentation(method)[0]]
     if settings is not None and not isinstance(settings, found.settings):
         raise SettingsError(
             f"settings are {type(settings).__name__}; method {method!r} takes {found.settings.__name__}"

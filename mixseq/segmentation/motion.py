@@ -30,7 +30,7 @@ import numpy as np
 
 from mixseq.mesh.rigid import largest_rotation, nearest_rotations
 from mixseq.mesh.topology import Topology, split_labels
-from mixseq.segmentation.elements import Elements, Rim, Trajectories, by_area, check_parts
+from mixseq.segmentation.elements import Elements, Rim, Trajectories, check_part_count, renumber_by_area
 from mixseq.segmentation.joints import sample_frame_ids
 from mixseq.types import Float, FloatArray, Index, Mask, Single
 
@@ -283,14 +283,14 @@ def segment_by_motion(
 ) -> Index:
     """Find the near-rigid part ``(F,)`` of every face from points ``(T, V, 3)``."""
     settings = settings or MotionSettings()
-    check_parts(parts, topology)
+    check_part_count(parts, topology)
     faces = Elements.from_faces(topology, _looked_at(points, settings.frames))
     clusters = max(settings.clusters, round(1.5 * (parts or 1)))
     labels = _cluster(topology, faces, min(clusters, len(topology.faces)), settings)
     bodies = _Bodies.from_patches(topology, faces, split_labels(topology, labels))
     _absorb_small_regions(bodies, settings)
     _merge(bodies, topology, parts, settings)
-    return by_area(bodies.patches, faces.weights)
+    return renumber_by_area(bodies.patches, faces.weights)
 
 
 def _looked_at(points: FloatArray, frames: int) -> Float:

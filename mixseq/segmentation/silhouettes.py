@@ -56,7 +56,7 @@ from scipy import sparse
 from mixseq.errors import SettingsError
 from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
 from mixseq.mesh.topology import Topology
-from mixseq.segmentation.elements import check_parts, face_areas, flood
+from mixseq.segmentation.elements import check_part_count, face_areas, flood
 from mixseq.segmentation.joints import sample_frame_ids
 from mixseq.types import Float, FloatArray, Index, Mask
 
@@ -275,7 +275,7 @@ def segment_by_silhouettes(
 ) -> Index:
     """Find the part ``(F,)`` of every face between deforming silhouettes of points ``(T, V, 3)``."""
     settings = settings or SilhouetteSettings()
-    check_parts(parts, topology)
+    check_part_count(parts, topology)
     x = some_frames(points, settings.frames)
     surface = Diffusion(x[0], topology)
     deformation = surface.smoothed(vertex_bending(x, topology) + vertex_strain(x, topology), settings.radius)
@@ -393,7 +393,7 @@ def segment_by_spanning_tree(
 ) -> Index:
     """Cut a moving mesh ``(T, V, 3)`` where its dihedral angles vary most; returns parts ``(F,)``."""
     settings = settings or SpanningTreeSettings()
-    check_parts(parts, topology)
+    check_part_count(parts, topology)
     x = some_frames(points, settings.frames)
     surface = Diffusion(x[0], topology)
     bending = surface.smoothed(vertex_bending(x, topology), settings.radius)

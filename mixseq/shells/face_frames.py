@@ -298,8 +298,8 @@ class FrameGraph(PickledWithoutCaches):
         """Factor of the matrix of averaging, which holds known frames softly."""
         return factorise_laplacian(self.pairs, self.weights, np.where(self.known_mask, 1.0, 0.0))
 
-    def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         return self.factor, self._layers
 
     def average(self, frames: Float, rotations: Float, rounds: int) -> Float:

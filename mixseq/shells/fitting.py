@@ -106,8 +106,8 @@ class Patch(PickledWithoutCaches):
             fixed_mask=fixed,
         )
 
-    def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants` for the linear initialisation and Gauss-Newton."""
+    def cached_values(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.cached_values` for the linear initialisation and Gauss-Newton."""
         return self.equations.pattern, self.frame_pattern, self.laplacian_factor
 
     @cached_property

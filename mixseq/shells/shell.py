@@ -96,8 +96,8 @@ class Shell(PickledWithoutCaches):
     # (t, 2) pairs of vertices with known sides, besides the edges
     ties: Index = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
 
-    def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         return self.factor, self.max_curvature
 
     @cached_property

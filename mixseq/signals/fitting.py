@@ -20,10 +20,10 @@ from mixseq.choices import POSE_FORMS, PlacementName, PoseForm, SpaceName
 from mixseq.errors import SettingsError
 from mixseq.mesh.measures import wrap_angles
 from mixseq.runtime.low_memory import LargeArray
-from mixseq.runtime.parallel import Executor, on_threads, one_blas_thread
-from mixseq.runtime.progress import Progress, Stages, silent
+from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
+from mixseq.runtime.progress import Progress, StagedProgress, no_progress
 from mixseq.runtime.public import public
-from mixseq.sequence.sequence import Frames, check_frames, frame_store
+from mixseq.sequence.sequence import Frames, check_frames, load_frames
 from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.shells.kernels import lengths_and_angles
 from mixseq.signals.detail import (
@@ -197,7 +197,7 @@ def fit(
     joint_width: int = MixedSettings.joint_width,
     space: SpaceName = "mixed",
     *,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     workers: Executor | None = None,
     **settings: Unpack[FitOptions],
 ) -> Model:
@@ -295,10 +295,10 @@ def fit(
                 options, shell=ShellSettings(accuracy=max_error / _FRAME_TO_SHELL_TOLERANCE_RATIO)
             )
     search_stages = 1 if exact else 0 if is_reduced else MAX_TRIAL_MODELS
-    stages = Stages(progress, FIT_STAGES + search_stages, sequence.header.frame_count)
-    executor = workers or on_threads()
+    stages = StagedProgress(progress, FIT_STAGES + search_stages, sequence.header.frame_count)
+    executor = workers or thread_executor()
     with one_blas_thread():
-        frames = frame_store(sequence, stages.at(0))
+        frames = load_frames(sequence, stages.at(0))
         shape_space = make_space(frames, space, options, executor, stages.at(1, SPACE_STAGES))
         encoded = encode_sequence(frames, shape_space, pose, executor, stages.at(1 + SPACE_STAGES))
         encoded = tune_interpolation(encoded, frames.points)

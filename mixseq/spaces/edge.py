@@ -50,7 +50,7 @@ from mixseq.mesh.measures import (
 )
 from mixseq.mesh.topology import Topology, connected_components
 from mixseq.runtime.lazy import PickledWithoutCaches
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.segmentation.joints import make_joint
 from mixseq.shells.face_frames import (
     FrameGraph,
@@ -84,8 +84,8 @@ class EdgeProjection(Protocol):
     *Rows* are the vertices of all pieces, piece after piece, see `mixseq.spaces.pieces`.
     """
 
-    def prepared(self) -> Self:
-        """Compute what all frames share, as `PickledWithoutCaches.prepared`."""
+    def precompute(self) -> Self:
+        """Compute what all frames share, as `PickledWithoutCaches.precompute`."""
 
     def fit(self, wanted: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Fit rows ``(N, 3)``, pieces in any pose; raises `ReconstructionError` if lengths or angles are not finite."""
@@ -135,8 +135,8 @@ class DiscreteShell(PickledWithoutCaches):
             shells.append(ShellPiece(rows, patch, whole.edge_ids, whole.hinge_ids))
         return tuple(shells)
 
-    def constants(self) -> list[object]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> list[object]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         return [piece.patch for piece in self.shell_pieces if piece is not None]
 
     def piece_volumes(self, x: FloatArray) -> Float:
@@ -261,8 +261,8 @@ class RelaxedShell(PickledWithoutCaches):
         topology = self._piece_mesh.topology
         return HingeFrames(topology.faces, topology.hinges, topology.hinge_faces)
 
-    def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         return self.frame_graph, self.shell
 
     def fit(self, wanted: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
@@ -407,8 +407,8 @@ class EdgeSpace(PosedSpace):
             [np.ones(len(lengths)), ANGLE_WEIGHT * lengths[self.topology.hinge_edges], volumes]
         )
 
-    def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         return self.projection, self._volume_weights, self.pieces.radii
 
     def measure_shape(self, x: Float) -> Float:
@@ -442,7 +442,7 @@ class EdgeSpace(PosedSpace):
         return self.decode_with_reports(vectors, shell=self.shell.for_differences())[0]
 
     def decode_with_reports(
-        self, vectors: Float, progress: Progress = silent, shell: ShellSettings | None = None
+        self, vectors: Float, progress: Progress = no_progress, shell: ShellSettings | None = None
     ) -> tuple[Float, list[list[ShellReport]]]:
         """Decode vectors ``(T, D)`` to points ``(T, V, 3)``, and return the reports of the fits of every frame."""
         reports: list[list[ShellReport]] = []

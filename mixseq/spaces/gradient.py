@@ -42,7 +42,7 @@ from mixseq.mesh.topology import Topology, connected_components
 from mixseq.mesh.triangle_mesh import replace_degenerate, triangle_matrices
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.shells.solvers import Factor, factorise
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.pieces import Pieces
@@ -59,8 +59,8 @@ class PoissonSystem(PickledWithoutCaches):
     weights: Float
     vertex_count: int  # number n of vertices
 
-    def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         return (self.factor,) if self.unknown_ids.size else ()
 
     @cached_property
@@ -170,8 +170,8 @@ class GradientSpace(ShapeSpace):
         cotangents = cosines / areas[:, None]
         return PoissonSystem(self.side_rows, 0.5 * cotangents.reshape(-1), len(self.pieces.vertex_of_row))
 
-    def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         return (self.poisson_system,)
 
     @property
@@ -218,7 +218,7 @@ class GradientSpace(ShapeSpace):
         blocks = self.split(vectors)
         return self.join(blocks._replace(rotation_vectors=unwrap_rotvec(blocks.rotation_vectors, before)))
 
-    def decode(self, vectors: Float, progress: Progress = silent) -> Float:
+    def decode(self, vectors: Float, progress: Progress = no_progress) -> Float:
         """Implement `ShapeSpace.decode`."""
         blocks = self.split(np.asarray(vectors, dtype=np.float64))
         wrong = np.flatnonzero(~np.isfinite(vectors).all(axis=1))

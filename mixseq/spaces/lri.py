@@ -86,8 +86,8 @@ class LRISpace(PosedSpace):
             len(self.poisson_system.unknown_ids), self.unknown_index[self.edge_rows]
         )
 
-    def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         return self.poisson_system, self.frame_pattern
 
     @property

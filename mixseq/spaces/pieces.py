@@ -20,7 +20,7 @@ from mixseq.mesh.rotations import align_quat_signs, matrix_to_quat, quat_to_matr
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.jit import compiled
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.spaces.base import ShapeSpace, radii_of_gyration
 from mixseq.types import Float, FloatArray, Index
 
@@ -291,7 +291,7 @@ class PosedSpace(ShapeSpace):
         count = len(vectors)
         return np.concatenate([shapes, turns.reshape(count, -1), centres.reshape(count, -1)], axis=1)
 
-    def decode(self, vectors: Float, progress: Progress = silent) -> Float:
+    def decode(self, vectors: Float, progress: Progress = no_progress) -> Float:
         """Implement `ShapeSpace.decode`."""
         return self._decode_with(vectors, self.rebuild_rows, progress)
 

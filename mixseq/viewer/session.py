@@ -182,12 +182,7 @@ class UndoHistory(Generic[State]):
 
 
 EditHistory = UndoHistory[Step]
-
-
-def before_retiming(history: EditHistory) -> EditHistory:
-    """Return the history before its current step if that is a retiming, which then can be replaced."""
-    return history.undo() if history.current.keys else history
-
+HistoryChange = Callable[[EditHistory], EditHistory]
 
 MAX_CHART_POINTS = 800
 """Largest number of points of a line, about two per pixel of a chart."""
@@ -277,7 +272,7 @@ class SessionListener(Protocol):
 class _Job:
     name: str
     index: int
-    change: Callable[[EditHistory], EditHistory]
+    change: HistoryChange
     is_preview: bool
 
 
@@ -351,7 +346,7 @@ class Session(JobQueue[_Job]):
         """Retime the model by keys ``(n, 2)`` of output and source seconds; replaces a retiming as last step."""
 
         def change(history: EditHistory) -> EditHistory:
-            before = before_retiming(history)
+            before = history.undo() if history.current.keys else history
             key_times = tuple((float(output), float(source)) for output, source in keys)
             return before.push(Step("retime", retime(before.current.model, keys), key_times))
 
@@ -382,12 +377,8 @@ class Session(JobQueue[_Job]):
                 self._save_threads.append(thread)
                 thread.start()
         if not has_capacity:
-            self._report_failure(
-                "save",
-                OutputError(
-                    f"{MAX_CONCURRENT_SAVES} files are still being saved; try again when one is done"
-                ),
-            )
+            text = f"{MAX_CONCURRENT_SAVES} files are still being saved; try again when one is done"
+            self._report_failure("save", OutputError(text))
 
     def _write(self, path: Path, index: int, model: Model, replace: bool) -> None:
         try:
@@ -398,9 +389,7 @@ class Session(JobQueue[_Job]):
             self._saved[index] = model
             self._listener.on_save(message)
 
-    def _enqueue_change(
-        self, name: str, change: Callable[[EditHistory], EditHistory], preview: bool = False
-    ) -> None:
+    def _enqueue_change(self, name: str, change: HistoryChange, preview: bool = False) -> None:
         job = _Job(name, self._index, change, preview)
         self._enqueue(job, is_obsolete=lambda waiting: waiting.is_preview)
 

@@ -66,7 +66,7 @@ def measure(path: Path, first: int, second: int) -> None:
     )
     for method, told in spaces:
         interpolator = PoseInterpolator.from_poses(sequence, pose_ids=[first, second], **told)
-        interpolator.space.prepared()
+        interpolator.space.precompute()
         start = time.perf_counter()
         point, report = interpolator.blend_with_reports([0.5, 0.5])
         show(method, point, time.perf_counter() - start, report)

@@ -100,7 +100,7 @@ def test_reader_options_are_for_the_original(run: Run) -> None:
         ("plot --video new.gif bar.npz --seconds 1e9", "a film has from 2 to 100,000"),
         ("plot --video new.gif bar.npz --colour parts", "bar has no parts"),
         ("plot --video new.gif bar.npz --colour error", "give the original"),
-        ("plot --video new.gif bar.npz --against bar.usdc", "is for the colour error"),
+        ("plot --video new.gif bar.npz --against bar.usdc", "only the colour error needs the original"),
         ("plot --video new.gif model.h5 --colour error --against other.npz", "errors need the same topology"),
         ("plot --video new.gif bar.npz --names a,b", "--names has 2 names for 1 files"),
         ("plot --video new.gif bar.npz --prim /none", "none of the files is read with an option 'prim'"),

@@ -18,7 +18,7 @@ DECODE = """
 import json, sys, zlib
 from mixseq.runtime import jit
 if {fused}:
-    jit._OPTIONS["fastmath"] = {{"contract"}}
+    jit._NUMBA_OPTIONS["fastmath"] = {{"contract"}}
 from mixseq.compression.bitstream.compressed_sequence import decode_basis, decode_coefficients
 from mixseq.compression.bitstream.signal_graph import mesh_graph
 from tests.compression.test_golden import stored

@@ -325,7 +325,7 @@ def test_a_painted_character_through_all_formats(data: Path, tmp_path: Path) -> 
     for name in ("a.glb", "a.usdc", "a.abc", "a.npz", "a.h5", "a_####.ply", "a_####.obj", "a_####.off"):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", MixseqWarning)
-            write(tmp_path / name, mixseq.sequence.sequence.collect(man.header, man.blocks()))
+            write(tmp_path / name, mixseq.sequence.sequence.join_blocks(man.header, man.blocks()))
         got = read(tmp_path / name)
         assert got.surface.colours is not None
         at_vertices = got.surface.colours.at_vertices(got.polygons.indices, got.vertex_count, np.zeros(4))  # type: ignore[arg-type]

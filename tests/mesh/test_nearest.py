@@ -187,12 +187,12 @@ def test_an_empty_mesh_and_no_queries() -> None:
 def test_meshes_that_are_refused() -> None:
     points, faces = RIGHT
     with pytest.raises(
-        InvalidSequenceError, match=r"triangle 0 is of vertices \[0, 1, 3\], but there are 3 points"
+        InvalidSequenceError, match=r"triangle 0 has vertices \[0, 1, 3\], but there are 3 points"
     ):
         ClosestPointQuery.from_mesh(points, np.array([[0, 1, 3]]))
     with pytest.raises(InvalidSequenceError, match="triangle 0 has a corner that is not finite"):
         ClosestPointQuery.from_mesh(np.where(points == 1, np.nan, points), faces)
-    with pytest.raises(InvalidSequenceError, match=r"faces of shape \(1, 4\) are no triangle mesh"):
+    with pytest.raises(InvalidSequenceError, match=r"faces of shape \(1, 4\) are not a triangle mesh"):
         ClosestPointQuery.from_mesh(points, np.array([[0, 1, 2, 0]]))
 
 
@@ -435,7 +435,7 @@ def test_an_empty_mesh() -> None:
 
 def test_meshes_without_intersections_to_look_for_are_refused() -> None:
     points = np.zeros((3, 3))
-    with pytest.raises(InvalidSequenceError, match="triangle 1 is of vertices"):
+    with pytest.raises(InvalidSequenceError, match="triangle 1 has vertices"):
         self_intersections(points, np.array([[0, 1, 2], [0, 1, -1]]))
     with pytest.raises(InvalidSequenceError, match="not finite"):
         self_intersections(points * np.nan, np.array([[0, 1, 2]]))

@@ -40,7 +40,7 @@ class Rebuilder:
         projection = MultiScale(self.topology, self.pieces, **numbers)
         self.projection: EdgeProjection = projection
         self.multiscale = projection
-        projection.prepared()
+        projection.precompute()
 
     def measure(self, points: Float) -> tuple[Float, Float]:
         return edge_lengths(points, self.topology.edges), dihedral_angles(points, self.topology.hinges)

@@ -275,33 +275,45 @@ def test_refusals_name_the_contact() -> None:
 
 def fox(legs: float) -> Walk:
     """The walking fox with longer legs, its way as long as before."""
-    from mixseq.creature import DUTY as ON_GROUND
-    from mixseq.creature import HEADS, LEGS, NAMES, PARENTS, STEP, TAILS, pose
+    from mixseq.creature import (
+        BONE_HEADS,
+        BONE_NAMES,
+        BONE_PARENTS,
+        BONE_TAILS,
+        LEGS,
+        STANCE_TRAVEL_METRES,
+        pose_skeleton,
+    )
+    from mixseq.creature import STANCE_FRACTION as ON_GROUND
 
     phase = np.arange(96) / 48
-    rotations, _ = pose(phase)
-    bones = {NAMES.index(name) for leg in LEGS for name in (leg.upper, leg.lower, leg.pastern, leg.paw)}
+    rotations, _ = pose_skeleton(phase)
+    bones = {BONE_NAMES.index(name) for leg in LEGS for name in (leg.upper, leg.lower, leg.pastern, leg.paw)}
 
     def at_rest(scale: float) -> tuple[ArticulatedBody, list[Contact]]:
-        sizes = np.where([bone in bones for bone in range(len(NAMES))], scale, 1.0)
-        heads = HEADS.copy()
-        for bone, above in enumerate(PARENTS):
+        sizes = np.where([bone in bones for bone in range(len(BONE_NAMES))], scale, 1.0)
+        heads = BONE_HEADS.copy()
+        for bone, above in enumerate(BONE_PARENTS):
             if above >= 0:
-                heads[bone] = heads[above] + sizes[above] * (HEADS[bone] - HEADS[above])
-        tails = heads + sizes[:, None] * (TAILS - HEADS)
-        links = np.array([(PARENTS[bone], bone) for bone in range(1, len(NAMES))])
+                heads[bone] = heads[above] + sizes[above] * (BONE_HEADS[bone] - BONE_HEADS[above])
+        tails = heads + sizes[:, None] * (BONE_TAILS - BONE_HEADS)
+        links = np.array([(BONE_PARENTS[bone], bone) for bone in range(1, len(BONE_NAMES))])
         walker = ArticulatedBody((heads + tails) / 2, links, heads[1:], 0)
-        paws = [NAMES.index(leg.paw) for leg in LEGS]
-        return walker, [Contact(NAMES[paw], tails[[paw]], np.array([paw])) for paw in paws]
+        paws = [BONE_NAMES.index(leg.paw) for leg in LEGS]
+        return walker, [Contact(BONE_NAMES[paw], tails[[paw]], np.array([paw])) for paw in paws]
 
     source, source_contacts = at_rest(1.0)
     target, contacts = at_rest(legs)
-    _, heads = pose(phase)
-    root = heads[:, 0] + np.einsum("tij,j->ti", rotations[:, 0], source.centres[0] - HEADS[0])
-    root = root + phase[:, None] * [STEP / ON_GROUND, 0.0, 0.0]  # over the ground, not on the spot
+    _, heads = pose_skeleton(phase)
+    root = heads[:, 0] + np.einsum("tij,j->ti", rotations[:, 0], source.centres[0] - BONE_HEADS[0])
+    root = root + phase[:, None] * [
+        STANCE_TRAVEL_METRES / ON_GROUND,
+        0.0,
+        0.0,
+    ]  # over the ground, not on the spot
     # The fox's pasterns turn in the air as it likes: its own skeleton tells where paws are.
-    places = heads + np.einsum("tbij,bj->tbi", rotations, TAILS - HEADS)
-    places += phase[:, None, None] * [STEP / ON_GROUND, 0.0, 0.0]
+    places = heads + np.einsum("tbij,bj->tbi", rotations, BONE_TAILS - BONE_HEADS)
+    places += phase[:, None, None] * [STANCE_TRAVEL_METRES / ON_GROUND, 0.0, 0.0]
     paths = [places[:, contact.parts] for contact in source_contacts]
     centres = hung(target, rotations, root + target.centres[0] - source.centres[0])
     return Walk(source, target, source_contacts, contacts, rotations, centres, paths, 48.0, "Y", 2.0)

@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 
 from mixseq.errors import SettingsError
 from mixseq.mesh.topology import Topology, face_patches
-from mixseq.segmentation.elements import Boundaries, Passes, Rim, check_parts, flood
+from mixseq.segmentation.elements import Boundaries, Passes, Rim, check_part_count, flood
 from mixseq.segmentation.methods import segment_by_labels
 from mixseq.types import Float, Index
 from tests.meshes import Mesh, flipped, grid, joined, pages, rotation, seeds, tetrahedron, topology_of, tube
@@ -119,9 +119,9 @@ def test_as_many_regions_as_asked_for(seed: int) -> None:
 @pytest.mark.parametrize("parts", [0, -1, 5])
 def test_numbers_that_no_segmentation_has(parts: int) -> None:
     with pytest.raises(SettingsError, match=rf"parts is {parts}; a whole number from 1 to 4 \(the faces\)"):
-        check_parts(parts, topology_of(tetrahedron()))
-    check_parts(4, topology_of(tetrahedron()))
-    check_parts(None, topology_of(tetrahedron()))
+        check_part_count(parts, topology_of(tetrahedron()))
+    check_part_count(4, topology_of(tetrahedron()))
+    check_part_count(None, topology_of(tetrahedron()))
 
 
 # Where neighbouring parts meet, in closed forms

@@ -259,7 +259,7 @@ def test_blocks_and_their_metric() -> None:
 
 def test_a_pickled_space_is_the_same() -> None:
     space = on_a_torus()
-    space.prepared()
+    space.precompute()
     copy = pickle.loads(pickle.dumps(space))
     vectors = np.random.default_rng(0).normal(size=(1, space.dim))
     np.testing.assert_array_equal(copy.decode(vectors), space.decode(vectors))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from mixseq.errors import FormatError, SettingsError
-from mixseq.sequence.frame_rates import NTSC_RATES, exact_rate
+from mixseq.sequence.frame_rates import NTSC_RATES, snap_to_ntsc
 from mixseq.sequence.header import DEFAULT_FPS
 from mixseq.types import Float, FloatArray
 from mixseq_io.gltf.document import Document, Fields
@@ -143,7 +143,7 @@ def _uniform_rate(times: NDArray[np.float64]) -> float | None:
     error = rate * rounding / span
     common = min((*COMMON_FRAME_RATES, round(rate * 1.001) / 1.001), key=lambda common: abs(common - rate))
     # Includes exporters' rounding of NTSC rates to 29.97, if it displaces no key.
-    is_rounded = exact_rate(rate) == common
+    is_rounded = snap_to_ntsc(rate) == common
     if abs(common - rate) <= max(error, _GRID_TOLERANCE_FRAMES * rate / count if is_rounded else 0.0):
         return common
     rounded = (round(rate, digits) for digits in range(6))

@@ -20,7 +20,7 @@ import numpy as np
 from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, OutputError, SettingsError
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import CornerValues, Surface
-from mixseq.sequence.frame_rates import number_at
+from mixseq.sequence.frame_rates import time_to_number
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import FloatArray
 from mixseq_io.files import atomic_files
@@ -200,7 +200,7 @@ class FrameFormat:
                 f"{path}: {with_article(self.name)} holds one frame, this sequence has {header.frame_count}; give a "
                 f"pattern such as {path.stem.rstrip('*')}_####{path.suffix}"
             )
-        own = number_at(header.times[0], header.fps)
+        own = time_to_number(header.times[0], header.fps)
         first = start if start is not None else int(own) if own >= 0 and own.is_integer() else 1
         lost = lost_times(header, first if start is None else own)
         lost += lost_scale(header, velocities is not None) + self.lost(header)

@@ -17,7 +17,7 @@ import numpy as np
 
 from mixseq.errors import OutputError, SettingsError
 from mixseq.rigging.low_rank import fit_low_rank
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
 from mixseq.sequence.sequence import MeshSequence, bounding_diagonal
 from mixseq_io.files import atomic_folder
@@ -96,7 +96,7 @@ def write_vat(
     sequence: MeshSequence,
     max_error: float | None = None,
     texture: TextureName = "png16",
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> VatReport:
     """Write a sequence as vertex animation textures: a folder with pictures, a mesh, ``vat.json`` and shaders.
 

@@ -37,7 +37,7 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.runtime.jit import joined
+from mixseq.runtime.jit import force_inlined
 from mixseq.types import Index, IntArray
 
 SIZE = 4
@@ -123,7 +123,7 @@ def is_beyond(coded: Coded) -> bool:
     return int(coded.place[0]) > len(coded.data) + BYTES_BEYOND
 
 
-@joined
+@force_inlined
 def code_bit(coded: Coded, chance: int, bit: int) -> int:
     """Write or read a bit whose probability of being 1 is `chance` / 65536; return it."""
     low, high = coded.interval[0], coded.interval[1]
@@ -147,7 +147,7 @@ def code_bit(coded: Coded, chance: int, bit: int) -> int:
     return bit
 
 
-@joined
+@force_inlined
 def code_number(coded: Coded, size: int, number: int) -> int:
     """Write or read the last `size` bits of a number without a model, and return them."""
     found = 0
@@ -156,7 +156,7 @@ def code_number(coded: Coded, size: int, number: int) -> int:
     return found
 
 
-@joined
+@force_inlined
 def bit_length(number: int) -> int:
     """Return the bit length of a number's magnitude."""
     size, bits = abs(number), 0
@@ -230,13 +230,13 @@ def _tables() -> tuple[Index, Index, Index, Index]:
     )
 
 
-@joined
+@force_inlined
 def code(coded: Coded, models: BitModels, position: int, bit: int) -> int:
     """Write or read a bit at a position in the current contexts, update the models, and return it."""
     return code_of_kind(coded, models, position, position, bit)
 
 
-@joined
+@force_inlined
 def code_of_kind(coded: Coded, models: BitModels, position: int, kind: int, bit: int) -> int:
     """Write or read a bit as `code` does, with the mixing weights of a kind."""
     shares, weights, inputs, contexts = models.shares, models.weights, models.inputs, models.contexts
@@ -302,7 +302,7 @@ def _bits(coded: Coded, kinds: int) -> Bits:
     return Bits(coded, models, np.zeros(INPUTS, dtype=np.int64), np.zeros(1, dtype=np.int64))
 
 
-@joined
+@force_inlined
 def code_hashed(bits: Bits, kind: int, bit: int) -> int:
     """Write or read a bit of a kind in the current contexts, update the models, and return it."""
     slots, contexts = bits.models.contexts, bits.contexts
@@ -311,7 +311,7 @@ def code_hashed(bits: Bits, kind: int, bit: int) -> int:
     return code_of_kind(bits.coded, bits.models, 0, kind, bit)
 
 
-@joined
+@force_inlined
 def has_failed(bits: Bits) -> bool:
     """Return whether the stream is damaged or ends early; loops check once a corner, to save time."""
     if bits.coded.place[0] > len(bits.coded.data) + BYTES_BEYOND:

@@ -42,7 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.compression.bitstream.arithmetic import INPUTS, SPREAD, Bits, bit_length, code_hashed, has_failed
-from mixseq.runtime.jit import compiled, joined
+from mixseq.runtime.jit import compiled, force_inlined
 from mixseq.types import Index
 
 Small = NDArray[np.int32]
@@ -153,7 +153,7 @@ def add_polygon(mesh: HalfEdges, indices: Index, start: int, stop: int) -> None:
         move(mesh, vertex, OPEN if mesh.open_edges[vertex] else CLOSED)
 
 
-@joined
+@force_inlined
 def _add(mesh: HalfEdges, edge: int, tail: int, head: int) -> None:
     """Close the opposite half-edge, or open this one."""
     other = mesh.newest[INTO, tail]
@@ -175,7 +175,7 @@ def _add(mesh: HalfEdges, edge: int, tail: int, head: int) -> None:
     mesh.open_edges[head] += change
 
 
-@joined
+@force_inlined
 def _link(mesh: HalfEdges, way: int, vertex: int, edge: int) -> None:
     newest = mesh.newest[way, vertex]
     mesh.older[way, edge] = newest
@@ -184,7 +184,7 @@ def _link(mesh: HalfEdges, way: int, vertex: int, edge: int) -> None:
     mesh.newest[way, vertex] = edge
 
 
-@joined
+@force_inlined
 def _unlink(mesh: HalfEdges, way: int, vertex: int, edge: int) -> None:
     older, newer = mesh.older[way, edge], mesh.newer[way, edge]
     if older >= 0:
@@ -249,7 +249,7 @@ def no_past(vertex_count: int) -> Past:
     )
 
 
-@joined
+@force_inlined
 def make_guesses(mesh: HalfEdges, past: Past, place: int, before: int, first: int, last_new: int) -> None:
     """Guess the vertex of the corner at a place 0 to 3 of a polygon with the first vertex `first`.
 
@@ -287,7 +287,7 @@ def make_guesses(mesh: HalfEdges, past: Past, place: int, before: int, first: in
     guesses[15] = before - 1
 
 
-@joined
+@force_inlined
 def remember(past: Past, place: int, vertex: int, winner: int) -> None:
     """Record the right guesses at a corner; `winner` is the first of them, or `GUESSES` plus the state."""
     for g in range(GUESSES):
@@ -298,7 +298,7 @@ def remember(past: Past, place: int, vertex: int, winner: int) -> None:
     past.winners[place, 1], past.winners[place, 0] = past.winners[place, 0], winner
 
 
-@joined
+@force_inlined
 def slot_of(indices: Index, corner: int, place: int) -> int:
     """Return the slot in `Past.repeats` of the last three differences of corners."""
     key = np.uint64(indices[corner] - indices[corner - 1])
@@ -377,7 +377,7 @@ def walk(bits: Bits, mesh: HalfEdges, past: Past, counts: Index, indices: Index)
         bits.failed[0] = 1
 
 
-@joined
+@force_inlined
 def _vertex(
     bits: Bits,
     mesh: HalfEdges,
@@ -429,7 +429,7 @@ def _vertex(
     return _named(bits, mesh, past, vertex, before, place, last_new)
 
 
-@joined
+@force_inlined
 def _named(
     bits: Bits, mesh: HalfEdges, past: Past, vertex: int, before: int, place: int, last_new: int
 ) -> tuple[int, int]:
@@ -520,7 +520,7 @@ def _number(bits: Bits, past: Past, what: int, number: int) -> int:
                 return -value if negative else value
 
 
-@joined
+@force_inlined
 def _clamped(number: int) -> int:
     """Clamp a number for use as a context, which is from 1 to 63."""
     return min(max(number, -31), 31) + 32

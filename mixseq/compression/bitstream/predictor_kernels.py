@@ -31,7 +31,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.runtime.jit import compiled, joined
+from mixseq.runtime.jit import compiled, force_inlined
 from mixseq.types import Float, Index
 
 UNIT = 64
@@ -52,7 +52,7 @@ _LEAST = 1e-12
 Small = NDArray[np.int32]
 
 
-@joined
+@force_inlined
 def predict(node: int, neighbours: Small, counts: Small, weights: Float, values: Index) -> int:
     """Return the value of a node predicted from the values ``(N,)`` before it, in units."""
     total = 0.5
@@ -227,7 +227,7 @@ def nearest(
                     _insert(node, np.int64(other), distance, similar, found, apart)
 
 
-@joined
+@force_inlined
 def _insert(
     node: int, other: int | np.int64, distance: float, similar: Small, found: Small, apart: Float
 ) -> None:

@@ -29,9 +29,9 @@ from mixseq.compression.bitstream.arithmetic import (
 from mixseq.compression.bitstream.signal_coder import Reader, Writer
 from mixseq.compression.bitstream.signal_graph import NEIGHBOUR_COUNTS, SignalGraph, mesh_graph
 from mixseq.errors import FormatError
-from mixseq.runtime.jit import compiled, joined
+from mixseq.runtime.jit import compiled, force_inlined
 from mixseq.runtime.lazy import PickledWithoutCaches
-from mixseq.runtime.parallel import on_two_threads
+from mixseq.runtime.parallel import two_thread_executor
 from mixseq.types import Float, Index
 
 INPUTS = 3
@@ -103,12 +103,12 @@ def code_residuals(
             others |= (1 if numbers[node, k] else 0) << k
 
 
-@joined
+@force_inlined
 def _any(numbers: Index, node: int) -> int:
     return 1 if numbers[node, 0] or numbers[node, 1] or numbers[node, 2] else 0
 
 
-@joined
+@force_inlined
 def _code_coordinate(coded: Coded, models: BitModels, number: int) -> int:
     if not code(coded, models, 2, 1 if number else 0):
         return 0
@@ -226,7 +226,7 @@ def write_residuals(residuals: Callable[[int], Index], frames: range, graph: Sig
     of all runs in bytes, four bytes each, then the runs.
     """
     parts = (frames[start : start + RUN] for start in range(0, len(frames), RUN))
-    runs = list(on_two_threads()(_write_run, (residuals, graph), parts))
+    runs = list(two_thread_executor()(_write_run, (residuals, graph), parts))
     if not any(runs):
         return b""
     return np.array([len(run) for run in runs], dtype="<u4").tobytes() + b"".join(runs)

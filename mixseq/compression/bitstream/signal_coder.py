@@ -45,8 +45,8 @@ from mixseq.compression.bitstream.predictor import Predictor
 from mixseq.compression.bitstream.predictor_kernels import UNIT, Small, predict
 from mixseq.compression.bitstream.signal_graph import SignalGraph
 from mixseq.errors import FormatError
-from mixseq.runtime.jit import compiled, joined
-from mixseq.runtime.parallel import InTurn
+from mixseq.runtime.jit import compiled, force_inlined
+from mixseq.runtime.parallel import WorkQueue
 from mixseq.types import Float, Index, IntArray
 
 LEVELS = 32
@@ -152,7 +152,7 @@ def add_predictions(
         values[node] = predict(node, neighbours, counts, weights, values) + steps[node] * numbers[node]
 
 
-@joined
+@force_inlined
 def size_beside(node: int, neighbours: Small, counts: Small, activity: Index, numbers: Index) -> int:
     """Return the mean size of the numbers at a node's neighbours, in 1 / `UNIT` steps; its activity if it has none."""
     if not counts[node]:
@@ -163,13 +163,13 @@ def size_beside(node: int, neighbours: Small, counts: Small, activity: Index, nu
     return UNIT * total // counts[node]  # type: ignore[no-any-return]
 
 
-@joined
+@force_inlined
 def expected_size(size: int, activity: int, around: int) -> int:
     """Return the expected size of a number: .80 of `size` at neighbours, .40 of `activity`, .15 of that around."""
     return (205 * size + 102 * activity + 38 * around) >> 8
 
 
-@joined
+@force_inlined
 def code_signed(coded: Coded, models: BitModels, number: int) -> int:
     """Write or read a number: its bit length, the highest of the bits after the first, the others, and the sign."""
     magnitude = abs(number)
@@ -191,14 +191,14 @@ def code_signed(coded: Coded, models: BitModels, number: int) -> int:
     return -value if code_number(coded, 1, 1 if number < 0 else 0) else value
 
 
-@joined
+@force_inlined
 def level(size: int) -> int:
     """Return the level of a size in 1 / `UNIT` steps, two in an octave."""
     bits = bit_length(size)
     return min(size if bits < 2 else 2 * (bits - 1) + ((size >> (bits - 2)) & 1), LEVELS - 1)
 
 
-@joined
+@force_inlined
 def fine_level(size: int) -> int:
     """Return the level of a size in 1 / `UNIT` steps, four in an octave."""
     bits = bit_length(size)
@@ -303,7 +303,7 @@ class Reader:
         data, self._expected = without_check(data)
         self._coded = arithmetic.to_read(data)
         self._check = 0
-        self._turns = InTurn()
+        self._turns = WorkQueue()
 
     def bits(self) -> arithmetic.Coded:
         """Return the buffer to read from."""
@@ -317,7 +317,7 @@ class Reader:
 
     def take(self, work: Callable[[], None], numbers: int) -> None:
         """Queue work on numbers that were read, after earlier work."""
-        self._turns.take(work, numbers >= _MANY)
+        self._turns.submit(work, numbers >= _MANY)
 
     def wait(self) -> None:
         """Wait until all queued work is done."""

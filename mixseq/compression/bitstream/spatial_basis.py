@@ -38,7 +38,7 @@ from mixseq.compression.bitstream.signal_coder import NumberModels, Reader, Sign
 from mixseq.compression.bitstream.signal_graph import NEIGHBOUR_COUNTS, SignalGraph, mesh_graph, path_graph
 from mixseq.errors import FormatError
 from mixseq.runtime.jit import compiled
-from mixseq.runtime.parallel import on_two_threads
+from mixseq.runtime.parallel import two_thread_executor
 from mixseq.types import Float, Index
 
 MOST_PARTS = 128
@@ -130,7 +130,7 @@ def whole(graph: SignalGraph) -> tuple[Part, ...]:
 
 def parts_of(labels: Index, faces: NDArray[np.integer]) -> tuple[Part, ...]:
     """Return the parts of labels ``(V,)`` 0 ... P - 1, each with the triangles ``(F, 3)`` that lie inside it."""
-    return tuple(on_two_threads()(_part, (labels, faces), enumerate(vertices_of(labels))))
+    return tuple(two_thread_executor()(_part, (labels, faces), enumerate(vertices_of(labels))))
 
 
 def _part(mesh: tuple[Index, NDArray[np.integer]], part: tuple[int, Index]) -> Part:

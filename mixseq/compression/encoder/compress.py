@@ -18,18 +18,18 @@ from mixseq.compression.encoder.uvs import UV_ERROR, with_quantised_uvs
 from mixseq.compression.numbering import cheapest_numbering
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.progress import Progress, Stages, silent
+from mixseq.runtime.progress import Progress, StagedProgress, no_progress
 from mixseq.runtime.public import public
 from mixseq.sequence.sequence import (
     Frames,
     FrameStore,
-    blocks_of,
     bounding_diagonal,
     check_frames,
-    digits_end,
-    farthest,
-    frame_store,
+    iterate_blocks,
     largest_coordinate,
+    largest_offset,
+    load_frames,
+    rounding_error,
 )
 
 
@@ -39,7 +39,7 @@ def compress(
     max_error: float | None = None,
     kg: float | None = None,
     size: int | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     *,
     uv_error: float = UV_ERROR,
     uvs: bool = True,
@@ -95,9 +95,9 @@ def compress(
     numbering = cheapest_numbering(sequence.header, order)
     sequence = numbering.renumber_frames(sequence)
     header, uv_steps = with_quantised_uvs(sequence.header, uv_error, uvs)
-    stages = Stages(progress, 2 + ROUNDS, sequence.header.frame_count)
+    stages = StagedProgress(progress, 2 + ROUNDS, sequence.header.frame_count)
     with one_blas_thread():
-        frames = frame_store(sequence, stages.at(0))
+        frames = load_frames(sequence, stages.at(0))
         unit = bounding_diagonal(frames.points[:1][0]) or 1.0
         coded = _found(frames, stages, chunk, unit, max_error, kg, size)
         stages.at(1 + ROUNDS)(0, 1, "checking")
@@ -124,9 +124,9 @@ def _check(max_error: float | None, kg: float | None, size: int | None) -> None:
 def _with_margin(bound: float, sequence: FrameStore) -> float:
     """Reduce a bound by the last digits, which vary between machines, and by the rounding of single-precision files."""
     largest = largest_coordinate(sequence.points)
-    last = digits_end(largest)
+    last = rounding_error(largest)
     if bound < last:
-        place = bound >= digits_end(farthest(sequence.points))
+        place = bound >= rounding_error(largest_offset(sequence.points))
         raise SettingsError(
             f"max_error is {bound:.3g} in units of the sequence, beyond the digits of coordinates of up to "
             f"{largest:.3g}; give at least {last:.3g} of these units{', or move the sequence to the origin' * place}"
@@ -139,7 +139,7 @@ def _with_margin(bound: float, sequence: FrameStore) -> float:
 def _deviation(sequence: FrameStore) -> float:
     """Return the root of the sum of all squared distances from the centroids of the frames."""
     squares = largest = 0.0
-    for block in blocks_of(sequence.points):
+    for block in iterate_blocks(sequence.points):
         points = block.astype(np.float64)
         squares += float(np.square(points - points.mean(axis=1, keepdims=True)).sum())
         largest = max(largest, float(np.abs(points).max()))
@@ -150,7 +150,7 @@ def _deviation(sequence: FrameStore) -> float:
 
 def _found(
     frames: FrameStore,
-    stages: Stages,
+    stages: StagedProgress,
     chunk: int,
     unit: float,
     max_error: float | None,

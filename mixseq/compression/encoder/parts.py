@@ -34,7 +34,7 @@ from mixseq.compression.bitstream.spatial_basis import MOST_PARTS
 from mixseq.compression.encoder.components import PrincipalComponents
 from mixseq.errors import SegmentationError
 from mixseq.mesh.topology import Topology
-from mixseq.runtime.parallel import on_two_threads
+from mixseq.runtime.parallel import two_thread_executor
 from mixseq.segmentation.methods import segment
 from mixseq.sequence.sequence import FrameStore
 from mixseq.types import Float, Index
@@ -154,7 +154,7 @@ def refined(components: PrincipalComponents, labels: Index, faces: NDArray[np.in
     mean_of_neighbours = _mean_of_neighbours(faces, vertices)
     squares = np.einsum("rv,rv->v", motion, motion)
     for _ in range(ROUNDS):
-        found = on_two_threads()(_lengths, _Motion(motion, squares, labels, step), range(number))
+        found = two_thread_executor()(_lengths, _Motion(motion, squares, labels, step), range(number))
         lengths = np.stack(list(found), axis=1)
         lengths = (lengths + mean_of_neighbours @ lengths) / 2
         changed = lengths.argmin(axis=1)

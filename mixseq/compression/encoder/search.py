@@ -35,8 +35,8 @@ from mixseq.compression.encoder.components import PrincipalComponents, shapes, t
 from mixseq.compression.encoder.parts import refined, vertex_parts
 from mixseq.compression.encoder.trial import Candidate, Trial, squared_error, try_step, with_residuals
 from mixseq.errors import SettingsError
-from mixseq.runtime.progress import Stages
-from mixseq.sequence.sequence import FrameStore, digits_end, largest_coordinate
+from mixseq.runtime.progress import StagedProgress
+from mixseq.sequence.sequence import FrameStore, largest_coordinate, rounding_error
 from mixseq.types import Index
 
 
@@ -217,13 +217,13 @@ TINY = 1e-9
 class Search:
     """Trials with several steps."""
 
-    def __init__(self, sequence: FrameStore, graph: SignalGraph, stages: Stages, chunk: int) -> None:
+    def __init__(self, sequence: FrameStore, graph: SignalGraph, stages: StagedProgress, chunk: int) -> None:
         self._sequence = sequence
         self._graph = graph
         self._stages = stages
         self._chunk = chunk
         self._count = len(sequence.points) * sequence.points.shape[1]
-        self._finest = digits_end(largest_coordinate(sequence.points)) * sequence.points.shape[1] ** 0.5
+        self._finest = rounding_error(largest_coordinate(sequence.points)) * sequence.points.shape[1] ** 0.5
         self._rounds = 0
         self._wrong = GUESS
 

@@ -33,8 +33,8 @@ from mixseq.compression.bitstream.spatial_basis import (
     write_labels,
 )
 from mixseq.compression.encoder.components import PartComponents, PrincipalComponents
-from mixseq.runtime.parallel import on_threads, on_two_threads
-from mixseq.sequence.sequence import FrameStore, block_size, blocks_of
+from mixseq.runtime.parallel import thread_executor, two_thread_executor
+from mixseq.sequence.sequence import FrameStore, block_size, iterate_blocks
 from mixseq.types import Float, Index
 
 CHUNK, FEWEST = 512, 16
@@ -50,7 +50,7 @@ class RoundedPart(NamedTuple):
 
 def round_basis(parts: Sequence[PartComponents], step: float) -> list[RoundedPart]:
     """Round the components of every part until they vanish, without the constant one of trajectories."""
-    return list(on_two_threads()(_round_part, step, parts))
+    return list(two_thread_executor()(_round_part, step, parts))
 
 
 def _round_part(step: float, part: PartComponents) -> RoundedPart:
@@ -95,7 +95,7 @@ def round_coefficients(
     work = [(frames, places) for frames in spans for places in of_parts]
     signals: list[list[Signal]] = []
     for (frames, places), (values, some) in zip(
-        work, on_two_threads()(_round_chunk, numbers, work), strict=True
+        work, two_thread_executor()(_round_chunk, numbers, work), strict=True
     ):
         decoded[frames.start : frames.stop, places] = values / scales[places, None]
         signals.append(some)
@@ -160,7 +160,7 @@ class Candidate:
     ) -> Candidate:
         """Make a candidate with parts by labels ``(V,)``, without components of parts with a norm below `least`."""
         parts = parts_of(labels, faces) if labels.any() else whole(graph)
-        found = tuple(on_two_threads()(_components_of, (components, least), parts))
+        found = tuple(two_thread_executor()(_components_of, (components, least), parts))
         return cls(components, found, graph, labels, share)
 
 
@@ -187,7 +187,7 @@ class Coding:
     @cached_property
     def streams(self) -> Streams:
         """The streams, made in parallel."""
-        basis, *coefficients = on_threads()(_result_of, None, self._work)
+        basis, *coefficients = thread_executor()(_result_of, None, self._work)
         self._work = []  # signals take the most memory of a trial
         return Streams(basis, tuple(coefficients))
 
@@ -277,12 +277,12 @@ def in_order(basis: SpatialBasis, coefficients: Sequence[Float]) -> Float:
 
 def squared_error(sequence: FrameStore, basis: SpatialBasis, coefficients: Float) -> float:
     """Return the sum of all squared distances of decoded frames from those of a sequence."""
-    blocks = zip(blocks_of(sequence.points), decoded_blocks(basis, coefficients), strict=True)
+    blocks = zip(iterate_blocks(sequence.points), decoded_blocks(basis, coefficients), strict=True)
     return sum(float(np.square(points - block).sum()) for points, block in blocks)
 
 
 def decoded_blocks(basis: SpatialBasis, coefficients: Float) -> Iterator[Float]:
-    """Yield decoded frames of coefficients in the blocks of `mixseq.sequence.sequence.blocks_of`."""
+    """Yield decoded frames of coefficients in the blocks of `mixseq.sequence.sequence.iterate_blocks`."""
     size = block_size(basis.vertex_count)
     for start in range(0, len(coefficients), size):
         yield basis.frames(coefficients[start : start + size])

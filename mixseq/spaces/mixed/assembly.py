@@ -152,8 +152,8 @@ class Assembly(PickledWithoutCaches):
             for k in np.unique(component_of_seed)
         ]
 
-    def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         return self.frame_graph, self.shell, self._components
 
     def targets(self, frame: FreeFrame) -> tuple[Float, Float]:

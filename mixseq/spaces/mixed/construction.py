@@ -20,7 +20,7 @@ from mixseq.mesh.measures import degenerate_faces, dihedral_angles, edge_lengths
 from mixseq.mesh.rigid import mean_shape
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import LargeArray
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.segmentation.joints import Decomposition, sample_frame_ids
 from mixseq.sequence.sequence import bounding_diagonal
 from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
@@ -85,7 +85,7 @@ def mixed_space(
     decomposition: Decomposition,
     placement: PlacementName = "anchored",
     purpose: Purpose = "sequence",
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> MixedSpace:
     """Make the mixed shape space of points ``(T, V, 3)`` in any unit.
 

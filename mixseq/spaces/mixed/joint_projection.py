@@ -334,8 +334,8 @@ class JointProjection(PickledWithoutCaches):
     joint_faces: Mask  # (F,) faces whose lengths and angles have targets
     position_weight: float  # weight of skinned vertices and frames relative to sides and hinges
 
-    def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         return self.frame_factor, self.vertex_factor
 
     @cached_property

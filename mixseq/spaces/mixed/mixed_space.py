@@ -43,7 +43,7 @@ from mixseq.mesh.rotations import (
 )
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.segmentation.joints import Decomposition
 from mixseq.shells.shell import Relaxation
 from mixseq.spaces.base import ANGLE_WEIGHT, ShapeSpace, flatten_blocks, radii_of_gyration
@@ -223,8 +223,8 @@ class MixedSpace(ShapeSpace):
             self.projection.relations,
         )
 
-    def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         _ = self.articulation._systems, self.articulation._tree, self._skinning, self.block_sizes
         if self.placement == "free":
             return (self.assembly,)
@@ -405,7 +405,7 @@ class MixedSpace(ShapeSpace):
 
     # Decoding ----------------------------------------------------------------------------------------------
 
-    def decode(self, vectors: Float, progress: Progress = silent) -> Float:
+    def decode(self, vectors: Float, progress: Progress = no_progress) -> Float:
         """Implement `ShapeSpace.decode`: the projection P_m, frame by frame."""
         blocks = self.split(np.asarray(vectors, dtype=np.float64))
         points = np.empty((len(vectors), self.vertex_count, 3))

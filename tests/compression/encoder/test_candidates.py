@@ -10,7 +10,7 @@ from mixseq.compression.encoder import search
 from mixseq.compression.encoder.components import trajectories
 from mixseq.compression.encoder.search import KINDS, Ways, coarse_mesh, step_of
 from mixseq.compression.encoder.trial import try_step
-from mixseq.sequence.sequence import frame_store
+from mixseq.sequence.sequence import load_frames
 from tests.meshes import bar, grid, joined, torus
 
 MESHES = {"torus": torus(40, 30), "grid": grid(30, 20), "two bodies": joined(torus(20, 12), grid(15, 15))}
@@ -34,7 +34,7 @@ def test_stray_vertices_stay() -> None:
 
 @pytest.mark.parametrize("way", [("trajectories", 1), ("trajectories", 6), ("shapes", 1)])
 def test_a_coarse_mesh_tells_about_the_same(way: search.Way, monkeypatch: pytest.MonkeyPatch) -> None:
-    sequence = frame_store(bar(sides=24, rings=120, frames=9))
+    sequence = load_frames(bar(sides=24, rings=120, frames=9))
     graph = mesh_graph(sequence.header.faces, sequence.header.vertex_count)
     monkeypatch.setattr(search, "NODES", 1200)
     ways = Ways(sequence, graph, trajectories(sequence, 1e-3), 1e-3, 1.0)
@@ -47,7 +47,7 @@ def test_a_coarse_mesh_tells_about_the_same(way: search.Way, monkeypatch: pytest
 
 
 def test_small_meshes_are_not_made_coarser() -> None:
-    sequence = frame_store(bar(sides=6, rings=20, frames=5))
+    sequence = load_frames(bar(sides=6, rings=20, frames=5))
     graph = mesh_graph(sequence.header.faces, sequence.header.vertex_count)
     ways = Ways(sequence, graph, trajectories(sequence, 1e-3), 1e-3, 0.1)
     assert ways.numbers[0] == 1

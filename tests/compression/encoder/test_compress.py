@@ -33,7 +33,7 @@ from mixseq.compression.encoder.parts import merged, vertex_parts
 from mixseq.compression.encoder.search import CLOSE
 from mixseq.errors import FormatError, SettingsError
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import MeshSequence, frame_store
+from mixseq.sequence.sequence import MeshSequence, load_frames
 from mixseq.types import Float, FloatArray
 from tests.meshes import SEQUENCES, bar, grid, joined, rotation, seeds, tetrahedron, torus, tube
 
@@ -511,12 +511,12 @@ def test_what_moves_together_is_joined() -> None:
 
 
 def test_a_mesh_that_cannot_be_cut_is_one_part() -> None:
-    assert vertex_parts(frame_store(bar(3, 4, 3)), (3, 6, 12)) == {}
+    assert vertex_parts(load_frames(bar(3, 4, 3)), (3, 6, 12)) == {}
 
 
 def test_rigid_bodies_are_parts() -> None:
     sequence = bodies()
-    found = vertex_parts(frame_store(sequence), (3, 6, 12))
+    found = vertex_parts(load_frames(sequence), (3, 6, 12))
     ring = sequence.vertex_count // 6
     assert list(found) == [3, 6]
     assert len(np.unique(found[6].reshape(6, ring)[:, 0])) == 6

@@ -10,12 +10,12 @@ from mixseq.compression.bitstream.spatial_basis import BasisKind, Part
 from mixseq.compression.encoder.components import VANISHING, ZEROS, PrincipalComponents, shapes, trajectories
 from mixseq.compression.encoder.search import KINDS, expected_error, step_of
 from mixseq.compression.encoder.trial import Candidate, decoded_blocks, squared_error, try_step
-from mixseq.sequence.sequence import FrameStore, frame_store
+from mixseq.sequence.sequence import FrameStore, load_frames
 from mixseq.types import Float, Index
 from tests.meshes import bar
 
 KINDS: tuple[BasisKind, ...] = KINDS
-SEQUENCE = frame_store(bar(sides=6, rings=20, frames=9))
+SEQUENCE = load_frames(bar(sides=6, rings=20, frames=9))
 GRAPH = mesh_graph(SEQUENCE.header.faces, SEQUENCE.header.vertex_count)
 LABELS: Index = (np.arange(SEQUENCE.header.vertex_count) >= 50).astype(np.int64)
 

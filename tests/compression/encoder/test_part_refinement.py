@@ -9,7 +9,7 @@ from mixseq.compression.bitstream.signal_graph import mesh_graph
 from mixseq.compression.encoder.components import trajectories
 from mixseq.compression.encoder.parts import SMALLEST, refined
 from mixseq.compression.encoder.trial import Candidate, try_step
-from mixseq.sequence.sequence import FrameStore, MeshSequence, frame_store
+from mixseq.sequence.sequence import FrameStore, MeshSequence, load_frames
 from mixseq.types import Index
 from tests.meshes import bar, rotation, tube
 
@@ -24,7 +24,7 @@ def two_limbs(frames: int = 20) -> FrameStore:
         np.where(far[:, None], points @ rotation(tuple(one)).T, points @ rotation(tuple(other)).T)
         for one, other in turns
     ]
-    return frame_store(MeshSequence.from_arrays(np.stack(moved), faces))
+    return load_frames(MeshSequence.from_arrays(np.stack(moved), faces))
 
 
 def shifted(sequence: FrameStore) -> tuple[Index, Index]:
@@ -55,7 +55,7 @@ def test_better_parts_take_fewer_bytes() -> None:
 
 @pytest.mark.parametrize("step", [1e-6, 0.01, 1e3])
 def test_no_part_is_lost(step: float) -> None:
-    sequence = frame_store(bar(sides=6, rings=30, frames=5))
+    sequence = load_frames(bar(sides=6, rings=30, frames=5))
     labels = (np.arange(sequence.header.vertex_count) // 40).astype(np.int64)
     found = refined(trajectories(sequence, 1e-9), labels, sequence.header.faces, step)
     assert len(np.unique(found)) == labels.max() + 1

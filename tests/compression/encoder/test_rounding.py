@@ -30,7 +30,7 @@ from mixseq.compression.encoder.trial import (
     try_step,
     with_residuals,
 )
-from mixseq.sequence.sequence import frame_store
+from mixseq.sequence.sequence import load_frames
 from mixseq.types import Float
 from tests.compression.one_part import basis_of, least_squares, principal_components, read_basis, write_basis
 from tests.meshes import bar, torus
@@ -110,7 +110,7 @@ def test_several_groups_come_back() -> None:
 
 
 def bars_basis(kind: BasisKind) -> tuple[SpatialBasis, Float]:
-    sequence = frame_store(bar(sides=4, rings=6, frames=300))
+    sequence = load_frames(bar(sides=4, rings=6, frames=300))
     components = principal_components(sequence, kind, 1e-2)
     graph = mesh_graph(sequence.header.faces, sequence.header.vertex_count)
     basis = basis_of(kind, write_basis(components, STEP, graph)[0], 300)
@@ -141,7 +141,7 @@ def test_coefficients_are_rounded_by_what_they_move(kind: BasisKind) -> None:
 
 # Trials: the error is known at once, bytes when they are asked for
 
-SEQUENCE = frame_store(bar(sides=4, rings=12, frames=40))
+SEQUENCE = load_frames(bar(sides=4, rings=12, frames=40))
 FACES, COUNT = SEQUENCE.header.faces, SEQUENCE.header.vertex_count
 
 

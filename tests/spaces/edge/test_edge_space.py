@@ -64,7 +64,7 @@ def two(first: Float, second: Float, faces: Any) -> MeshSequence:
 def test_frames_come_back(name: str, settings: EdgeSettings) -> None:
     sequence = sequence_of(name)
     space = space_of(sequence, settings)
-    space.prepared()
+    space.precompute()
     vectors = space.encode(sequence.points)
     assert vectors.shape == (sequence.frame_count, space.dim)
     assert len(space.weights) == space.dim

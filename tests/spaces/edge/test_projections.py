@@ -68,7 +68,7 @@ def measured(mesh: Mesh, x: Float) -> tuple[Float, Float]:
 def test_pieces_come_back(kind: str, size: float) -> None:
     """The reference, and a mesh that is not."""
     made = projection_of(kind, STRAY)
-    made.prepared()
+    made.precompute()
     x = STRAY[0] + size * np.random.default_rng(3).normal(size=STRAY[0].shape)
     rows, reports = made.fit(wanted(*measured(STRAY, x)), ShellSettings())
     assert all(report.converged for report in reports)

@@ -195,7 +195,7 @@ def test_spaces_can_be_sent() -> None:
     points = sequence_of("bar").points
     for space in in_all_ways("bar"):
         vectors = space.encode(points)
-        space.prepared()
+        space.precompute()
         sent = pickle.loads(pickle.dumps(space))
         np.testing.assert_array_equal(sent.encode(points), vectors)
         np.testing.assert_array_equal(sent.decode(vectors), space.decode(vectors))
