@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Float", "FloatArray", "Index", "IntArray", "Mask", "PathLike", "Single", "evenly_spaced"]
+__all__ = ["Float", "FloatArray", "Index", "Int32", "IntArray", "Mask", "PathLike", "Single", "evenly_spaced"]
 
 Float = NDArray[np.float64]
 Single = NDArray[np.float32]
 Index = NDArray[np.int64]
+Int32 = NDArray[np.int32]
 Mask = NDArray[np.bool_]
 
 FloatArray = NDArray[np.floating[Any]]

@@ -143,9 +143,8 @@ def snap_to_frames(times: Float, fps: float) -> Float:
     """
     with np.errstate(all="ignore"):  # non-finite times are reported where they are used
         nearest = np.rint(times * fps) / fps
-        rounding = 2 * np.spacing(np.maximum(np.abs(times), _MIN_ROUNDING_TIME).astype(np.float32)).astype(
-            np.float64
-        )
+        late = np.maximum(np.abs(times), _MIN_ROUNDING_TIME).astype(np.float32)
+        rounding = 2 * np.spacing(late).astype(np.float64)
         snapped = np.where(np.abs(nearest - times) <= rounding, nearest, times)
         return snapped if (np.diff(snapped) > 0).all() else times
 
@@ -206,12 +205,9 @@ class SceneMesh:
 def join_meshes(meshes: Sequence[SceneMesh], origin: Origin | None) -> tuple[Polygons, Surface]:
     """Join meshes into one, their vertices concatenated."""
     vertex_starts = np.cumsum([0, *(mesh.vertex_count for mesh in meshes)])
-    polygons = Polygons(
-        np.concatenate([mesh.polygons.counts for mesh in meshes]),
-        np.concatenate(
-            [mesh.polygons.indices + start for mesh, start in zip(meshes, vertex_starts, strict=False)]
-        ),
-    )
+    indices = [mesh.polygons.indices + start for mesh, start in zip(meshes, vertex_starts, strict=False)]
+    counts = [mesh.polygons.counts for mesh in meshes]
+    polygons = Polygons(np.concatenate(counts), np.concatenate(indices))
     polygon_starts = np.cumsum([0, *(len(mesh.polygons.counts) for mesh in meshes)])
     subdivision = Counter(mesh.subdivision for mesh in meshes).most_common(1)[0][0]
     surface = Surface(

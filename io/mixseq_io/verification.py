@@ -58,15 +58,15 @@ def compressed_sizes(path: Path) -> dict[str, int]:
     container = read_container(path)
     index = read_index(path, container)
     still = mesh_sequence.overhead_size(path) if mesh_sequence.is_glb(path) else 0
-    total, connectivity = path.stat().st_size, index.ground["connectivity"].size
+    total, connectivity = path.stat().st_size, index.header["connectivity"].size
     return {
         "total": total,
         "connectivity": connectivity,
         "still": still,
         "container": total - len(container.streams) - still,
         "signals": len(container.streams) - connectivity,
-        "uvs": index.ground["uvs"].size if "uvs" in index.ground else 0,
-        "surface": index.ground["surface"].size,
+        "uvs": index.header["uvs"].size if "uvs" in index.header else 0,
+        "surface": index.header["surface"].size,
         "index": index.size,
     }
 

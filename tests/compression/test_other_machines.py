@@ -27,7 +27,7 @@ found = {{}}
 for name in {names}:
     coded = stored(name)[0]
     basis = decode_basis(coded, mesh_graph(coded.header.faces, coded.header.vertex_count))
-    arrays = [block.vectors for block in basis.blocks]
+    arrays = [block.vectors for block in basis.part_bases]
     arrays += [decode_coefficients(coded, chunk, basis) * basis.norms[basis.varying, None] for chunk in coded.chunks]
     found[name] = [zlib.crc32((array / coded.parameters.step).round(6).tobytes()) for array in arrays]
 print(json.dumps(found))

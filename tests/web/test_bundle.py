@@ -46,7 +46,7 @@ export let last = add(4, 5), kind = typeof new Told();
 
 @pytest.fixture
 def modules(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bundle, "module", MODULES.__getitem__)
+    monkeypatch.setattr(bundle, "read_module", MODULES.__getitem__)
     bundled.cache_clear()
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mixseq.compression.bitstream.arithmetic import check_of
+from mixseq.compression.bitstream.arithmetic import checksum_of
 from mixseq.signals.curve import Curve
 from mixseq.spaces.temporal import TemporalOperator, insert_midpoints, spline_weights
 from tests.web.conftest import Node
@@ -42,8 +42,8 @@ def test_checksums(node: Node, tmp_path: Path) -> None:
     numbers = np.array([0, 1, -1, 2**31, -(2**31), 2**32, -(2**32) - 1, 2**52 + 3, -(2**52) + 1])
     found = told(node, tmp_path, script, {"bytes": data.tolist(), "numbers": numbers.tolist()})
     whole = zlib.crc32(data.tobytes())
-    chained = check_of(np.array([-1, 7]), check_of(np.array([2**40])))
-    assert found == [whole, whole, check_of(numbers), chained]
+    chained = checksum_of(np.array([-1, 7]), checksum_of(np.array([2**40])))
+    assert found == [whole, whole, checksum_of(numbers), chained]
 
 
 def test_zlib_is_undone(node: Node, tmp_path: Path) -> None:

@@ -264,11 +264,9 @@ class _Copier:
             stale = _POINT_PROPERTIES
         elif path in self._lineage:
             stale = _CHILD_PROPERTIES
-        copy = Abc.OObject(parent, node.getName(), metadata)
-        for header in node.getProperties().propertyheaders:
-            property_copy = self._copy_property(
-                path, header, node.getProperties(), copy.getProperties(), stale
-            )
+        copy, source = Abc.OObject(parent, node.getName(), metadata), node.getProperties()
+        for header in source.propertyheaders:
+            property_copy = self._copy_property(path, header, source, copy.getProperties(), stale)
             if path in self._paths and header.getName() == _GEOMETRY_PROPERTY:
                 self.schemas[path] = property_copy
         return copy
@@ -310,9 +308,8 @@ class _Copier:
         try:
             # An error of the first sample must not leave an empty property.
             value = self._read_value(stored, kept[0]) if kept else None
-            copy = property_type(
-                parent, header.getName(), header.getDataType(), header.getMetaData(), sampling
-            )
+            data_type, metadata = header.getDataType(), header.getMetaData()
+            copy = property_type(parent, header.getName(), data_type, metadata, sampling)
             for sample in kept:
                 if sample > kept[0] and is_constant:
                     copy.setFromPrevious()
@@ -388,23 +385,17 @@ def _match(path: Path, header: SequenceHeader, scene_mesh: SceneMesh, mesh: Mesh
     """Match a mesh of the sequence with one of the archive; None if vertices or faces differ."""
     if sample_length(mesh.schema.getPositionsProperty(), 0) != scene_mesh.vertex_count:
         return None
-    transform, is_mirrored = _evaluate_transform(header, mesh)
-    found = scene_mesh.match(*_read_polygons(path, scene_mesh, mesh, is_mirrored))
-    return found and MeshMatch(found[0], mesh, found[1].corners, transform, is_mirrored)
+    transform, source = _read_source(path, header, scene_mesh, mesh)
+    found = scene_mesh.match(*stored_polygons(source))
+    return found and MeshMatch(found[0], mesh, found[1].corners, transform, source.is_mirrored)
 
 
-def _evaluate_transform(header: SequenceHeader, mesh: Mesh) -> tuple[MeshTransform, bool]:
-    """Return the transform of a mesh at the frames, and whether it mirrors in the first one."""
+def _read_source(
+    path: Path, header: SequenceHeader, scene_mesh: SceneMesh, mesh: Mesh
+) -> tuple[MeshTransform, MeshSource]:
     transform = MeshTransform.from_schemas(mesh.transforms, header.times, header.fps)
-    return transform, determinant(transform.matrices[0]) < 0
-
-
-def _read_polygons(
-    path: Path, scene_mesh: SceneMesh, mesh: Mesh, is_mirrored: bool
-) -> tuple[Polygons, Index]:
-    vertices = slice(0, scene_mesh.vertex_count)
-    source = MeshSource(path, path.stat().st_size, mesh, vertices, is_mirrored, np.zeros(1))
-    return stored_polygons(source)
+    is_mirrored, vertices = determinant(transform.matrices[0]) < 0, slice(0, scene_mesh.vertex_count)
+    return transform, MeshSource(path, path.stat().st_size, mesh, vertices, is_mirrored, np.zeros(1))
 
 
 def _describe_difference(path: Path, header: SequenceHeader, scene_mesh: SceneMesh, mesh: Mesh) -> str:
@@ -412,8 +403,7 @@ def _describe_difference(path: Path, header: SequenceHeader, scene_mesh: SceneMe
     count = sample_length(mesh.schema.getPositionsProperty(), 0)
     if count != scene_mesh.vertex_count:
         return f"{mesh.path} has {count} vertices, the sequence {scene_mesh.vertex_count}"
-    _, is_mirrored = _evaluate_transform(header, mesh)
-    stored, order = _read_polygons(path, scene_mesh, mesh, is_mirrored)
+    stored, order = stored_polygons(_read_source(path, header, scene_mesh, mesh)[1])
     polygons = Polygons(stored.counts, stored.indices[order])
     return describe_difference(scene_mesh.polygons, polygons, ("the sequence", mesh.path))
 

@@ -26,7 +26,7 @@ from mixseq.mesh.measures import hard_edges_from_normals
 from mixseq.mesh.polygons import Polygons, reversed_winding
 from mixseq.mesh.surface import CornerValues, FaceSet, Origin
 from mixseq.sequence.header import SequenceHeader
-from mixseq.types import Float, FloatArray, Index
+from mixseq.types import Float, FloatArray, Index, Single
 from mixseq_io.alembic.library import (
     LIBRARY_ERRORS,
     Abc,
@@ -136,10 +136,8 @@ def find_meshes(path: Path, archive: Any) -> tuple[list[Mesh], Counter[str]]:
     """Return all meshes with points, and the counts of other objects by kind."""
     meshes: list[Mesh] = []
     others: Counter[str] = Counter()
-    top = SceneObject("/", ())
-    stack: list[tuple[Any, SceneObject, tuple[Any, ...], bool, bool, int]] = [
-        (archive.getTop(), top, (), False, False, 0)
-    ]
+    stack: list[tuple[Any, SceneObject, tuple[Any, ...], bool, bool, int]] = []
+    stack.append((archive.getTop(), SceneObject("/", ()), (), False, False, 0))
     count = 0
     while stack:
         node, scene_object, transforms, is_hidden, has_animated_visibility, depth = stack.pop()
@@ -259,9 +257,8 @@ def _find_change(array: Any) -> float | None:
 def _read_uvs(source: MeshSource, polygons: Polygons) -> CornerValues | None:
     schema = source.mesh.schema
     parameters = schema.getArbGeomParams()
-    others = (
-        [each.getName() for each in parameters.propertyheaders if each.isUV()] if parameters.valid() else []
-    )
+    headers = parameters.propertyheaders if parameters.valid() else ()
+    others = [header.getName() for header in headers if header.isUV()]
     parameter = schema.getUVsParam()
     if others:
         kept = "the standard ones are kept" if parameter.valid() else "they are left out"
@@ -273,12 +270,8 @@ def _read_uvs(source: MeshSource, polygons: Polygons) -> CornerValues | None:
 def _read_colours(source: MeshSource, polygons: Polygons) -> CornerValues | None:
     """Return the colours ``Cd``, or the first colour parameter, as RGBA."""
     parameters = source.mesh.schema.getArbGeomParams()
-    types = {
-        each.getName(): colour_type
-        for each in (parameters.propertyheaders if parameters.valid() else ())
-        for colour_type in _COLOUR_TYPES
-        if colour_type.matches(each)
-    }
+    headers = parameters.propertyheaders if parameters.valid() else ()
+    types = {each.getName(): kind for each in headers for kind in _COLOUR_TYPES if kind.matches(each)}
     if not types:
         return None
     name = COLOUR_PARAMETER if COLOUR_PARAMETER in types else next(iter(types))
@@ -370,9 +363,8 @@ def open_alembic(path: Path, prim: str | None = None) -> SequenceReader:
         fps = estimate_frame_rate(times, metadata.get("_ai_DCC_FPS") or metadata.get("FramesPerTimeUnit"))
         animated_meshes = _locate_frames(path, meshes, times, fps)
         origin = Origin("Alembic", str(path.resolve()))
-        polygons, surface = join_meshes(
-            [read_scene_mesh(animated.source) for animated in animated_meshes], origin
-        )
+        scene_meshes = [read_scene_mesh(animated.source) for animated in animated_meshes]
+        polygons, surface = join_meshes(scene_meshes, origin)
         header = SequenceHeader(
             polygons=polygons,
             vertex_count=animated_meshes[-1].source.vertices.stop,
@@ -458,7 +450,7 @@ def _locate_frames(path: Path, meshes: list[Mesh], times: Float, fps: float) -> 
     return animated_meshes
 
 
-def _interpolate(animated: _AnimatedMesh, array: Any, frame: int, label: str) -> NDArray[np.float32]:
+def _interpolate(animated: _AnimatedMesh, array: Any, frame: int, label: str) -> Single:
     """Return an array property ``(V, 3)`` at a frame, interpolated between samples if needed."""
     count = animated.source.vertex_count
     sample, weight = animated.samples.at(frame)
@@ -478,7 +470,7 @@ def _interpolate(animated: _AnimatedMesh, array: Any, frame: int, label: str) ->
     return blend.astype(np.float32)
 
 
-def _read_world_points(animated: _AnimatedMesh, frame: int) -> NDArray[np.float32]:
+def _read_world_points(animated: _AnimatedMesh, frame: int) -> Single:
     points = _interpolate(animated, animated.source.mesh.schema.getPositionsProperty(), frame, "points")
     matrix = animated.transforms.to_world(frame)
     if determinant(matrix) * (-1 if animated.source.is_mirrored else 1) < 0:
@@ -489,7 +481,7 @@ def _read_world_points(animated: _AnimatedMesh, frame: int) -> NDArray[np.float3
     return transform_points(points, matrix)
 
 
-def _read_world_velocities(animated: _AnimatedMesh, frame: int) -> NDArray[np.float32]:
+def _read_world_velocities(animated: _AnimatedMesh, frame: int) -> Single:
     velocities = animated.source.mesh.schema.getVelocitiesProperty()
     if not velocities.valid():  # of a static mesh
         return np.zeros((animated.source.vertex_count, 3), np.float32)

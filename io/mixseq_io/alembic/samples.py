@@ -27,14 +27,13 @@ from itertools import takewhile
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mixseq.errors import FormatError
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.rotations import matrix_to_rotvec, rotvec_to_matrix
 from mixseq.sequence.frame_rates import NTSC_RATES
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
-from mixseq.types import Float, FloatArray
+from mixseq.types import Float, FloatArray, Index, Single
 from mixseq_io.alembic.library import AbcCoreAbstract, sample_selector
 from mixseq_io.scene_meshes import SceneMesh
 
@@ -117,7 +116,7 @@ def select_samples(times: Float, window: tuple[float, float]) -> slice:
     Examples
     --------
     >>> times = np.array([1.0, 2.0, 3.0, 4.0])
-    >>> samples_within(times, (2.0, 3.0)), samples_within(times, (2.5, 2.6)), samples_within(times, (5.0, 6.0))
+    >>> select_samples(times, (2.0, 3.0)), select_samples(times, (2.5, 2.6)), select_samples(times, (5.0, 6.0))
     (slice(1, 3, None), slice(1, 3, None), slice(0, 4, None))
     """
     start, end = window[0] + TIME_TOLERANCE, window[1] - TIME_TOLERANCE
@@ -144,7 +143,7 @@ def create_time_sampling(times: Float, step: float) -> Any:
 class SampleInterpolation:
     """Sample before every frame ``(T,)``, and the weight of the next one."""
 
-    before: NDArray[np.int64]
+    before: Index
     weight: Float
 
     def at(self, frame: int) -> tuple[int, float]:
@@ -167,7 +166,7 @@ def estimate_frame_rate(times: Float, declared: str) -> float:
 
     Examples
     --------
-    >>> frame_rate(np.array([0.0, 1 / 29.97, 2 / 29.97]), ""), frame_rate(np.array([0.0, 1 / 24, 4 / 24]), "")
+    >>> estimate_frame_rate(np.array([0, 1, 2]) / 29.97, ""), estimate_frame_rate(np.array([0, 1, 4]) / 24, "")
     (29.97, 24.0)
     """
     step = (times[-1] - times[0]) / max(len(times) - 1, 1)
@@ -253,7 +252,7 @@ def interpolate_matrices(first: Float, second: Float, weight: float) -> Float:
     return blend
 
 
-def transform_points(points: FloatArray, matrix: Float) -> NDArray[np.float32]:
+def transform_points(points: FloatArray, matrix: Float) -> Single:
     """Transform points ``(V, 3)`` by a matrix ``(4, 4)``, or vectors by its part ``(3, 3)``."""
     if np.array_equal(matrix, np.eye(len(matrix))):
         return np.asarray(points, dtype=np.float32)
@@ -296,16 +295,16 @@ class MeshTransform:
         if is_singular.any():
             raise FormatError(f"the transforms above it make it flat in frame {int(is_singular.argmax())}")
 
-    def to_mesh_points(self, world: FloatArray, frame: int) -> NDArray[np.float32]:
+    def to_mesh_points(self, world: FloatArray, frame: int) -> Single:
         """Return a frame's points ``(V, 3)`` in mesh space."""
         return transform_points(world, np.linalg.inv(self.matrices[frame]))
 
-    def to_mesh_velocities(self, world: FloatArray, points: FloatArray, frame: int) -> NDArray[np.float32]:
+    def to_mesh_velocities(self, world: FloatArray, points: FloatArray, frame: int) -> Single:
         """Return a frame's velocities ``(V, 3)`` in mesh space, given its points there."""
         inverse = np.linalg.inv(self.matrices[frame])[:3, :3]
         return transform_points(world - self._transport(points, frame), inverse)
 
-    def to_world_velocities(self, own: FloatArray, points: FloatArray, frame: int) -> NDArray[np.float32]:
+    def to_world_velocities(self, own: FloatArray, points: FloatArray, frame: int) -> Single:
         """Return a frame's world velocities ``(V, 3)``, given those and the points in mesh space."""
         rotated = own.astype(np.float64) @ self.matrices[frame, :3, :3]
         return (rotated + self._transport(points, frame)).astype(np.float32)

@@ -14,6 +14,7 @@ import shutil
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from errno import ENOSPC
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -56,9 +57,8 @@ def write_alembic(
         raise SettingsError(
             f"sources are {np.size(sources)} times for {header.frame_count} frames; give one per frame"
         )
-    original = open_original_file(
-        path, header, flatten, onto, "Alembic", lambda file: match_archive(file, header)
-    )
+    match = partial(match_archive, header=header)
+    original = open_original_file(path, header, flatten, onto, "Alembic", match)
     new_meshes = [] if original else plan_meshes(header)
     has_velocities = velocities is not None
     with atomic_file(path) as temporary:

@@ -12,13 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from mixseq.errors import FormatError, SettingsError
 from mixseq.sequence.frame_rates import NTSC_RATES, snap_to_ntsc
 from mixseq.sequence.header import DEFAULT_FPS
-from mixseq.types import Float, FloatArray
+from mixseq.types import Float, FloatArray, Index, Single
 from mixseq_io.gltf.document import Document, Fields
 from mixseq_io.gltf.primitives import Weld, count_targets, read_deltas, read_influences
 from mixseq_io.gltf.scene import Pose, Scene
@@ -43,12 +42,12 @@ _GRID_TOLERANCE_FRAMES = 2e-3
 """Distance of float32 keys from the frame grid, in frames."""
 
 
-def time_tolerance(times: NDArray[np.float64]) -> NDArray[np.float64]:
+def time_tolerance(times: Float) -> Float:
     """Return the distance ``(n,)`` in s within which times are equal: a microsecond or a float32 step."""
     return np.maximum(TIME_TOLERANCE, np.spacing(np.abs(times).astype(np.float32)).astype(np.float64))
 
 
-def merge_key_times(channels: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
+def merge_key_times(channels: Iterable[Float]) -> Float:
     """Merge the key times of all channels into increasing times ``(n,)``."""
     merged = np.empty(0)
     for times in sorted(channels, key=len, reverse=True):
@@ -56,7 +55,7 @@ def merge_key_times(channels: Iterable[NDArray[np.float64]]) -> NDArray[np.float
     return merged
 
 
-def sample_times(path: Path, keys: NDArray[np.float64], fps: float) -> NDArray[np.float64]:
+def sample_times(path: Path, keys: Float, fps: float) -> Float:
     """Return times ``(n,)`` from the first key to the last, `fps` per second."""
     if not (np.isfinite(fps) and fps > 0):
         raise SettingsError(f"fps is {fps}; a positive number is expected")
@@ -67,11 +66,11 @@ def sample_times(path: Path, keys: NDArray[np.float64], fps: float) -> NDArray[n
         raise FormatError(
             f"{path}: {keys[-1] - keys[0]:g} s at {fps:g} frames per second are too many frames"
         )
-    times: NDArray[np.float64] = keys[0] + np.arange(int(count) + 1) / fps
+    times: Float = keys[0] + np.arange(int(count) + 1) / fps
     return times
 
 
-def insert_frames(keys: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
+def insert_frames(keys: Float, rate: float) -> Float:
     """Insert frames into gaps between key times ``(n,)``, at least half a frame from every key.
 
     They are at ``k / rate`` if the first key is, else at multiples of the frame duration after it. More than 100 000
@@ -97,7 +96,7 @@ def insert_frames(keys: NDArray[np.float64], rate: float) -> NDArray[np.float64]
     return np.union1d(keys, frames[(distance >= 0.5 - _GRID_TOLERANCE_FRAMES) & is_wide[after - 1]])
 
 
-def estimate_frame_rate(times: NDArray[np.float64]) -> float:
+def estimate_frame_rate(times: Float) -> float:
     """Return the frame rate of uniform keys ``(n,)``, else of the grid that they lie on, 24 without any.
 
     Examples
@@ -123,7 +122,7 @@ def estimate_frame_rate(times: NDArray[np.float64]) -> float:
     return DEFAULT_FPS
 
 
-def _uniform_rate(times: NDArray[np.float64]) -> float | None:
+def _uniform_rate(times: Float) -> float | None:
     """Return the rate of uniform float32 keys ``(n,)``, None for others and for keys far apart.
 
     Of the rates that round to the same keys it is a common one, or else the one with the fewest digits.
@@ -164,8 +163,8 @@ class Channel:
 
     node: int
     name: str
-    times: NDArray[np.float64]
-    values: NDArray[np.float32]
+    times: Float
+    values: Single
     interpolation: str
 
     @property
@@ -181,7 +180,7 @@ class Channel:
         """Whether points that follow this channel alone move linearly in time between keys."""
         return self.interpolation == "LINEAR" and self.name in ("translation", "weights")
 
-    def evaluate(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
+    def evaluate(self, times: Float) -> Float:
         """Return the values ``(B, k)`` at times ``(B,)`` in s, constant before the first key and after the last."""
         after = np.clip(np.searchsorted(self.times, times, side="right"), 1, max(len(self.times) - 1, 1))
         before, after = after - 1, np.minimum(after, len(self.times) - 1)
@@ -193,21 +192,14 @@ class Channel:
             is_at_key = (s > 0) & ((self.times[after] - times)[:, None] <= time_tolerance(times)[:, None])
             return np.where((s < 1) & ~is_at_key, first, second)
         if self.interpolation == "CUBICSPLINE":
-            return hermite(
-                first[:, 1], step[:, None] * first[:, 2], second[:, 1], step[:, None] * second[:, 0], s
-            )
+            step = step[:, None]
+            return hermite(first[:, 1], step * first[:, 2], second[:, 1], step * second[:, 0], s)
         if self.name == "rotation":
             return slerp(first, second, s)
         return (1 - s) * first + s * second
 
 
-def hermite(
-    a: NDArray[np.float64],
-    out_tangent: NDArray[np.float64],
-    b: NDArray[np.float64],
-    in_tangent: NDArray[np.float64],
-    s: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def hermite(a: Float, out_tangent: Float, b: Float, in_tangent: Float, s: Float) -> Float:
     """Evaluate Hermite cubics from `a` to `b` ``(n, k)`` at `s` ``(n, 1)``, with tangents per step."""
     return (
         (2 * s**3 - 3 * s**2 + 1) * a
@@ -221,7 +213,7 @@ _MIN_SLERP_ANGLE = 1e-6
 """Angle in radians below which an arc is straight to rounding."""
 
 
-def slerp(a: NDArray[np.float64], b: NDArray[np.float64], s: NDArray[np.float64]) -> NDArray[np.float64]:
+def slerp(a: Float, b: Float, s: Float) -> Float:
     """Interpolate quaternions from `a` to `b` ``(n, 4)`` on the short arc, at fractions `s` ``(n, 1)``."""
     cosine = np.sum(a * b, axis=1, keepdims=True)
     angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
@@ -232,7 +224,7 @@ def slerp(a: NDArray[np.float64], b: NDArray[np.float64], s: NDArray[np.float64]
     return first * a + np.where(cosine < 0, -second, second) * b
 
 
-def evaluate_pose(channels: Collection[Channel], times: NDArray[np.float64]) -> Pose:
+def evaluate_pose(channels: Collection[Channel], times: Float) -> Pose:
     """Return the animated values of all channels at times ``(B,)`` in seconds."""
     return {(channel.node, channel.name): channel.evaluate(times) for channel in channels}
 
@@ -341,10 +333,10 @@ class MeshSkin:
     """
 
     joints: Sequence[int]
-    inverse_binds: NDArray[np.float64]
+    inverse_binds: Float
     weights: csr_array
 
-    def joint_matrices(self, world: Mapping[int, Float]) -> NDArray[np.float64]:
+    def joint_matrices(self, world: Mapping[int, Float]) -> Float:
         """Return the matrices ``(B, J, 4, 4)`` from mesh space to the posed world space of each joint."""
         joints = np.broadcast_arrays(*(world[joint] for joint in self.joints))
         return np.stack(joints, axis=1) @ self.inverse_binds
@@ -360,8 +352,8 @@ class MeshNode:
     scene: Scene
     node: int
     weld: Weld
-    rest: NDArray[np.float64]
-    weights: NDArray[np.float64]
+    rest: Float
+    weights: Float
     skin: MeshSkin | None
 
     @property
@@ -369,7 +361,7 @@ class MeshNode:
         """Nodes whose matrices move the mesh."""
         return [self.node] if self.skin is None else self.skin.joints
 
-    def orientation(self, world: Mapping[int, Float]) -> NDArray[np.float64]:
+    def orientation(self, world: Mapping[int, Float]) -> Float:
         """Return 1 as modelled, -1 mirrored or 0 flat for each frame ``(B,)``, by majority of the joints."""
         if self.skin is None:
             return _determinant_signs(world[self.node])
@@ -392,7 +384,7 @@ class MeshNode:
             ]
         )
 
-    def _morph(self, pose: Pose, frame_count: int) -> NDArray[np.float64]:
+    def _morph(self, pose: Pose, frame_count: int) -> Float:
         points = np.tile(self.rest, (frame_count, 1, 1))
         weights = pose.get((self.node, "weights"), self.weights)
         weights = np.broadcast_to(weights, (frame_count, len(self.weights)))
@@ -403,13 +395,11 @@ class MeshNode:
         return points
 
 
-def _determinant_signs(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+def _determinant_signs(matrices: Float) -> Float:
     return np.asarray(np.nan_to_num(np.sign(np.linalg.det(matrices[..., :3, :3]))))
 
 
-def _blend_linearly(
-    points: NDArray[np.float64], matrices: NDArray[np.float64], weights: csr_array
-) -> NDArray[np.float64]:
+def _blend_linearly(points: Float, matrices: Float, weights: csr_array) -> Float:
     """Return points ``(W, 3)`` moved by joint matrices ``(J, 12)`` with weights ``(W, J)``."""
     blended = (weights @ matrices).reshape(-1, 3, 4)
     return np.asarray(np.einsum("vij,vj->vi", blended[:, :, :3], points) + blended[:, :, 3])
@@ -466,7 +456,7 @@ def _read_skin(document: Document, fields: Fields, weld: Weld) -> MeshSkin:
     return MeshSkin(nodes, inverse_binds, _normalise_weights(joints[kept], weights[kept], len(nodes)))
 
 
-def read_inverse_binds(document: Document, skin: Fields, count: int) -> NDArray[np.float64]:
+def read_inverse_binds(document: Document, skin: Fields, count: int) -> Float:
     """Return a skin's matrices ``(J, 4, 4)`` from mesh space to each of its `count` joints."""
     binds = skin.index("inverseBindMatrices")
     if binds is None:
@@ -477,9 +467,7 @@ def read_inverse_binds(document: Document, skin: Fields, count: int) -> NDArray[
     return matrices[:count].reshape(-1, 4, 4).transpose(0, 2, 1).astype(np.float64)
 
 
-def _normalise_weights(
-    joints: NDArray[np.int64], weights: NDArray[np.float64], joint_count: int
-) -> csr_array:
+def _normalise_weights(joints: Index, weights: Float, joint_count: int) -> csr_array:
     """Return weights ``(W, J)`` with row sums 1, as in renderers; vertices without weight follow the first joint."""
     vertex_count, per_vertex = weights.shape
     sums = weights.sum(axis=1, keepdims=True)

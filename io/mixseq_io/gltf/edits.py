@@ -26,14 +26,7 @@ from mixseq_io.scene_meshes import format_names
 
 _PRUNED_LISTS = ("meshes", "accessors", "bufferViews")  # referrers before their targets
 
-_PRUNABLE_PREFIXES = (
-    "KHR_node_",
-    "KHR_materials_",
-    "KHR_texture_",
-    "EXT_texture_",
-    "KHR_lights_",
-    "KHR_xmp",
-)
+_PRUNABLE_PREFIXES = ("KHR_node_", "KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "KHR_xmp")
 """Beginnings of extensions without references to the pruned lists, or with those in `_iterate_references`."""
 
 
@@ -74,7 +67,11 @@ def collect_extensions(document: Json) -> set[str]:
 
 
 def _prune_list(document: Json, kind: str) -> None:
-    references = [(owner, key) for owner, key, target in _iterate_references(document) if target == kind]
+    references = [
+        (owner, key)
+        for owner, key, target in _iterate_references(document)
+        if target == kind and key in owner
+    ]
     used = sorted({owner[key] for owner, key in references})
     new_indices = {old: new for new, old in enumerate(used)}
     for owner, key in references:
@@ -86,28 +83,22 @@ def _prune_list(document: Json, kind: str) -> None:
 
 
 def _iterate_references(document: Json) -> Iterator[tuple[Json, str, str]]:
-    """Yield the owner, the member and the target list of every reference."""
+    """Yield the owner, the optional member and the target list of every reference."""
     for node in document.get("nodes", ()):
-        yield from _select_members(node, {"mesh": "meshes"})
+        yield node, "mesh", "meshes"
     for mesh in document.get("meshes", ()):
         for primitive in mesh["primitives"]:
-            yield from _select_members(primitive, {"indices": "accessors"})
+            yield primitive, "indices", "accessors"
             for attributes in (primitive["attributes"], *primitive.get("targets", ())):
-                yield from _select_members(attributes, dict.fromkeys(attributes, "accessors"))
+                yield from ((attributes, name, "accessors") for name in attributes)
     for skin in document.get("skins", ()):
-        yield from _select_members(skin, {"inverseBindMatrices": "accessors"})
+        yield skin, "inverseBindMatrices", "accessors"
     for accessor in document.get("accessors", ()):
         sparse = accessor.get("sparse", {})
         for owner in (accessor, sparse.get("indices", {}), sparse.get("values", {})):
-            yield from _select_members(owner, {"bufferView": "bufferViews"})
+            yield owner, "bufferView", "bufferViews"
     for image in document.get("images", ()):
-        yield from _select_members(image, {"bufferView": "bufferViews"})
-
-
-def _select_members(owner: Json, targets: dict[str, str]) -> Iterator[tuple[Json, str, str]]:
-    for key, target in targets.items():
-        if key in owner:
-            yield owner, key, target
+        yield image, "bufferView", "bufferViews"
 
 
 _KEPT_MEMBERS = ("name", "mesh", "extras")
@@ -124,9 +115,7 @@ def detach_node(document: Json, node: int, in_place: bool = False) -> int | None
     entry = document["nodes"][node]
     removed = {key: entry.pop(key) for key in list(entry) if key not in _KEPT_MEMBERS}
     contents = {key: value for key, value in removed.items() if key not in _DEFORMATION_MEMBERS}
-    skins = [
-        skin for skin in document.get("skins", ()) if node in skin["joints"] or node == skin.get("skeleton")
-    ]
+    skins = [skin for skin in document.get("skins", ()) if node in (*skin["joints"], skin.get("skeleton"))]
     substitutes: list[int] = []
     if skins or any(key in contents for key in _CONTENT_MEMBERS):
         name = {"name": entry["name"]} if "name" in entry else {}
@@ -148,10 +137,9 @@ def find_unused_root(document: Json, scene: Scene, parents: Collection[int]) -> 
     if len(parents) != 1 or min(parents) < 0 or scene.parents[min(parents)] >= 0:
         return None
     (node,) = parents
-    joints = {
-        joint for skin in document.get("skins", ()) for joint in (*skin["joints"], skin.get("skeleton"))
-    }
-    return node if node not in joints and set(document["nodes"][node]) <= _GROUP_MEMBERS else None
+    if any(node in (*skin["joints"], skin.get("skeleton")) for skin in document.get("skins", ())):
+        return None
+    return node if set(document["nodes"][node]) <= _GROUP_MEMBERS else None
 
 
 def _replace_node(owner: Json, key: str, node: int, replacement: Sequence[int]) -> None:

@@ -35,7 +35,7 @@ from mixseq.errors import AmbiguousError, FormatError, OutputError
 from mixseq.mesh.measures import corner_normals
 from mixseq.mesh.surface import Origin
 from mixseq.sequence.header import SequenceHeader
-from mixseq.types import FloatArray
+from mixseq.types import FloatArray, Single
 from mixseq_io.coded.packing import pack
 from mixseq_io.coded.streams import Container
 from mixseq_io.files import atomic_file, check_memory
@@ -257,8 +257,8 @@ def add_still(
 
 
 def _select_used(
-    primitive: SplitPrimitive, positions: NDArray[np.float32], normals: NDArray[np.float32]
-) -> tuple[NDArray[np.uint32], dict[str, NDArray[np.float32]]]:
+    primitive: SplitPrimitive, positions: Single, normals: Single
+) -> tuple[NDArray[np.uint32], dict[str, Single]]:
     """Return the triangles ``(F, 3)`` of a primitive, and attributes ``(n, k)`` of their vertices."""
     used, corners = np.unique(primitive.triangles, return_inverse=True)
     attributes = {
@@ -272,9 +272,7 @@ def _select_used(
     return corners.reshape(-1, 3).astype(np.uint32), attributes
 
 
-def _add_plain(
-    layout: Layout, triangles: NDArray[np.uint32], attributes: Mapping[str, NDArray[np.float32]]
-) -> Json:
+def _add_plain(layout: Layout, triangles: NDArray[np.uint32], attributes: Mapping[str, Single]) -> Json:
     accessors = {
         name: add_colours(layout, values)
         if name == "COLOR_0"
@@ -288,9 +286,7 @@ def _add_plain(
     }
 
 
-def _add_draco(
-    layout: Layout, triangles: NDArray[np.uint32], attributes: Mapping[str, NDArray[np.float32]]
-) -> Json:
+def _add_draco(layout: Layout, triangles: NDArray[np.uint32], attributes: Mapping[str, Single]) -> Json:
     compressed = compress_triangles(triangles, attributes)
     view = layout.add([compressed.data], len(compressed.data))
     accessors = {
@@ -309,9 +305,7 @@ def _add_draco(
     }
 
 
-def _add_degenerate(
-    layout: Layout, triangles: NDArray[np.uint32], attributes: Mapping[str, NDArray[np.float32]]
-) -> Json:
+def _add_degenerate(layout: Layout, triangles: NDArray[np.uint32], attributes: Mapping[str, Single]) -> Json:
     """Add a triangle of zeros as accessors without data, with texture coordinates that materials may need."""
     accessors = {
         name: _add_empty_accessor(layout, 3, f"VEC{values.shape[1]}", FLOAT_COMPONENT)

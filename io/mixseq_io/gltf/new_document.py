@@ -81,7 +81,7 @@ class MorphFrameWriter:
         self._meshes = meshes
         self._add_animation(layout, header, keep_start, others)
         self._frames = [self._reserve(layout, frame) for frame in range(header.frame_count)]
-        self._first: tuple[FloatArray, list[NDArray[np.float32]]] | None = None
+        self._first: tuple[FloatArray, list[Single]] | None = None
 
     def _add_animation(
         self, layout: Layout, header: SequenceHeader, keep_start: bool, others: OtherMotion
@@ -108,9 +108,8 @@ class MorphFrameWriter:
             for mesh in self._meshes
             for each in mesh.primitives
         )
-        view = layout.reserve(
-            vector_count * _BYTES_PER_VECTOR, byteStride=_BYTES_PER_VECTOR, target=ARRAY_BUFFER
-        )
+        length = vector_count * _BYTES_PER_VECTOR
+        view = layout.reserve(length, byteStride=_BYTES_PER_VECTOR, target=ARRAY_BUFFER)
         offset, unbounded = 0, []
         for mesh in self._meshes:
             for each in mesh.primitives:
@@ -126,7 +125,7 @@ class MorphFrameWriter:
                     append(each.entry, "targets", attributes)
         return layout.document["bufferViews"][view]["byteOffset"], unbounded
 
-    def write(self, frame: int, points: NDArray[np.float32], writer: BufferWriter) -> None:
+    def write(self, frame: int, points: Single, writer: BufferWriter) -> None:
         """Write a frame's points ``(V, 3)``; `InvalidSequenceError` if too far from the first frame for float32."""
         normals = [mesh.compute_normals(points[None])[0] for mesh in self._meshes]
         if self._first is None:
@@ -137,7 +136,7 @@ class MorphFrameWriter:
             normals = [own - base for own, base in zip(normals, base_normals, strict=True)]
         start, unbounded = self._frames[frame]
         accessors = iter(unbounded)
-        chunks: list[NDArray[np.float32]] = []
+        chunks: list[Single] = []
         for mesh, own_normals in zip(self._meshes, normals, strict=True):
             for each in mesh.primitives:
                 positions = points[mesh.scene_mesh.vertices][each.vertex_ids]
@@ -188,8 +187,8 @@ class SplitPrimitive:
 
     vertex_ids: IntArray
     normal_ids: IntArray
-    uvs: NDArray[np.float32] | None
-    colours: NDArray[np.float32] | None
+    uvs: Single | None
+    colours: Single | None
     triangles: NDArray[np.uint32]
     face_set: FaceSet | None
 
@@ -211,9 +210,8 @@ def split_primitives(mesh: SceneMesh) -> list[SplitPrimitive]:
     primitives: list[SplitPrimitive] = []
     split_vertex = np.zeros(owner_of_corner.size, dtype=np.uint32)  # of corners, set owner by owner
     owner_of_triangle = owner_of_corner[triangles[:, 0]]
-    for (owner, corners), (_, own_triangles) in zip(
-        _group_by_owner(owner_of_corner), _group_by_owner(owner_of_triangle), strict=True
-    ):
+    groups = zip(_group_by_owner(owner_of_corner), _group_by_owner(owner_of_triangle), strict=True)
+    for (owner, corners), (_, own_triangles) in groups:
         extra = unused if not primitives else unused[:0]
         own_keys = {
             name: np.append(key[corners], extra if name == "vertices" else np.zeros_like(extra))
@@ -335,8 +333,8 @@ def _add_mesh(layout: Layout, scene_mesh: SceneMesh, name: str, materials: dict[
     primitives = [
         _add_primitive(layout, each, scene_mesh, materials) for each in split_primitives(scene_mesh)
     ]
-    entries = [primitive.entry for primitive in primitives]
-    mesh = append(layout.document, "meshes", {**name_member(name), "primitives": entries})
+    entry = {**name_member(name), "primitives": [each.entry for each in primitives]}
+    mesh = append(layout.document, "meshes", entry)
     node = append(layout.document, "nodes", {**name_member(name), "mesh": mesh})
     return MovingMesh(node, scene_mesh, primitives)
 
@@ -349,12 +347,9 @@ def _add_primitive(
         attributes["TEXCOORD_0"] = layout.add_array(flip_v(primitive.uvs), target=ARRAY_BUFFER)
     if primitive.colours is not None:
         attributes["COLOR_0"] = add_colours(layout, primitive.colours)
-    entry: Json = {
-        "attributes": attributes,
-        "indices": layout.add_array(
-            narrow_indices(primitive.triangles.reshape(-1)), target=ELEMENT_ARRAY_BUFFER
-        ),
-    }
+    indices = narrow_indices(primitive.triangles.reshape(-1))
+    entry: Json = {"attributes": attributes}
+    entry["indices"] = layout.add_array(indices, target=ELEMENT_ARRAY_BUFFER)
     if primitive.face_set is not None:
         entry["material"] = add_material(layout.document, material_name(primitive.face_set), materials)
     moving = MovingPrimitive(entry, primitive.vertex_ids, primitive.normal_ids)
@@ -362,12 +357,12 @@ def _add_primitive(
     return moving
 
 
-def flip_v(uvs: NDArray[np.float32]) -> NDArray[np.float32]:
+def flip_v(uvs: Single) -> Single:
     """Flip texture coordinates ``(n, 2)`` to v downwards, as in glTF."""
     return (uvs * (1, -1) + (0, 1)).astype(np.float32)
 
 
-def add_colours(layout: Layout, colours: NDArray[np.float32]) -> int:
+def add_colours(layout: Layout, colours: Single) -> int:
     """Add colours ``(n, 4)``, as bytes where that is exact; return their accessor."""
     exact = colours_to_exact_bytes(colours)
     accessor = layout.add_array(clip_to_unit(colours) if exact is None else exact, target=ARRAY_BUFFER)

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.types import IntArray
+from mixseq.types import Float, Index, IntArray
 from mixseq_io.gltf.document import Document, Fields
 from mixseq_io.surfaces import renumber_by_appearance
 
@@ -34,7 +34,7 @@ _TEXTURE_TRANSFORM = "KHR_texture_transform"
 _OTHER_TEXTURES = ("normalTexture", "occlusionTexture", "emissiveTexture")
 
 
-def texture_transform(document: Document, primitive: Fields) -> NDArray[np.float64]:
+def texture_transform(document: Document, primitive: Fields) -> Float:
     """Return the transform of TEXCOORD_0 by a primitive's material, a matrix ``(2, 3)`` with the offset last."""
     index = primitive.index("material")
     textures = [] if index is None else _iterate_textures(document.item("materials", index))
@@ -55,7 +55,7 @@ def _iterate_textures(material: Fields) -> Iterator[Fields]:
         yield from (owner.object(name) for name in names if name in owner)
 
 
-def _transform_matrix(transform: Fields) -> NDArray[np.float64]:
+def _transform_matrix(transform: Fields) -> Float:
     offset, scale = transform.numbers("offset", 2), transform.numbers("scale", 2)
     rotation = transform.number("rotation", 0.0)
     cosine, sine = np.cos(rotation), np.sin(rotation)
@@ -218,10 +218,9 @@ def _read_vertex_numbers(primitives: Sequence[Primitive]) -> IntArray | None:
     stored = _gather(primitives, [each.attribute("_VERTEX", 1) for each in primitives], 1)[:, 0]
     distinct, first, labels = np.unique(stored, return_index=True, return_inverse=True)
     positions = np.concatenate([each.positions for each in primitives])
-    is_valid = np.array_equal(distinct, np.arange(distinct.size)) and np.array_equal(
-        positions, positions[first][labels]
-    )
-    return labels if is_valid else None
+    if not np.array_equal(distinct, np.arange(distinct.size)):
+        return None
+    return labels if np.array_equal(positions, positions[first][labels]) else None
 
 
 def _label_by_motion(primitives: Sequence[Primitive]) -> IntArray:
@@ -253,7 +252,7 @@ def _welding_columns(primitives: Sequence[Primitive]) -> Iterator[NDArray[Any]]:
         yield read_deltas(primitives, target)
 
 
-def read_influences(primitives: Sequence[Primitive]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def read_influences(primitives: Sequence[Primitive]) -> tuple[Index, Float]:
     """Return joints and skinning weights ``(n, 4 * sets)`` of all vertices, sorted by joint, 0 for weight 0."""
     set_count = max(min(each.count_sets("JOINTS"), each.count_sets("WEIGHTS")) for each in primitives)
     vertex_count = sum(len(each.positions) for each in primitives)
@@ -277,14 +276,12 @@ def _read_joints(primitive: Primitive, index: int) -> NDArray[Any] | None:
     return joints
 
 
-def read_deltas(primitives: Sequence[Primitive], target: int) -> NDArray[np.float64]:
+def read_deltas(primitives: Sequence[Primitive], target: int) -> Float:
     """Return a morph target's displacements ``(n, 3)`` of all vertices."""
     return _gather(primitives, [each.deltas(target) for each in primitives], 3)
 
 
-def _gather(
-    primitives: Sequence[Primitive], arrays: Sequence[NDArray[Any] | None], width: int
-) -> NDArray[np.float64]:
+def _gather(primitives: Sequence[Primitive], arrays: Sequence[NDArray[Any] | None], width: int) -> Float:
     """Concatenate an attribute ``(n, width)`` of all primitives, 0 for primitives without."""
     return np.concatenate(
         [

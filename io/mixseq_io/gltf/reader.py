@@ -70,16 +70,13 @@ from mixseq_io.text.labels import Markings, Skinning, concatenate_skinning
 if TYPE_CHECKING:
     from mixseq.rigging.rigs import Skeleton
 
-_MAX_NORMAL = 1e6
-
 
 def _select_nodes(document: Document, scene: Scene, prim: str | None) -> list[int]:
     """Return the nodes with meshes at or below `prim`, or all; hidden ones only if all are hidden."""
     nodes = [node for node in scene.objects if "mesh" in scene.nodes[node]]
     if prim is not None:
-        nodes = [
-            nodes[i] for i in select_meshes(document.path, [scene.objects[node] for node in nodes], prim)
-        ]
+        objects = [scene.objects[node] for node in nodes]
+        nodes = [nodes[i] for i in select_meshes(document.path, objects, prim)]
     return [node for node in nodes if node not in scene.hidden] or nodes
 
 
@@ -90,23 +87,20 @@ def _select_moving_nodes(
     animated = [channel for channel in channels if channel.is_animated]
     moved = {channel.node for channel in animated if channel.name != "weights"}
     morphed = {channel.node for channel in animated if channel.name == "weights"}
-    is_moving = []
+    objects, is_moving = [scene.objects[node] for node in nodes], []
     for node in nodes:
         transforms = scene.with_ancestors(find_transform_nodes(document, scene.nodes[node], node))
         is_moving.append(node in morphed or not moved.isdisjoint(transforms))
-    return [
-        nodes[i]
-        for i in select_moving_meshes(document.path, [scene.objects[node] for node in nodes], is_moving)
-    ]
+    return [nodes[i] for i in select_moving_meshes(document.path, objects, is_moving)]
 
 
 def _make_scene_mesh(document: Document, mesh_node: MeshNode, first: int, mirrored: bool) -> SceneMesh:
     """Return the mesh of a node and its surface, with vertices from `first` on."""
-    weld, scene = mesh_node.weld, mesh_node.scene
+    weld, scene, primitives = mesh_node.weld, mesh_node.scene, mesh_node.weld.primitives
     order = [0, 2, 1] if mirrored else [0, 1, 2]
-    starts = np.cumsum([0, *(len(each.positions) for each in weld.primitives)]).tolist()
+    starts = np.cumsum([0, *(len(each.positions) for each in primitives)]).tolist()
     corners = np.concatenate(
-        [each.triangles[:, order] + start for each, start in zip(weld.primitives, starts, strict=False)]
+        [each.triangles[:, order] + start for each, start in zip(primitives, starts, strict=False)]
     ).reshape(-1)
     polygons = Polygons.from_triangles(weld.triangles[:, order])
     scene_object = scene.objects[mesh_node.node]
@@ -115,12 +109,10 @@ def _make_scene_mesh(document: Document, mesh_node: MeshNode, first: int, mirror
         path=scene_object.path,
         vertices=slice(first, first + weld.vertex_count),
         polygons=polygons,
-        uvs=_join_values(weld.primitives, [_read_uvs(each) for each in weld.primitives], DEFAULT_UV, corners),
-        colours=_join_values(
-            weld.primitives, [_read_colours(each) for each in weld.primitives], DEFAULT_COLOUR, corners
-        ),
-        hard_edges=_find_hard_edges(weld.primitives, corners, polygons),
-        face_sets=_make_face_sets(document, weld.primitives),
+        uvs=_join_values(primitives, list(map(_read_uvs, primitives)), DEFAULT_UV, corners),
+        colours=_join_values(primitives, list(map(_read_colours, primitives)), DEFAULT_COLOUR, corners),
+        hard_edges=_find_hard_edges(primitives, corners, polygons),
+        face_sets=_make_face_sets(document, primitives),
     )
 
 
@@ -175,9 +167,7 @@ def _find_hard_edges(
         flat.append(np.full(each.triangles.size, own is None))
     is_flat = np.concatenate(flat)
     at_corners = np.concatenate(normals).astype(np.float64)[corners]
-    hard_edges = hard_edges_from_normals(
-        polygons, np.clip(np.nan_to_num(at_corners), -_MAX_NORMAL, _MAX_NORMAL)
-    )
+    hard_edges = hard_edges_from_normals(polygons, np.clip(np.nan_to_num(at_corners), -1e6, 1e6))
     if not is_flat.any():
         return hard_edges
     groups = polygons.indices if hard_edges is None else hard_edges
@@ -222,9 +212,8 @@ def read_joints(path: Path, name: str | None) -> Skeleton:
 def _select_nodes_of_skin(document: Document, scene: Scene, skin: Fields) -> list[int]:
     """Return the nodes of meshes bound to the joints of a skin, and of unskinned meshes below these joints."""
     joints = set(read_joint_nodes(document, skin))
-    nodes = [
-        node for node in _select_nodes(document, scene, None) if _is_bound_to(document, scene, node, joints)
-    ]
+    nodes = _select_nodes(document, scene, None)
+    nodes = [node for node in nodes if _is_bound_to(document, scene, node, joints)]
     if not nodes:
         raise NoMeshError(f"{document.path} has no mesh on its skeleton; export the character with its mesh")
     return nodes
@@ -288,9 +277,7 @@ def _bind_matrices(document: Document, scene: Scene, skin: Fields, parents: Sequ
     inverse_binds = read_inverse_binds(document, skin, len(joints))
     is_singular = np.abs(np.linalg.det(inverse_binds)) < np.finfo(np.float64).tiny
     if is_singular.any() or not np.isfinite(inverse_binds).all():
-        raise skin.error(
-            "has an inverse bind matrix that cannot be inverted, or is not finite; the file is damaged"
-        )
+        raise skin.error("has an inverse bind matrix that is not invertible or finite; the file is damaged")
     root = parents.index(-1)
     return np.asarray(world[joints[root]][0] @ inverse_binds[root] @ np.linalg.inv(inverse_binds))
 
@@ -329,7 +316,7 @@ def open_gltf_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
 
 def _choose_times(
     path: Path, channels: Sequence[Channel], fps: float | None, stored_rate: float | None
-) -> tuple[NDArray[np.float64], float]:
+) -> tuple[Float, float]:
     """Return frame times ``(T,)`` in s and the frame rate: requested, else stored in the file, else of the keys."""
     keys = merge_key_times(channel.times for channel in channels)
     if fps is not None:
@@ -361,7 +348,6 @@ def _read_mesh_nodes(
     """Return the nodes whose meshes have triangles; an error if animated weights do not fit their morph targets."""
     welds: dict[int, Weld] = {}
     mesh_nodes, number_count = [], 0
-    weight_counts = {each.node: len(each.values.T) for each in channels if each.name == "weights"}
     for node in nodes:
         mesh = scene.nodes[node].integer("mesh")
         if mesh not in welds:
@@ -373,12 +359,12 @@ def _read_mesh_nodes(
             mesh_nodes.append(read_mesh_node(document, scene, node, weld))
     if not mesh_nodes:
         raise FormatError(f"{document.path} has no triangles to read; points and lines alone are not a mesh")
-    for each in mesh_nodes:
-        animated, count = weight_counts.get(each.node, len(each.weights)), len(each.weights)
-        if animated != count:
-            raise scene.nodes[each.node].error(
-                f"has {count} morph targets, but {animated} weights are animated"
-            )
+    counts = {each.node: len(each.weights) for each in mesh_nodes}
+    for channel in channels:
+        animated, count = len(channel.values.T), counts.get(channel.node)
+        if channel.name == "weights" and count not in (None, animated):
+            problem = f"has {count} morph targets, but {animated} weights are animated"
+            raise scene.nodes[channel.node].error(problem)
     return mesh_nodes
 
 
@@ -409,7 +395,7 @@ class _GltfReader(SequenceReader):
         document: Document,
         mesh_nodes: Sequence[MeshNode],
         channels: Sequence[Channel],
-        times: NDArray[np.float64],
+        times: Float,
         rate: float,
         start: float,
     ) -> None:
@@ -437,10 +423,9 @@ class _GltfReader(SequenceReader):
 
     def markings(self) -> Markings:
         """Return the sets of polygons and the joints of the meshes."""
-        is_skinned = any(each.skin is not None for each in self._mesh_nodes)
-        skinning = (
-            concatenate_skinning([_skinning_of(each) for each in self._mesh_nodes]) if is_skinned else None
-        )
+        skinning = None
+        if any(each.skin is not None for each in self._mesh_nodes):
+            skinning = concatenate_skinning([_skinning_of(each) for each in self._mesh_nodes])
         return replace(super().markings(), skinning=skinning)
 
     def _read(self, what: str, size: int) -> Iterator[FloatArray]:

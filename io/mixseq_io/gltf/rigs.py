@@ -24,7 +24,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mixseq.errors import OutputError
 from mixseq.rigging.rigs import Morph, Skin, rotation_matrices
@@ -56,7 +55,7 @@ class Track:
 
     nodes: Sequence[int]
     path: str
-    values: NDArray[np.float32]
+    values: Single
 
 
 def add_animation(layout: Layout, header: SequenceHeader, tracks: Sequence[Track]) -> None:

@@ -60,17 +60,15 @@ from mixseq_io.gltf.new_document import (
     has_own_primitive,
     material_name,
 )
-from mixseq_io.gltf.primitives import (
-    TRIANGLES_MODE,
-    Primitive,
-    Weld,
-    weld_vertices,
-)
+from mixseq_io.gltf.primitives import TRIANGLES_MODE, Primitive, Weld, weld_vertices
 from mixseq_io.gltf.scene import WORLD_SPACE_MARK, Scene, invert_transform, read_scene
 from mixseq_io.originals import match_meshes, open_original_file
 from mixseq_io.reader import as_float32, translate_read_errors, validate_blocks, warn
 from mixseq_io.scene_meshes import SceneMesh, format_names, split_meshes
 from mixseq_io.surfaces import lost_colours, lost_subdivision, warn_of_losses
+
+_MAX_BROWSER_FRAMES = 1000
+"""Usual limit of WebGL: 1024 or 4096 uniforms hold the weights, 2048 texture layers the targets."""
 
 _REPLACED_ATTRIBUTES = ("POSITION", "NORMAL", "TANGENT", "JOINTS_", "WEIGHTS_", "_VERTEX")
 
@@ -187,9 +185,8 @@ def _set_transform(entry: Json, inverse: Json | None) -> None:
     """Set a node's transform to an inverse, marked in its extras; no transform for None or {}."""
     extras = entry.pop("extras", {})
     if isinstance(extras, dict):
-        extras = {key: value for key, value in extras.items() if key != WORLD_SPACE_MARK} | (
-            {WORLD_SPACE_MARK: True} if inverse else {}
-        )
+        mark = {WORLD_SPACE_MARK: True} if inverse else {}
+        extras = {key: value for key, value in extras.items() if key != WORLD_SPACE_MARK} | mark
     entry.update(inverse or {})
     if extras != {}:
         entry["extras"] = extras
@@ -251,10 +248,9 @@ def _copy_buffers(copied: Json, document: Document) -> Layout:
     layout = Layout(copied)
     for index, view in enumerate(views):
         data = document.read_view(Fields(document.path, f"bufferViews[{index}]", view))
-        properties = {
-            key: value for key, value in view.items() if key not in ("buffer", "byteOffset", "byteLength")
-        }
-        layout.add([data], len(data), **properties)
+        for key in ("buffer", "byteOffset", "byteLength"):
+            view.pop(key, None)
+        layout.add([data], len(data), **view)
     embed_images(layout, document)
     return layout
 
@@ -282,7 +278,11 @@ def write_gltf(
     layout, meshes, others = overlay or (*create_scene(header), NO_OTHER_MOTION)
     lost = [] if overlay else standalone_losses(header)
     warn_of_changes(path, header, [*(["velocities"] if velocities is not None else []), *lost], keep_start)
-    warn_of_many_frames(path, header)
+    if header.frame_count > _MAX_BROWSER_FRAMES:
+        warn(
+            f"{path}: each of the {header.frame_count} frames is a morph target, of which browsers usually show about "
+            f"{_MAX_BROWSER_FRAMES} at most; resample the sequence for them"
+        )
     morphs = MorphFrameWriter(layout, meshes, header, keep_start, others)
     _, numbered = validate_blocks(header, blocks, velocities)
     with atomic_file(path) as temporary, open_buffer_writer(path, temporary, layout) as writer:
@@ -290,10 +290,6 @@ def write_gltf(
             # Frame by frame, since a block may be the whole sequence.
             for frame, points in enumerate(block, start=first):
                 morphs.write(frame, as_float32(points[None], frame, "glTF", header=header)[0], writer)
-
-
-_MAX_BROWSER_FRAMES = 1000
-"""Usual limit of WebGL: 1024 or 4096 uniforms hold the weights, 2048 texture layers the targets."""
 
 
 def standalone_losses(header: SequenceHeader) -> list[str]:
@@ -330,15 +326,6 @@ def warn_of_changes(
     start = choose_start(header, keep_start)
     if start and (keep_start or header.frame_count == 1):  # otherwise the file stores the start
         warn(f"{path}: glTF's times begin at 0; all times are moved by {-start:g} s")
-
-
-def warn_of_many_frames(path: Path, header: SequenceHeader) -> None:
-    """Warn of more frames, each a morph target, than browsers show."""
-    if header.frame_count > _MAX_BROWSER_FRAMES:
-        warn(
-            f"{path}: each of the {header.frame_count} frames is a morph target, of which browsers usually show about "
-            f"{_MAX_BROWSER_FRAMES} at most; resample the sequence for them"
-        )
 
 
 def _has_overlaps(mesh: SceneMesh) -> bool:

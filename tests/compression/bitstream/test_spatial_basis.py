@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mixseq.compression.bitstream.spatial_basis import SpatialBasis
-from mixseq.compression.encoder.trial import decoded_blocks
+from mixseq.compression.encoder.trial import decode_blocks
 from mixseq.sequence.sequence import FrameStore, MeshSequence, block_size, load_frames
 from tests.compression.one_part import basis_of, least_squares
 from tests.meshes import bar, tube
@@ -131,7 +131,7 @@ def test_a_mean_alone_has_no_coefficients() -> None:
 def test_blocks_are_all_frames() -> None:
     basis = trajectories()
     coefficients = least_squares(basis, sequence_of(21))
-    blocks = list(decoded_blocks(basis, coefficients))
+    blocks = list(decode_blocks(basis, coefficients))
     assert [len(block) for block in blocks[:-1]] == [block_size(VERTICES)] * (len(blocks) - 1)
     np.testing.assert_allclose(np.concatenate(blocks), basis.frames(coefficients), atol=1e-12)
 

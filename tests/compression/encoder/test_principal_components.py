@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from mixseq.compression.bitstream.spatial_basis import BasisKind
 from mixseq.compression.encoder import components as module
 from mixseq.compression.encoder.components import PrincipalComponents
-from mixseq.compression.encoder.search import KINDS
+from mixseq.compression.encoder.search import BASIS_KINDS
 from mixseq.sequence.sequence import FrameStore, MeshSequence, load_frames
 from mixseq.types import Float
 from tests.compression.one_part import principal_components
 from tests.meshes import bar, rotation, tetrahedron, torus
 
-KINDS: tuple[BasisKind, ...] = KINDS
+KINDS: tuple[BasisKind, ...] = BASIS_KINDS
 
 
 def noise(frames: int, mesh: tuple[Float, NDArray[np.int64]] | None = None) -> FrameStore:
@@ -122,7 +122,7 @@ def test_frames_are_left_out_of_long_sequences(kind: BasisKind, monkeypatch: pyt
     """What moves slowly is known from every other frame; sizes are as if all frames had been looked at."""
     sequence = load_frames(bar(sides=8, rings=12, frames=40))
     whole = principal_components(sequence, kind, 0.0)
-    monkeypatch.setattr(module, "MOST", 15)
+    monkeypatch.setattr(module, "MAX_TABLE_SIDE", 15)
     some = principal_components(sequence, kind, 0.0)
     assert kind == "shapes" or len(some.norms) < len(whole.norms)
     np.testing.assert_allclose(some.norms[:5], whole.norms[:5], rtol=0.15)
