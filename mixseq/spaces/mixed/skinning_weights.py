@@ -231,7 +231,8 @@ def _diffuse(graph: sparse.csr_array, fractions: sparse.csr_array) -> tuple[Inde
         weights = np.concatenate([weights, np.where(diffused >= MIN_WEIGHT, diffused, 0.0)], axis=1)
         parts = np.concatenate([parts, new_parts], axis=1)
         order = np.argsort(-weights, axis=1, kind="stable")[:, :MAX_PARTS_PER_VERTEX]
-        weights, parts = (np.take_along_axis(array, order, axis=1) for array in (weights, parts))
+        weights = np.take_along_axis(weights, order, axis=1)
+        parts = np.take_along_axis(parts, order, axis=1)
     parts[weights == 0.0] = -1
     return parts, weights / weights.sum(axis=1, keepdims=True)
 
