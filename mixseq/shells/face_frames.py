@@ -145,27 +145,22 @@ def _chain_frames(
     The links of ``order[k]`` are ``links[starts[k] : starts[k + 1]]``: indices of pairs ``(h, 2)``, or -1 - index where
     the frame is the first of its pair. Frames outside the order are known.
     """
-    predicted, total = np.empty(4), np.empty(4)
+    seen, total = np.empty(4), np.empty(4)
     for k in range(len(order)):
         total[:] = 0.0
         for place in range(starts[k], starts[k + 1]):
             pair = links[place]
             if pair >= 0:
-                multiply(frames[pairs[pair, 0]], rotations[pair], predicted)
+                multiply(frames[pairs[pair, 0]], rotations[pair], seen)
             else:
                 pair = -1 - pair
-                multiply_by_inverse(frames[pairs[pair, 1]], rotations[pair], predicted)
-            cosine = (
-                total[0] * predicted[0]
-                + total[1] * predicted[1]
-                + total[2] * predicted[2]
-                + total[3] * predicted[3]
-            )
+                multiply_by_inverse(frames[pairs[pair, 1]], rotations[pair], seen)
+            cosine = total[0] * seen[0] + total[1] * seen[1] + total[2] * seen[2] + total[3] * seen[3]
             square = total[0] ** 2 + total[1] ** 2 + total[2] ** 2 + total[3] ** 2
             # Quaternions of both signs are the same rotation; predictions half a turn from the mean have no weight.
             weight = weights[pair] * (cosine / math.sqrt(square) if square > 0.0 else 1.0)
             for i in range(4):
-                total[i] += weight * predicted[i]
+                total[i] += weight * seen[i]
         square = total[0] ** 2 + total[1] ** 2 + total[2] ** 2 + total[3] ** 2
         if square > 0.0:
             frames[order[k]] = total / math.sqrt(square)

@@ -53,7 +53,7 @@ ZERO_AREA_HEIGHT_RATIO = 1e-6
 ROUNDED_HEIGHT = 2.0**-19
 """Height in diagonals below which a triangle is degenerate: twice the rounding step of reference frames."""
 
-RELATIVE_DIFFERENCE_STEP = 1e-4
+DIFFERENCE_STEP = 1e-4
 """Step of difference quotients, relative to the median edge length."""
 
 MIN_HINGE_NEARNESS = 0.5
@@ -117,9 +117,8 @@ class Shell(PickledWithoutCaches):
     @cached_property
     def _longest_sides(self) -> Float:
         """Typical lengths ``(F,)`` of the longest sides of faces."""
-        return np.asarray(
-            np.maximum(self.typical_lengths[self.topology.face_edges].max(axis=1), MIN_DIRECTED_LENGTH)
-        )
+        longest = self.typical_lengths[self.topology.face_edges].max(axis=1)
+        return np.asarray(np.maximum(longest, MIN_DIRECTED_LENGTH))
 
     @cached_property
     def _normal_lengths(self) -> Float:
@@ -141,11 +140,8 @@ class Shell(PickledWithoutCaches):
         faces = self.topology.hinge_faces
         edge = np.maximum(self.typical_lengths[self.topology.hinge_edges], MIN_DIRECTED_LENGTH)
         height = self._normal_lengths[faces].min(axis=1, initial=np.inf) / edge
-        return np.asarray(
-            np.minimum(
-                1.0, height / (SLENDER_HEIGHT_RATIO * self._longest_sides[faces].max(axis=1, initial=0.0))
-            )
-        )
+        longest = self._longest_sides[faces].max(axis=1, initial=0.0)
+        return np.asarray(np.minimum(1.0, height / (SLENDER_HEIGHT_RATIO * longest)))
 
     @cached_property
     def sound_hinge_mask(self) -> Mask:
@@ -167,9 +163,8 @@ class Shell(PickledWithoutCaches):
     def side_weights(self) -> Float:
         """Weights ``(F, 3)`` of the sides of faces: those of an edge add up to the squared weight of its length."""
         weights = np.square(self.length_weights)
-        weights = np.where(
-            weights > 0, weights, np.square(1.0 / max(float(self.typical_lengths.max()), MIN_DIRECTED_LENGTH))
-        )
+        default = 1.0 / max(float(self.typical_lengths.max()), MIN_DIRECTED_LENGTH)
+        weights = np.where(weights > 0, weights, np.square(default))
         return np.asarray((weights / self.topology.edge_face_counts)[self.topology.face_edges])
 
     @cached_property
@@ -241,16 +236,11 @@ class Shell(PickledWithoutCaches):
     def max_curvature(self) -> float:
         """Largest preconditioned curvature of the energy at the reference, by power iteration."""
         x, topology = self.reference, self.topology
-        lengths, targets = (
-            edge_lengths(x, topology.edges),
-            _cosines_and_sines(dihedral_angles(x, topology.hinges)),
-        )
+        lengths = edge_lengths(x, topology.edges)
+        targets = _cosines_and_sines(dihedral_angles(x, topology.hinges))
         direction, curvature = np.random.default_rng(0).normal(size=x.shape), 0.0
-        size = (
-            RELATIVE_DIFFERENCE_STEP
-            * max(float(np.median(self.typical_lengths)), MIN_DIRECTED_LENGTH)
-            * np.sqrt(len(x))
-        )
+        typical = max(float(np.median(self.typical_lengths)), MIN_DIRECTED_LENGTH)
+        size = DIFFERENCE_STEP * typical * np.sqrt(len(x))
         for _ in range(POWER_ITERATIONS):
             direction *= size / max(float(np.linalg.norm(direction)), MIN_DIRECTED_LENGTH)
             ahead, behind = (

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Unpack
+from typing import Self, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -88,28 +88,19 @@ class CrossValidation:
     points: Float  # (n, V, 3) vertices of the left-out frames, in diagonals
 
     @classmethod
-    def from_sequence(
-        cls, encoded: EncodedSequence, space: MixedSpace, frames: LargeArray
-    ) -> CrossValidation:
+    def from_sequence(cls, encoded: EncodedSequence, space: MixedSpace, frames: LargeArray) -> Self:
         """Leave out evenly spread inner frames of ``(T, V, 3)``."""
         frame_ids, weights = encoded.operator.leave_one_out()
-        frame_limit = int(
-            np.clip(
-                MAX_VALIDATION_VERTICES // space.vertex_count, MIN_VALIDATION_FRAMES, MAX_VALIDATION_FRAMES
-            )
-        )
-        sample = evenly_spaced(len(frame_ids), frame_limit)
+        limit = MAX_VALIDATION_VERTICES // space.vertex_count
+        limit = min(max(limit, MIN_VALIDATION_FRAMES), MAX_VALIDATION_FRAMES)
+        sample = evenly_spaced(len(frame_ids), limit)
         points = frames[frame_ids[sample]].astype(np.float64) / space.scale
         return cls(encoded, space, frame_ids[sample], weights.select(sample), points)
 
     def improves_in_body_axes(self) -> bool:
         """Whether body axes lower the sum of the logarithms of the three errors."""
-        world, body = (
-            np.maximum(
-                self._rms_errors(self.space.skin(self._interpolated_vectors(in_body_axes))), ERROR_FLOOR
-            )
-            for in_body_axes in (False, True)
-        )
+        skinned = (self.space.skin(self._interpolated_vectors(in_body)) for in_body in (False, True))
+        world, body = (np.maximum(self._rms_errors(points), ERROR_FLOOR) for points in skinned)
         return bool(np.log(body / world).sum() < 0.0)
 
     def choose_share(self, in_body_axes: bool) -> float:
@@ -122,20 +113,15 @@ class CrossValidation:
             frames = zip(skinned, blocks.lengths, blocks.angles, strict=True)
             projected = np.stack([self.space.joint_projection.project(*frame, share) for frame in frames])
             ratios.append(float((self._rms_errors(projected)[1:] / errors_without).max()))
-        sufficient_gain = SUFFICIENT_GAIN * (1.0 - min(ratios)) - 1e-12
-        return next(
-            share
-            for share, ratio in zip(CANDIDATE_SHARES, ratios, strict=True)
-            if 1.0 - ratio >= sufficient_gain
-        )
+        gains = 1.0 - np.array(ratios)
+        return CANDIDATE_SHARES[int(np.argmax(gains >= SUFFICIENT_GAIN * gains.max() - 1e-12))]
 
     @cached_property
     def _interpolated_shapes(self) -> Float:
         """Shapes ``(n, S)`` interpolated from the other frames; one frame is in memory at a time."""
         shapes = np.zeros((len(self.frame_ids), self.space.shape_dim))
-        for shape, frame_ids, weights in zip(
-            shapes, self.weights.frame_ids, self.weights.weights, strict=True
-        ):
+        rows = zip(shapes, self.weights.frame_ids, self.weights.weights, strict=True)
+        for shape, frame_ids, weights in rows:
             for frame, weight in zip(frame_ids, weights, strict=True):
                 shape += weight * self.encoded.shapes[frame : frame + 1][0]
         return shapes
@@ -143,13 +129,11 @@ class CrossValidation:
     def _interpolated_vectors(self, in_body_axes: bool) -> Float:
         """Vectors ``(n, D)`` interpolated from the other frames."""
         space, encoded = self.space, self.encoded
-        interpolation = space.pose_interpolation(
-            encoded.operator, encoded.poses, encoded.placement, in_body_axes
-        )
+        signals = encoded.operator, encoded.poses, encoded.placement
+        interpolation = space.pose_interpolation(*signals, in_body_axes)
         body_poses, part_poses = interpolation.interpolate(self.weights)
-        shapes = space.split(
-            np.pad(self._interpolated_shapes, ((0, 0), (0, space.placement_dim + space.correction_dim)))
-        )
+        padding = space.placement_dim + space.correction_dim
+        shapes = space.split(np.pad(self._interpolated_shapes, ((0, 0), (0, padding))))
         corrections = np.zeros((len(self.frame_ids), space.correction_dim))
         relations = space.articulation.add_relations(part_poses)
         return space.join(MixedBlocks(*shapes[:3], *relations, *body_poses, corrections))
@@ -175,7 +159,7 @@ class CrossValidation:
 FIT_STAGES = 2 + SPACE_STAGES
 """Stages of progress without the search for a tolerance: reading frames, making the space, encoding frames."""
 
-_FRAME_TO_SHELL_TOLERANCE_RATIO = 10.0
+_SHELL_ACCURACY_RATIO = 10.0
 """Ratio of the tolerance of frames to the accuracy of fits to lengths and angles."""
 
 
@@ -291,9 +275,7 @@ def fit(
         case MixedSettings() if is_reduced:
             options = replace(options, purpose="reduced")
         case EdgeSettings(projection="dso", shell=None):
-            options = replace(
-                options, shell=ShellSettings(accuracy=max_error / _FRAME_TO_SHELL_TOLERANCE_RATIO)
-            )
+            options = replace(options, shell=ShellSettings(accuracy=max_error / _SHELL_ACCURACY_RATIO))
     search_stages = 1 if exact else 0 if is_reduced else MAX_TRIAL_MODELS
     stages = StagedProgress(progress, FIT_STAGES + search_stages, sequence.header.frame_count)
     executor = workers or thread_executor()
@@ -307,9 +289,8 @@ def fit(
             return verify_tolerance(model, frames, EXACT_TOLERANCE, executor, stages.at(FIT_STAGES))
         if is_reduced:
             return build_model(encoded, Detail(rank=rank, knots=knots))
-        return fit_within_tolerance(
-            encoded, frames, max_error, stages.at(FIT_STAGES, MAX_TRIAL_MODELS), executor
-        )
+        search = stages.at(FIT_STAGES, MAX_TRIAL_MODELS)
+        return fit_within_tolerance(encoded, frames, max_error, search, executor)
 
 
 def _check_options(

@@ -159,25 +159,10 @@ class ShapeSpace(PickledWithoutCaches, ABC):
     def interpolate_poses(
         self, operator: TemporalOperator, poses: Float, placements: Float, times: Float, in_body_axes: bool
     ) -> tuple[Float, Float]:
-        """Interpolate part poses and placements in time.
+        """Interpolate part poses ``(T, pose_dim)`` and placements ``(T, P)`` of the frames at times ``(N,)``.
 
-        Parameters
-        ----------
-        operator : TemporalOperator
-            Weights of the frames at any time.
-        poses : (T, pose_dim) float64
-            Part poses of the frames. Here there are none.
-        placements : (T, P) float64
-            Placements of the frames. Here rotations are chained, and centres are weighted sums.
-        times : (N,) float64
-            Times in seconds.
-        in_body_axes : bool
-            Interpolate part poses in body axes as well.
-
-        Returns
-        -------
-        (N, ...) float64, (N, P) float64
-            Targets of `pose_corrections`, and placements.
+        Returns target poses ``(N, ...)`` for `pose_corrections`, and placements ``(N, P)``. Here there are no parts;
+        rotations are chained, and centres are weighted sums. `in_body_axes` interpolates parts in body axes as well.
         """
         weights = operator.weights_at(times)
         placed = interpolate_poses(weights, self.unpack_placements(placements))
@@ -223,11 +208,9 @@ class ShapeSpace(PickledWithoutCaches, ABC):
             If the points are not numeric, not finite, or not those of the mesh.
         """
         frames = self._check_points(points)
-        return (
-            self.unwrap(self.encode_independently(frames), previous)
-            if len(frames)
-            else np.zeros((0, self.dim))
-        )
+        if not len(frames):
+            return np.zeros((0, self.dim))
+        return self.unwrap(self.encode_independently(frames), previous)
 
     def _check_points(self, points: FloatArray) -> FloatArray:
         """Return points as frames ``(T, V, 3)``, or raise `SettingsError`."""

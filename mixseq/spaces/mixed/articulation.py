@@ -88,11 +88,6 @@ class Articulation:
     steadiness: Steadiness  # inverse variances of poses and relations
     relation_weight: float = 1.0  # weight of a relation relative to its lighter part's pose
 
-    @property
-    def part_count(self) -> int:
-        """Number p of parts."""
-        return len(self.body_of_part)
-
     @cached_property
     def body_count(self) -> int:
         """Number B of bodies."""
@@ -107,14 +102,14 @@ class Articulation:
 
     @cached_property
     def _graph(self) -> sparse.csr_array:
-        shape = self.part_count, self.part_count
+        shape = len(self.radii), len(self.radii)
         return sparse.coo_array((np.ones(len(self.pairs)), tuple(self.pairs.T)), shape=shape).tocsr()
 
     @cached_property
     def parents(self) -> Index:
         """Parents ``(p,)`` in the tree of parts, -1 for roots: the part of each body with the largest area."""
-        result = np.full(self.part_count, -1, dtype=np.int64)
-        reached = np.zeros(self.part_count, dtype=bool)
+        result = np.full(len(self.radii), -1, dtype=np.int64)
+        reached = np.zeros(len(self.radii), dtype=bool)
         for root in np.argsort(-self.areas, kind="stable"):
             if not reached[root]:
                 order, predecessors = csgraph.breadth_first_order(self._graph, root, directed=False)
@@ -148,15 +143,11 @@ class Articulation:
         _, *centres = self._weights_and_inverse(self.masses, steady.centres, steady.relation_points)
         return *self._weights_and_inverse(inertia, steady.turns, steady.relation_turns), *centres
 
-    def _weights_and_inverse(
-        self, sizes: Float, parts: Float, relations: Float
-    ) -> tuple[Float, Float, Float]:
+    def _weights_and_inverse(self, sizes: Float, poses: Float, relations: Float) -> tuple[Float, ...]:
         """Weights of parts ``(p,)`` and relations ``(n,)``, and the inverse ``(p, p)`` of their matrix."""
         i, j = self.pairs.T
-        part_weights, relation_weights = (
-            sizes * parts,
-            self.relation_weight * np.minimum(sizes[i], sizes[j]) * relations,
-        )
+        part_weights = sizes * poses
+        relation_weights = self.relation_weight * np.minimum(sizes[i], sizes[j]) * relations
         matrix = np.diag(part_weights)
         np.add.at(matrix, (i, i), relation_weights)
         np.add.at(matrix, (j, j), relation_weights)
@@ -177,10 +168,8 @@ class Articulation:
 
     def _body_means(self, centres: Float) -> Float:
         """Means ``(T, B, 3)`` of the centres ``(T, p, 3)`` of parts, weighted by mass."""
-        return (
-            self._body_sums(self.masses[:, None] * centres)
-            / np.bincount(self.body_of_part, self.masses)[:, None]
-        )
+        masses = np.bincount(self.body_of_part, self.masses)
+        return self._body_sums(self.masses[:, None] * centres) / masses[:, None]
 
     def _body_sums(self, values: Float) -> Float:
         """Sums ``(T, B, ...)`` of values ``(T, p, ...)`` of parts."""
@@ -198,9 +187,8 @@ class Articulation:
     def to_world_axes(self, poses: Poses, bodies: Poses) -> Poses:
         """Return poses of parts in world axes; the inverse of `to_body_axes`."""
         rotations = normalise_quat(bodies.rotations)[:, self.body_of_part]
-        centres = (
-            rotate_vectors(quat_to_matrix(rotations), poses.centres) + bodies.centres[:, self.body_of_part]
-        )
+        centres = rotate_vectors(quat_to_matrix(rotations), poses.centres)
+        centres += bodies.centres[:, self.body_of_part]
         return Poses(quat_multiply(rotations, poses.rotations), centres)
 
     def add_relations(self, poses: Poses) -> PartPoses:
@@ -241,9 +229,8 @@ class Articulation:
 
     def pose_corrections(self, poses: Poses, targets: Poses) -> Float:
         """Return rotation vectors and shifts ``(T, 6 p)`` from poses to targets, continuous in time."""
-        rotation_vectors = continuous_rotvec(
-            quat_to_matrix(quat_multiply(quat_conjugate(poses.rotations), targets.rotations))
-        )
+        changes = quat_multiply(quat_conjugate(poses.rotations), targets.rotations)
+        rotation_vectors = continuous_rotvec(quat_to_matrix(changes))
         shifts = targets.centres - poses.centres
         return flatten_blocks((rotation_vectors, shifts))
 
@@ -257,9 +244,8 @@ class Articulation:
         rotations, centres = self._reconcile_frame(poses)
         rotation_vectors, shifts = correction.reshape(2, -1, 3)
         rotations, centres = kernels.correct_poses(rotations, centres, rotation_vectors, shifts)
-        return kernels.part_motions(
-            rotations, centres, *bodies, self.body_of_part, self.rest_centres, *self._tree
-        )
+        rest = self.body_of_part, self.rest_centres
+        return kernels.part_motions(rotations, centres, *bodies, *rest, *self._tree)
 
 
 def find_articulation(

@@ -101,12 +101,9 @@ class Assembly(PickledWithoutCaches):
     @cached_property
     def _seed_vertices(self) -> list[Index]:
         """Vertices of every seed."""
-        part_count = len(self._rigid_parts)
         joint_faces = self.topology.faces[self.joint_faces]
-        return [
-            self._rigid_parts[node] if node < part_count else joint_faces[node - part_count]
-            for node in self._seed_nodes
-        ]
+        parts, count = self._rigid_parts, len(self._rigid_parts)
+        return [parts[node] if node < count else joint_faces[node - count] for node in self._seed_nodes]
 
     @cached_property
     def frame_graph(self) -> FrameGraph:
@@ -138,9 +135,8 @@ class Assembly(PickledWithoutCaches):
     @cached_property
     def _component_of_vertex(self) -> Index:
         """Component ``(V,)`` of every vertex by edges and ties."""
-        return connected_components(
-            self.topology.vertex_count, np.concatenate([self.topology.edges, self._ties[:, 1:]])
-        )
+        pairs = np.concatenate([self.topology.edges, self._ties[:, 1:]])
+        return connected_components(self.topology.vertex_count, pairs)
 
     @cached_property
     def _components(self) -> list[tuple[Index, list[int]]]:

@@ -30,14 +30,8 @@ from mixseq.types import Float, FloatArray, Mask, evenly_spaced
 Purpose = Literal["sequence", "reduced", "blends"]
 """Use of a space: frames in time, models of a given rank or knots, or blends of poses that may be far apart."""
 
-MAX_STRETCH, MAX_BEND_DEGREES = 0.10, 25.0
-"""Largest errors half-way between frames of faces outside joints: relative of edges, in degrees of hinges."""
-
-MAX_BLEND_STRETCH, MAX_BLEND_BEND_DEGREES = 0.015, 4.0
-"""The same limits for blends of poses."""
-
-MAX_FREE_STRETCH, MAX_FREE_BEND_DEGREES = 0.06, 15.0
-"""The same limits for the free placement."""
+ERROR_LIMITS = {"sequence": (0.1, 25.0), "reduced": (0.1, 25.0), "blends": (0.015, 4.0), "free": (0.06, 15.0)}
+"""Largest half-way errors of faces outside joints, by purpose or placement: relative of edges, in degrees of hinges."""
 
 TORN_STRETCH = 0.1
 """Relative half-way error of an edge above which its faces are torn."""
@@ -117,13 +111,8 @@ def mixed_space(
     poses = base.split(base.encode(frames)).part_poses
     base = replace(base, steadiness=base.articulation.measure_steadiness(poses))
     progress(2, 2, "registering parts")
-    limits = MAX_STRETCH, MAX_BEND_DEGREES
-    if placement == "free":
-        limits = MAX_FREE_STRETCH, MAX_FREE_BEND_DEGREES
-    elif purpose == "blends":
-        limits = MAX_BLEND_STRETCH, MAX_BLEND_BEND_DEGREES
     pairs = _all_pairs(frames) if purpose == "blends" else _neighbour_pairs(points)
-    errors = midpoint_errors(base, pairs, *limits)
+    errors = midpoint_errors(base, pairs, *ERROR_LIMITS["free" if placement == "free" else purpose])
     if placement == "free":
         corners = base.rigid_part_of_vertex[topology.faces]
         is_blended = (corners < 0).any(axis=1) | (corners != corners[:, :1]).any(axis=1)
@@ -133,9 +122,7 @@ def mixed_space(
             projection=Projection("free", 1.0, FAR_HOLD, FREE_STEPS, FAR_RELATIONS),
         )
     errors[faces_without_area(topology, frames) | faces_at_winding_hinges(topology, frames)] = 0.0
-    joint_faces = errors > 1.0
-    if purpose != "blends":
-        joint_faces = _limit_joint_faces(base, errors)
+    joint_faces = errors > 1.0 if purpose == "blends" else _limit_joint_faces(base, errors)
     space = replace(base, joint_faces=joint_faces)
     if purpose == "reduced" or not joint_faces.any():
         return space
@@ -157,9 +144,7 @@ def _limit_joint_faces(space: MixedSpace, errors: Float) -> Mask:
     descending = np.argsort(-errors, kind="stable")[: int(np.count_nonzero(errors > 1.0))]
 
     def mark(count: int) -> Mask:
-        faces = np.zeros(len(topology.faces), dtype=bool)
-        faces[descending[:count]] = True
-        return faces
+        return np.isin(np.arange(len(topology.faces)), descending[:count])
 
     def fits(count: int) -> bool:
         faces = mark(count)
@@ -186,9 +171,8 @@ def faces_at_winding_hinges(topology: Topology, frames: FloatArray) -> Mask:
     for frame in frames[1:]:
         angles = dihedral_angles(frame.astype(np.float64), topology.hinges)
         lowest, highest = np.minimum(lowest, angles), np.maximum(highest, angles)
-    winding = np.zeros(len(topology.faces), dtype=bool)
-    winding[topology.hinge_faces[highest - lowest > np.pi]] = True
-    return winding
+    winding = topology.hinge_faces[highest - lowest > np.pi]
+    return np.isin(np.arange(len(topology.faces)), winding)
 
 
 def are_far_apart(space: MixedSpace, frames: LargeArray) -> bool:
@@ -197,10 +181,7 @@ def are_far_apart(space: MixedSpace, frames: LargeArray) -> bool:
     return bool(pairs) and all(
         sum(_torn_share(space.topology, midpoint(space, pair), pair) for pair in pairs)
         > FAR_TORN_SHARE * len(pairs)
-        for midpoint in (
-            _linear_midpoint,
-            _skinned_midpoint,
-        )  # the first is quick, and suffices for most animations
+        for midpoint in (_linear_midpoint, _skinned_midpoint)  # the first is quick, and often suffices
     )
 
 

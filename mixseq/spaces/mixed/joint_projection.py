@@ -249,12 +249,8 @@ def apply_small_rotations(frames: Float, steps: Float) -> Float:
     for f in range(len(steps)):
         a, b, c = 0.5 * steps[f, 0], 0.5 * steps[f, 1], 0.5 * steps[f, 2]
         w, x, y, z = frames[f, 0], frames[f, 1], frames[f, 2], frames[f, 3]
-        p, q, r, s = (
-            w - a * x - b * y - c * z,
-            x + a * w + b * z - c * y,
-            y - a * z + b * w + c * x,
-            z + a * y - b * x + c * w,
-        )
+        p, q = w - a * x - b * y - c * z, x + a * w + b * z - c * y
+        r, s = y - a * z + b * w + c * x, z + a * y - b * x + c * w
         scale = 1.0 / np.sqrt(p * p + q * q + r * r + s * s)
         turned[f, 0], turned[f, 1], turned[f, 2], turned[f, 3] = p * scale, q * scale, r * scale, s * scale
     return turned
@@ -368,17 +364,15 @@ class JointProjection(PickledWithoutCaches):
     @cached_property
     def _moving_hinge_ids(self) -> Index:
         """Hinges of moving faces with area."""
-        moving = np.zeros(len(self.topology.faces), dtype=bool)
-        moving[self._moving_face_ids] = True
-        return np.flatnonzero(moving[self.topology.hinge_faces].any(axis=1) & self.shell.sound_hinge_mask)
+        is_moving = np.isin(self.topology.hinge_faces, self._moving_face_ids).any(axis=1)
+        return np.flatnonzero(is_moving & self.shell.sound_hinge_mask)
 
     @cached_property
     def _face_ids(self) -> Index:
         """Moving faces, then their fixed neighbours ``(m,)``."""
         face_ids = np.unique(self.topology.hinge_faces[self._moving_hinge_ids])
-        return np.concatenate([self._moving_face_ids, np.setdiff1d(face_ids, self._moving_face_ids)]).astype(
-            np.int64
-        )
+        fixed = np.setdiff1d(face_ids, self._moving_face_ids)
+        return np.concatenate([self._moving_face_ids, fixed]).astype(np.int64)
 
     @cached_property
     def _faces(self) -> Index:
@@ -420,22 +414,14 @@ class JointProjection(PickledWithoutCaches):
         count = len(self._moving_face_ids)
         if not count:
             return None
-        inside = self._pairs < count
-        is_inner, diagonal = inside.all(axis=1), np.full(count, self.position_weight)
-        for first in (0, 1):
-            border = inside[:, first] & ~inside[:, 1 - first]
-            np.add.at(diagonal, self._pairs[border, first], self._angle_weights[border])
-        return factorise_laplacian(self._pairs[is_inner], self._angle_weights[is_inner], diagonal)
+        pairs = np.where(self._pairs < count, self._pairs, -1)
+        return factorise_laplacian(pairs, self._angle_weights, np.full(count, self.position_weight))
 
     @cached_property
     def moving_vertex_ids(self) -> Index:
         """Vertices ``(n,)`` of moving faces only."""
-        is_moving = np.zeros(len(self.topology.faces), dtype=bool)
-        is_moving[self._moving_face_ids] = True
-        is_free = np.zeros(self.topology.vertex_count, dtype=bool)
-        is_free[self.topology.faces[is_moving]] = True
-        is_free[self.topology.faces[~is_moving]] = False
-        return np.flatnonzero(is_free)
+        faces, ids = self.topology.faces, self._moving_face_ids
+        return np.setdiff1d(faces[ids], np.delete(faces, ids, axis=0)).astype(np.int64)
 
     @cached_property
     def _moving_index(self) -> Index:
@@ -455,13 +441,9 @@ class JointProjection(PickledWithoutCaches):
             return None
         corners = self._faces[: len(self._moving_face_ids)]
         ends = self._moving_index[np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2)]
-        weights, is_moving = self._side_weights.reshape(-1), ends >= 0
-        is_inner = is_moving.all(axis=1)
-        diagonal = np.full(len(self.moving_vertex_ids), self.position_weight * self.shell.tie_weight)
-        for first in (0, 1):
-            border = is_moving[:, first] & ~is_moving[:, 1 - first]
-            np.add.at(diagonal, ends[border, first], weights[border])
-        return factorise_laplacian(ends[is_inner], weights[is_inner], diagonal)
+        weight = self.position_weight * self.shell.tie_weight
+        position_weights = np.full(len(self.moving_vertex_ids), weight)
+        return factorise_laplacian(ends, self._side_weights.reshape(-1), position_weights)
 
     def mesh_targets(self, x: Float, lengths: Float, angles: Float) -> tuple[Float, Float]:
         """Return lengths ``(E,)`` and angles ``(H,)`` of the whole mesh: targets at joints, else those skinned."""
@@ -482,32 +464,22 @@ class JointProjection(PickledWithoutCaches):
         _, face_edges, targeted = self._edge_tables
         skinned_lengths = analytic_edge_lengths(x, self._edges)
         target_lengths = skinned_lengths.copy()
-        target_lengths[targeted] += share * (
-            np.where(lengths.real > 0.0, lengths, 0.0) - skinned_lengths[targeted]
-        )
+        changes = np.where(lengths.real > 0.0, lengths, 0.0) - skinned_lengths[targeted]
+        target_lengths[targeted] += share * changes
         flat = flatten_triangles(skinned_lengths, face_edges)
         quality = triangle_quality(flat)
         target_flat = flat + quality[:, None] * (flatten_triangles(target_lengths, face_edges) - flat)
         frames = analytic_frames(x, self._faces)
-        rotations = target_rotations(
-            frames, self._pairs, flat, target_flat, quality, *self._hinge_tables, angles, share
-        )
+        arguments = frames, self._pairs, flat, target_flat, quality, *self._hinge_tables, angles, share
+        rotations = target_rotations(*arguments)
         target_frames, moving_count = frames, len(self._moving_face_ids)
+        hinges = self._pairs, rotations, self._angle_weights
         for _ in range(AVERAGING_ROUNDS):
-            right = averaging_right_side(
-                target_frames, self._pairs, rotations, self._angle_weights, moving_count
-            )
+            right = averaging_right_side(target_frames, *hinges, moving_count)
             target_frames = apply_small_rotations(target_frames, solve_columns(self.frame_factor, right))
-        right = displacement_right_side(
-            frames,
-            flat,
-            target_frames,
-            target_flat,
-            self._faces[:moving_count],
-            self._side_weights,
-            self._moving_index,
-            len(self.moving_vertex_ids),
-        )
+        moving = self._faces[:moving_count], self._side_weights, self._moving_index
+        triangles = frames, flat, target_frames, target_flat
+        right = displacement_right_side(*triangles, *moving, len(self.moving_vertex_ids))
         result = x.copy()
         result[self.moving_vertex_ids] += solve_columns(self.vertex_factor, right)
         return result

@@ -324,9 +324,7 @@ class MixedSpace(ShapeSpace):
     def embedding_weights(self) -> Float:
         """Implement `ShapeSpace.embedding_weights`: dominated by joints and part poses."""
         edge_count, hinge_count, *_ = self.block_sizes
-        joints = np.concatenate(
-            [np.full(edge_count, JOINT_EMBEDDING_WEIGHT), JOINT_EMBEDDING_WEIGHT * self.angle_weights]
-        )
+        joints = JOINT_EMBEDDING_WEIGHT * np.append(np.ones(edge_count), self.angle_weights)
         rest = self.shape_weights[edge_count + hinge_count :].copy()
         rest[self.block_sizes[2] :] /= ARTICULATION_WEIGHT
         return np.concatenate([joints, rest])
@@ -356,9 +354,8 @@ class MixedSpace(ShapeSpace):
         frames = [frame.astype(np.float64) / self.scale for frame in points]
         poses = [register_parts(self.shapes, self.decomposition.parts, x)[1:] for x in frames]
         rotations, centres = (np.stack(arrays) for arrays in zip(*poses, strict=True))
-        world = Poses(
-            quat_multiply(matrix_to_quat(rotations), quat_conjugate(self._rest_poses.rotations)), centres
-        )
+        to_rest = quat_conjugate(self._rest_poses.rotations)
+        world = Poses(quat_multiply(matrix_to_quat(rotations), to_rest), centres)
         bodies = self.articulation.fit_bodies(world)
         parts = self.articulation.add_relations(self.articulation.to_body_axes(world, bodies))
         parts = parts._replace(
@@ -386,9 +383,7 @@ class MixedSpace(ShapeSpace):
         before = None if previous is None else self.split(previous[None])
         start = self.measure_joints(self.reference)[1] if before is None else before.angles[0]
         signed = {
-            name: align_quat_signs(
-                getattr(blocks, name), None if before is None else getattr(before, name)[0]
-            )
+            name: align_quat_signs(getattr(blocks, name), before and getattr(before, name)[0])
             for name in QUATERNION_BLOCKS
         }
         return self.join(blocks._replace(angles=unwrap_angles(blocks.angles, start), **signed))
@@ -399,9 +394,8 @@ class MixedSpace(ShapeSpace):
     def _part_motions(self, frame: MixedBlocks) -> RealOrComplex:
         """Motions ``(p, 8)`` of the parts in one frame, as dual quaternions."""
         bodies = np.ascontiguousarray(frame.body_rotations), np.ascontiguousarray(frame.body_centres)
-        return self.articulation.part_motions(
-            frame.part_poses, bodies, np.ascontiguousarray(frame.corrections)
-        )
+        correction = np.ascontiguousarray(frame.corrections)
+        return self.articulation.part_motions(frame.part_poses, bodies, correction)
 
     # Decoding ----------------------------------------------------------------------------------------------
 
@@ -523,9 +517,8 @@ class MixedSpace(ShapeSpace):
         """Return part poses ``(T, p)`` in body axes, from pose columns and corrections ``(T, ...)``."""
         blended = self.articulation.reconcile(self.split_poses(poses))
         rotation_vectors, shifts = corrections.reshape(len(poses), 2, -1, 3).swapaxes(0, 1)
-        return Poses(
-            quat_multiply(blended.rotations, rotvec_to_quat(rotation_vectors)), blended.centres + shifts
-        )
+        rotations = quat_multiply(blended.rotations, rotvec_to_quat(rotation_vectors))
+        return Poses(rotations, blended.centres + shifts)
 
 
 def as_mixed(space: ShapeSpace) -> MixedSpace:

@@ -134,15 +134,10 @@ class PoseInterpolation:
     @cached_property
     def _relation_precisions(self) -> Float:
         """Precisions ``(n, 4, 4)`` of relations."""
-        (frame_ids, weights), pivots, count = (
-            self._left_out,
-            self.articulation.pivots,
-            len(self.poses.centres),
-        )
+        (frame_ids, weights), count = self._left_out, len(self.poses.centres)
         identity = FrameWeights(np.arange(count)[:, None], np.ones((count, 1)), count)
-        actual, expected = (
-            _interpolate_relations(each, self._frame_relations, pivots) for each in (weights, identity)
-        )
+        relations, pivots = self._frame_relations, self.articulation.pivots
+        actual, expected = (_interpolate_relations(each, relations, pivots) for each in (weights, identity))
         radii = self.articulation.radii[self.articulation.pairs[:, 1]]
         return _error_precisions((actual - expected[frame_ids])[..., :3], radii)
 

@@ -209,9 +209,8 @@ def _blend(starts: Index, parts: Index, weights: Float, duals: Float, v: int, mo
             for i in range(8):
                 motion[i] += weights[place] * duals[parts[place], i]
         square = motion[0] * motion[0] + motion[1] * motion[1] + motion[2] * motion[2] + motion[3] * motion[3]
-        inverse = (
-            1.0 / np.sqrt(square) if square.real > 0.0 else 0.0 * square
-        )  # a blend of opposite motions is zero
+        # A blend of opposite motions is zero.
+        inverse = 1.0 / np.sqrt(square) if square.real > 0.0 else 0.0 * square
         for i in range(8):
             motion[i] *= inverse
     w, x, y, z = motion[0], motion[1], motion[2], motion[3]
@@ -229,9 +228,8 @@ def skin_vertices(starts: Index, parts: Index, weights: Float, duals: Float, res
     m = np.empty(8, duals.dtype)
     for v in range(len(x)):
         _blend(starts, parts, weights, duals, v, m)
-        a, b, c = _rotate(
-            m[0], m[1], m[2], m[3], rest_vertices[v, 0], rest_vertices[v, 1], rest_vertices[v, 2]
-        )
+        u = rest_vertices[v]
+        a, b, c = _rotate(m[0], m[1], m[2], m[3], u[0], u[1], u[2])
         x[v, 0], x[v, 1], x[v, 2] = a + m[4], b + m[5], c + m[6]
     return x
 

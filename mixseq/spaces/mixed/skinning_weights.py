@@ -219,9 +219,8 @@ def _diffuse(graph: sparse.csr_array, fractions: sparse.csr_array) -> tuple[Inde
     vertex_count, part_count = fractions.shape
     degrees = np.asarray(graph.sum(axis=1)).reshape(-1)
     laplacian = sparse.diags_array(degrees) - graph
-    factor = factorise(
-        sparse.csr_array(sparse.eye_array(vertex_count) + INFLUENCE_RINGS**2 / 4.0 * laplacian)
-    )
+    diffusion = sparse.eye_array(vertex_count) + INFLUENCE_RINGS**2 / 4.0 * laplacian
+    factor = factorise(sparse.csr_array(diffusion))
     parts: Index = np.full((vertex_count, MAX_PARTS_PER_VERTEX), -1, dtype=np.int64)
     weights: Float = np.zeros(parts.shape)
     for start in range(0, part_count, _PARTS_PER_BLOCK):
