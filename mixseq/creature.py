@@ -192,9 +192,8 @@ def bone_distances(points: Float) -> Float:
     radius = np.array([bone.head_radius for bone in BONES])
     sine = (radius - np.array([bone.tail_radius for bone in BONES])) / BONE_LENGTHS
     along = points @ BONE_AXES.T - np.sum(BONE_HEADS * BONE_AXES, axis=1)
-    squared = (
-        np.sum(points**2, axis=-1, keepdims=True) - 2 * points @ BONE_HEADS.T + np.sum(BONE_HEADS**2, axis=1)
-    )
+    head_squares = np.sum(BONE_HEADS**2, axis=1)
+    squared = np.sum(points**2, axis=-1, keepdims=True) - 2 * points @ BONE_HEADS.T + head_squares
     across = np.sqrt(np.maximum(squared - along**2, 0))
     ball = np.clip(along - across * (sine / np.sqrt(1 - sine**2)), 0, BONE_LENGTHS)
     distances: Float = np.hypot(along - ball, across) - (radius - sine * ball)
@@ -302,9 +301,8 @@ def paw_path(phase: Float) -> tuple[Float, Float, Float]:
     # In the air a cubic that leaves and lands at the speed of the ground.
     overshoot = (1 - STANCE_FRACTION) / STANCE_FRACTION
     swing = air**2 * (3 - 2 * air) * (1 + overshoot) - overshoot * air
-    forward = STANCE_TRAVEL_METRES * np.where(
-        phase < STANCE_FRACTION, 0.5 - phase / STANCE_FRACTION, swing - 0.5
-    )
+    stance = phase / STANCE_FRACTION
+    forward = STANCE_TRAVEL_METRES * np.where(phase < STANCE_FRACTION, 0.5 - stance, swing - 0.5)
     height = PAW_LIFT_METRES * np.sin(np.pi * air**0.85) ** 2
     pitch = np.radians(14 * _bump(phase, 0.93, 0.07) - 48 * _bump(phase, 0.72, 0.18))
     return forward, height, pitch
@@ -331,31 +329,23 @@ def _bump(phase: Float, centre: float, width: float) -> Float:
 
 def _place_leg(leg: Leg, phase: Float, rotations: Float, heads: Float) -> None:
     """Write the poses of a leg's four bones, so that its paw follows its path."""
-    upper, lower, pastern, paw = (
-        BONE_NAMES.index(name) for name in (leg.upper, leg.lower, leg.pastern, leg.paw)
-    )
+    upper, lower, pastern, paw = map(BONE_NAMES.index, (leg.upper, leg.lower, leg.pastern, leg.paw))
+    rest, swing_fraction = BONE_HEADS, 1 - STANCE_FRACTION
     phase = (phase - leg.landing) % 1.0
     forward, height, pitch = paw_path(phase)
 
-    lean = np.arctan(forward / BONE_HEADS[upper, 1])
-    fold = np.radians(leg.curl) * _bump(
-        phase, STANCE_FRACTION + 0.4 * (1 - STANCE_FRACTION), 0.5 * (1 - STANCE_FRACTION) + 0.04
-    )
+    lean = np.arctan(forward / rest[upper, 1])
+    bump = _bump(phase, STANCE_FRACTION + 0.4 * swing_fraction, 0.5 * swing_fraction + 0.04)
+    fold = np.radians(leg.curl) * bump
     rotations[:, paw] = _axis_rotations(2, pitch)
     rotations[:, pastern] = _axis_rotations(2, lean - fold)
     toes = BONE_TAILS[paw] + np.stack([forward, height, 0 * phase], axis=1)
-    heads[:, paw] = toes - rotations[:, paw] @ (BONE_TAILS[paw] - BONE_HEADS[paw])
-    heads[:, pastern] = heads[:, paw] - rotations[:, pastern] @ (BONE_HEADS[paw] - BONE_HEADS[pastern])
+    heads[:, paw] = toes - rotations[:, paw] @ (BONE_TAILS[paw] - rest[paw])
+    heads[:, pastern] = heads[:, paw] - rotations[:, pastern] @ (rest[paw] - rest[pastern])
 
-    heads[:, lower], side = _solve_knee(
-        heads[:, upper], heads[:, pastern], BONE_HEADS[[upper, lower, pastern]]
-    )
-    rotations[:, upper] = _align_bone(
-        heads[:, lower] - heads[:, upper], BONE_HEADS[lower] - BONE_HEADS[upper], side
-    )
-    rotations[:, lower] = _align_bone(
-        heads[:, pastern] - heads[:, lower], BONE_HEADS[pastern] - BONE_HEADS[lower], side
-    )
+    heads[:, lower], side = _solve_knee(heads[:, upper], heads[:, pastern], rest[[upper, lower, pastern]])
+    for bone, child in ((upper, lower), (lower, pastern)):
+        rotations[:, bone] = _align_bone(heads[:, child] - heads[:, bone], rest[child] - rest[bone], side)
 
 
 def _solve_knee(hip: Float, ankle: Float, rest: Float) -> tuple[Float, Float]:

@@ -264,7 +264,7 @@ def _turned_face() -> MeshSequence:
             r"polygon 399 of the reference \(vertices \d+ \d+ \d+\) is not in the other sequence; vertices must be",
         ),
         (lambda: bar(frames=6), r"the reference has 5 frames, the other sequence 6"),
-        (_turned_face, r"polygon 7 of the reference \(.*\) is the other way round in the other sequence"),
+        (_turned_face, r"polygon 7 of the reference \(.*\) is flipped in the other sequence"),
         (
             lambda: MeshSequence.from_arrays(bar().points, bar().faces, times=[0, 0.1, 0.2, 0.31, 0.4]),
             r"frame 3 is at 0\.3 s in the reference, at 0\.31 s in the other",

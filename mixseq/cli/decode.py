@@ -86,7 +86,7 @@ def _bind_pose(path: Path, sequence: MeshSequence) -> MeshSequence | None:
 def rows(path: Path, rig: Skin | Morph, sequence: MeshSequence) -> list[tuple[str, str]]:
     """Return table rows of a written file's contents and its distance from the sequence."""
     from mixseq.rigging.rigs import Skin
-    from mixseq_io.rig_files import GLTF
+    from mixseq_io.rig_files import GLTF_EXTENSIONS
     from mixseq_io.rig_measuring import measure_rig_file, size_with_frame_targets
 
     measured, diagonal = measure_rig_file(path, sequence), sequence.diagonal * sequence.metres_per_unit
@@ -101,7 +101,7 @@ def rows(path: Path, rig: Skin | Morph, sequence: MeshSequence) -> list[tuple[st
         ("rms error", length_text(measured.rms_error, diagonal)),
         ("KG error", f"{measured.kg_percent:.4g} %"),
     ]
-    if path.suffix.lower() in GLTF:
+    if path.suffix.lower() in GLTF_EXTENSIONS:
         size = format_bytes(size_with_frame_targets(sequence.header))
         table.append(("every frame", f"would be {size} as a morph target each"))
     return table

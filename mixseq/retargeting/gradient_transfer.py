@@ -83,10 +83,8 @@ class GradientTransfer(PickledWithoutCaches):
 
     def source_gradients(self, points: FloatArray) -> Float:
         """Return deformation gradients ``(F, 3, 3)`` of the source's triangles in a frame ``(V, 3)``."""
-        return (
-            self.source.complete_triangles(points.astype(np.float64) / self.source.scale)
-            @ self.source.inverse_triangles
-        )
+        triangles = self.source.complete_triangles(points.astype(np.float64) / self.source.scale)
+        return triangles @ self.source.inverse_triangles
 
     def transfer_frame(self, points: FloatArray) -> Float:
         """Return the target ``(V', 3)`` for a frame ``(V, 3)`` of the source."""
@@ -112,9 +110,8 @@ class GradientTransfer(PickledWithoutCaches):
         displacement = displacements[root_vertices].mean(axis=0)
         placed = piece_vertices.copy()
         root = pieces.row_slices[attachments.root]
-        placed[root] += (
-            rest[root_vertices].mean(axis=0) + linear_map @ displacement - piece_vertices[root].mean(axis=0)
-        )
+        root_centre = rest[root_vertices].mean(axis=0) + linear_map @ displacement
+        placed[root] += root_centre - piece_vertices[root].mean(axis=0)
 
         own_rows = pieces.find_rows(attachments.pieces, attachments.vertices)
         holder_rows = pieces.find_rows(attachments.holders, attachments.holder_vertices)

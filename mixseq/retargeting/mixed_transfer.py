@@ -22,13 +22,7 @@ import numpy as np
 from mixseq.mesh.measures import length_weights
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.gradient_transfer import GradientTransfer
-from mixseq.retargeting.joints import (
-    EdgewiseMetrics,
-    GradientMetrics,
-    JointFrame,
-    JointMetrics,
-    JointSolver,
-)
+from mixseq.retargeting.joints import EdgewiseMetrics, GradientMetrics, JointFrame, JointMetrics, JointSolver
 from mixseq.retargeting.limbs import ArticulatedBody
 from mixseq.retargeting.parts import (
     PartCorrespondence,
@@ -134,28 +128,24 @@ class MixedTransfer(PickledWithoutCaches):
 
     def transfer_poses(self, points: FloatArray, deformed_poses: PartPoses) -> PartPoses:
         """Return poses of the target's parts for a frame ``(V, 3)``, from the poses of the target by gradients."""
-        _, source_poses = self._source_rest_shapes.register(
-            points.astype(np.float64) / self.gradients.source.scale
-        )
+        source_points = points.astype(np.float64) / self.gradients.source.scale
+        _, source_poses = self._source_rest_shapes.register(source_points)
         rotations, centres = (values[self.parts.source_parts] for values in source_poses)
         source_gaps = self._alignment.map_vectors(self.source_body.gaps(rotations, centres))
         root = self.body.root
         travel = self._alignment.map_vectors(centres[root] - self.source_body.centres[root])
         gaps = self._pivot_solver.limit_gaps(source_gaps, self.body.gaps(*deformed_poses))
         root_centre = self.body.centres[root] + self.stride_ratio * travel
-        return PartPoses(
-            deformed_poses.rotations,
-            self._pivot_solver.solve_centres(deformed_poses.rotations, gaps, root_centre),
-        )
+        rotations = deformed_poses.rotations
+        return PartPoses(rotations, self._pivot_solver.solve_centres(rotations, gaps, root_centre))
 
     def transfer_frame(self, points: FloatArray, poses: PartPoses | None = None) -> Float:
         """Return the target ``(V', 3)`` for a frame ``(V, 3)`` of the source, optionally with given part poses."""
         deformed = self.deform_by_gradients(points)
         part_vertices, deformed_poses = self.rest_shapes.register(deformed)
         poses = self.transfer_poses(points, deformed_poses) if poses is None else poses
-        lengths, angles = self.joint_metrics.lengths_and_angles(
-            points.astype(np.float64) / self.gradients.source.scale
-        )
+        source_points = points.astype(np.float64) / self.gradients.source.scale
+        lengths, angles = self.joint_metrics.lengths_and_angles(source_points)
         frame = JointFrame(
             lengths=lengths,
             angles=angles,
@@ -216,9 +206,8 @@ def _is_same_mesh(gradients: GradientTransfer) -> bool:
         return False
     is_own_corner = correspondence.corners == np.arange(len(correspondence.corners))[:, None]
     own_weights = np.where(is_own_corner, correspondence.weights, 0.0).sum(axis=1)
-    return bool(
-        np.allclose(own_weights, 1.0) and np.array_equal(correspondence.faces, np.arange(len(target.faces)))
-    )
+    is_own_face = np.array_equal(correspondence.faces, np.arange(len(target.faces)))
+    return bool(np.allclose(own_weights, 1.0) and is_own_face)
 
 
 def _part_areas(space: GradientSpace, decomposition: Decomposition) -> Float:

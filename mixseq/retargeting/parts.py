@@ -43,11 +43,8 @@ from mixseq.shells.solvers import Factor, factorise
 from mixseq.spaces.pieces import register_parts
 from mixseq.types import Float, Index, IntArray
 
-MIN_REGION_AREA_RATIO = 0.1
-"""Smallest area of a region relative to the largest region of its label; smaller ones are merged into neighbours."""
-
-MIN_CORE_VERTEX_RATIO = 0.1
-"""Smallest share of its vertices that a part keeps; joints get more free vertices than in `segmentation.joints`."""
+MIN_REGION_AREA_RATIO = 0.1  # to the largest region of a label; smaller regions are merged
+MIN_CORE_VERTEX_RATIO = 0.1  # share of its vertices that a part keeps; lower than in `segmentation.joints`
 
 
 class PartPoses(NamedTuple):
@@ -158,11 +155,8 @@ def assign_vertices_to_parts(decomposition: Decomposition, topology: Topology) -
     return part_of_vertex
 
 
-MIN_BOUNDARY_LENGTH_RATIO = 1e-3
-"""Smallest length of a boundary in weights, relative to the longest."""
-
-MAX_GAP_CORRECTION_RADII = 1.2
-r"""Limit :math:`\rho` of the distance from gaps by gradients, in boundary radii; chosen on three animal pairs."""
+MIN_BOUNDARY_LENGTH_RATIO = 1e-3  # smallest length of a boundary in weights, relative to the longest
+MAX_GAP_CORRECTION_RADII = 1.2  # the factor rho, in boundary radii; chosen on three animal pairs
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,10 +172,7 @@ class Pivots:
         """Find the pivots of a target."""
         attachments = gradients.attachments
         boundaries = Boundaries.from_labels(gradients.target.topology, decomposition.part_of_face)
-        ends = (
-            (attachments.pieces, attachments.vertices),
-            (attachments.holders, attachments.holder_vertices),
-        )
+        ends = (attachments.pieces, attachments.vertices), (attachments.holders, attachments.holder_vertices)
         attached_parts = np.stack(
             [_parts_at_vertices(gradients, decomposition, pieces, vertices) for pieces, vertices in ends],
             axis=1,

@@ -103,8 +103,7 @@ def _area_share(face_mask: NDArray[np.bool_], areas: Float) -> float:
     return float(areas[face_mask].sum() / total_area) if total_area > 0 else float(face_mask.mean())
 
 
-FLAT_TRIANGLE_RATIO = 1e-3
-"""Largest ratio of height to longest side of flat triangles."""
+FLAT_TRIANGLE_RATIO = 1e-3  # largest ratio of height to longest side of flat triangles
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,11 +118,9 @@ class ExpectedTriangles:
     def from_transfer(cls, transfer: Transfer) -> ExpectedTriangles:
         """Prepare the expected triangles of a transfer by any method."""
         topology = Topology(transfer.header.faces, transfer.header.vertex_count)
-        source = transfer.source
-        gradients = gradient_transfer(
-            source.topology, source.rest, topology, transfer.target, transfer.correspondence
-        )
-        return cls(gradients, transfer.target, source.rest)
+        source, target = transfer.source, transfer.target
+        gradients = gradient_transfer(source.topology, source.rest, topology, target, transfer.correspondence)
+        return cls(gradients, target, source.rest)
 
     @property
     def topology(self) -> Topology:
@@ -246,8 +243,7 @@ class Smoothness:
         return self.rms / self.source_rms if self.source_rms > 0 else None
 
 
-MAX_INTERSECTION_FRAMES = 8
-"""Largest number of frames in which self-intersections are counted."""
+MAX_INTERSECTION_FRAMES = 8  # largest number of frames in which self-intersections are counted
 
 
 @dataclass(frozen=True)

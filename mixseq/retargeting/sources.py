@@ -30,8 +30,7 @@ from mixseq.sequence.sequence import Frames, LazyFrames, MeshSequence, check_fra
 from mixseq.signals.model import Model
 from mixseq.types import Float, Index
 
-MAX_EDGE_LENGTH_DEVIATION = 0.05
-"""Largest relative difference of edge lengths (median) for which a rest mesh is not scaled to the motion."""
+MAX_EDGE_LENGTH_DEVIATION = 0.05  # median relative difference for which rest meshes are not scaled
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,11 +108,8 @@ def _scaled_rest_shape(
     return np.asarray(shape if abs(ratio - 1.0) <= MAX_EDGE_LENGTH_DEVIATION else shape * ratio)
 
 
-MAX_QUARTER_TURN_RATIO = 1.5
-"""Largest root mean square distance of an accepted quarter turn, relative to that of the best rotation."""
-
-MIN_EXTENT_RATIO = 1e-12
-"""Smallest radius of points, relative to their largest coordinate; smaller radii are rounding."""
+MAX_QUARTER_TURN_RATIO = 1.5  # of root mean square distances, to those of the best rotation
+MIN_EXTENT_RATIO = 1e-12  # of radii, to the largest coordinate; smaller radii are rounding
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,12 +12,12 @@ it calls, llvmlite frees memory twice after an interrupt, and a partly written f
 
 from __future__ import annotations
 
-import pickle
 import warnings
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any, TypeVar, cast
 
 import numba
@@ -35,16 +35,8 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 _NUMBA_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
-_PICKLE_ERRORS = (
-    pickle.UnpicklingError,
-    EOFError,
-    AttributeError,
-    ImportError,
-    LookupError,
-    TypeError,
-    ValueError,
-)
-"""Exceptions raised by damaged pickles."""
+_PICKLE_ERRORS = (UnpicklingError, EOFError, AttributeError, ImportError, LookupError, TypeError, ValueError)
+"""Errors of damaged pickles."""
 
 
 def compiled(function: Function) -> Function:

@@ -46,7 +46,7 @@ def test_the_same_polygon_twice_and_a_vertex_twice() -> None:
     ("theirs", "message"),
     [
         (of([0, 2, 1, 3], [3, 2, 4]), "polygon 0 of A (vertices 0 1 2 3) is not in B"),
-        (of([0, 1, 2, 3], [2, 3, 4]), "polygon 1 of A (vertices 3 2 4) is the other way round in B"),
+        (of([0, 1, 2, 3], [2, 3, 4]), "polygon 1 of A (vertices 3 2 4) is flipped in B"),
         (of([0, 1, 2, 3], [3, 2, 4], [3, 2, 4]), "polygon 2 of B (vertices 3 2 4) is not in A"),
         (of([0, 1, 2, 3]), "polygon 1 of A (vertices 3 2 4) is not in B"),
     ],

@@ -30,12 +30,12 @@ def told(node: Node, folder: Path, script: str, given: Any) -> Any:
 def test_checksums(node: Node, tmp_path: Path) -> None:
     script = """
     import { crc32 } from "decoder/crc32.js";
-    import { checkOf } from "decoder/decoded_check.js";
+    import { checksumOf } from "decoder/decoded_check.js";
     const whole = crc32(Uint8Array.from(given.bytes)), half = given.bytes.length >> 1;
     const first = crc32(Uint8Array.from(given.bytes.slice(0, half)));
     console.log(JSON.stringify([
-      whole, crc32(Uint8Array.from(given.bytes.slice(half)), first), checkOf(Float64Array.from(given.numbers)),
-      checkOf(Int32Array.from([-1, 7]), checkOf([2 ** 40])),
+      whole, crc32(Uint8Array.from(given.bytes.slice(half)), first), checksumOf(Float64Array.from(given.numbers)),
+      checksumOf(Int32Array.from([-1, 7]), checksumOf([2 ** 40])),
     ]));
     """
     data = np.random.default_rng(0).integers(0, 256, 1001).astype(np.uint8)

@@ -278,9 +278,7 @@ def test_the_difference_from_a_mirrored_mesh(tmp_path: Path, path: Path) -> None
     changed = body.faces.copy()
     changed[-1] = np.roll(changed[-1], 1)[[0, 2, 1]]
     other = replace(body, polygons=Polygons.from_triangles(changed))
-    with pytest.raises(
-        OutputError, match=r"polygon 1 of the sequence \(.*\) is the other way round in /rig/body"
-    ):
+    with pytest.raises(OutputError, match=r"polygon 1 of the sequence \(.*\) is flipped in /rig/body"):
         mixseq.write(path, other, onto=shot)
 
 

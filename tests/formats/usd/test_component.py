@@ -18,7 +18,7 @@ from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Surface
 from mixseq.sequence.header import header_fields
 from mixseq.sequence.sequence import MeshSequence
 from mixseq_io import open_sequence, read, write
-from mixseq_io.usd.stage import define
+from mixseq_io.usd.stage import define_prim_spec
 from tests.formats.usd_maker import TOKENS, Asset, lift, link, load, mesh_at, paint, problems, save, shot
 
 
@@ -227,7 +227,7 @@ def test_prims_defined_at_once_are_those_defined_one_by_one() -> None:
         UsdShade.Material.Define(one_by_one, path)
     with Sdf.ChangeBlock():
         for path in paths:
-            define(at_once.GetRootLayer(), path, "Material")
+            define_prim_spec(at_once.GetRootLayer(), path, "Material")
     listener.Revoke()
     assert at_once.GetRootLayer().ExportToString() == one_by_one.GetRootLayer().ExportToString()
     assert len(composed) == 1
