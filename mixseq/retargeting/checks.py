@@ -49,7 +49,7 @@ from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.markers import Markers
 from mixseq.sequence.sequence import MeshSequence
-from mixseq.types import Float, FloatArray, Index, IntArray
+from mixseq.types import Float, FloatArray, Index
 
 MIN_VOLUME_RATIO = 1e-9  # of a component, to its cubed diagonal; smaller volumes are rounding
 MAX_NAMED_COMPONENTS = 4  # largest number of components named in a message
@@ -71,9 +71,8 @@ class Orientation:
         return int(np.sign(self.areas @ self.signs))
 
 
-def find_orientation(points: FloatArray, faces: IntArray) -> Orientation:
-    """Find the orientation of the components of points ``(V, 3)`` and triangles ``(F, 3)``."""
-    mesh = TriangleMesh(np.asarray(points, np.float64), Topology(faces, len(points)))
+def find_orientation(mesh: TriangleMesh) -> Orientation:
+    """Find the orientation of the components of a mesh."""
     component_of_face = mesh.topology.component_of_face
     count = int(component_of_face.max(initial=-1)) + 1
     corners = mesh.points[mesh.faces]
@@ -92,61 +91,39 @@ def find_orientation(points: FloatArray, faces: IntArray) -> Orientation:
     return Orientation(first_faces, areas, signs)
 
 
-def check_orientation(
-    source_points: FloatArray,
-    source_faces: IntArray,
-    target_points: FloatArray,
-    target_faces: IntArray,
-) -> None:
-    """Raise if one of two closed meshes is inside out: points ``(V, 3)``; faces ``(F, 3)``."""
-    source, target = (
-        find_orientation(source_points, source_faces),
-        find_orientation(target_points, target_faces),
-    )
-    if source.sign * target.sign == -1:
-        side = "target" if target.sign < 0 else "source"
+def check_orientation(source: TriangleMesh, target: TriangleMesh) -> None:
+    """Raise if one of two closed meshes is inside out, and warn of inverted components of the target."""
+    source_sign, orientation = find_orientation(source).sign, find_orientation(target)
+    if source_sign * orientation.sign == -1:
+        side = "target" if orientation.sign < 0 else "source"
         raise SettingsError(f"the {side} is inside out, its volume is negative; {_FLIP_ADVICE}")
-    inverted = np.flatnonzero(target.signs * target.sign == -1)
+    inverted = orientation.faces[orientation.signs * orientation.sign == -1]
     if inverted.size:
-        names = ", ".join(
-            f"that of triangle {face}" for face in target.faces[inverted[:MAX_NAMED_COMPONENTS]]
-        )
+        names = ", ".join(f"that of triangle {face}" for face in inverted[:MAX_NAMED_COMPONENTS])
         more = len(inverted) - MAX_NAMED_COMPONENTS
         suffix = f" and {more} more" if more > 0 else ""
         warnings.warn(
-            f"{len(inverted)} of {len(target.faces)} components of the target are inside out ({names}{suffix}); "
+            f"{len(inverted)} of {len(orientation.faces)} components of the target are inside out ({names}{suffix}); "
             "flip their normals, unless they are cavities",
             MixseqWarning,
             stacklevel=2,
         )
 
 
-def check_facing(
-    registered: FloatArray, source_faces: IntArray, target_points: FloatArray, target_faces: IntArray
-) -> None:
-    """Raise if a target ``(V', 3)`` faces away from the source ``(V, 3)`` fitted to it, and one of them is open."""
-    source, target = find_orientation(registered, source_faces), find_orientation(target_points, target_faces)
-    if source.sign * target.sign != 0:
+def check_facing(registered: TriangleMesh, target: TriangleMesh) -> None:
+    """Raise if most of a target faces away from the registered source, and one of them is open."""
+    from mixseq.mesh.nearest import ClosestPointQuery
+
+    if find_orientation(registered).sign * find_orientation(target).sign != 0:
         return  # `check_orientation` decides
-    share = _opposite_area_share(registered, source_faces, target_points, target_faces)
+    closest = ClosestPointQuery.from_mesh(registered.points, registered.faces).query(target.centroids)
+    is_opposite = np.einsum("fi,fi->f", registered.face_normals[closest.faces], target.face_normals) < 0
+    share = float(target.face_areas[is_opposite].sum() / max(target.face_areas.sum(), np.finfo(float).tiny))
     if share > 0.5:
         raise SettingsError(
             f"{100 * share:.0f} % of the target's area faces away from the source that was fitted to it: one of them "
             f"is inside out; of the target, {_FLIP_ADVICE}"
         )
-
-
-def _opposite_area_share(
-    registered: FloatArray, source_faces: IntArray, target_points: FloatArray, target_faces: IntArray
-) -> float:
-    """Return the share of a target's area with normals opposite to those of the closest source triangles."""
-    from mixseq.mesh.nearest import ClosestPointQuery
-
-    fitted = TriangleMesh(np.asarray(registered, np.float64), Topology(source_faces, len(registered)))
-    target = TriangleMesh(np.asarray(target_points, np.float64), Topology(target_faces, len(target_points)))
-    closest = ClosestPointQuery.from_mesh(fitted.points, fitted.faces).query(target.centroids)
-    is_opposite = np.einsum("fi,fi->f", fitted.face_normals[closest.faces], target.face_normals) < 0
-    return float(target.face_areas[is_opposite].sum() / max(target.face_areas.sum(), np.finfo(float).tiny))
 
 
 SPLINE_SLACK = 0.05  # in root mean square distances from the centre; results hardly change from 0 to 0.2

@@ -83,10 +83,8 @@ class GradientTransfer(PickledWithoutCaches):
 
     def source_gradients(self, points: FloatArray) -> Float:
         """Return deformation gradients ``(F, 3, 3)`` of the source's triangles in a frame ``(V, 3)``."""
-        return (
-            self.source.complete_triangles(points.astype(np.float64) / self.source.scale)
-            @ self.source.inverse_triangles
-        )
+        triangles = self.source.complete_triangles(points.astype(np.float64) / self.source.scale)
+        return triangles @ self.source.inverse_triangles
 
     def transfer_frame(self, points: FloatArray) -> Float:
         """Return the target ``(V', 3)`` for a frame ``(V, 3)`` of the source."""

@@ -280,9 +280,8 @@ class EdgewiseMetrics:
         lengths, angles, target_lengths, target_angles = self._rest
         current_lengths = edge_lengths(points, self._edges)
         ratios = np.divide(current_lengths, lengths, out=np.ones_like(current_lengths), where=lengths > 0)
-        return target_lengths * ratios, target_angles + wrap_angles(
-            dihedral_angles(points, self._hinges) - angles
-        )
+        angle_changes = wrap_angles(dihedral_angles(points, self._hinges) - angles)
+        return target_lengths * ratios, target_angles + angle_changes
 
 
 @dataclass(frozen=True, eq=False)

@@ -276,9 +276,8 @@ def rotate_limbs(levers: Float, moves: Float, compliance: Float) -> tuple[Float,
         system = _mobility(rotated, compliance)
         system[:, diagonal, diagonal] += np.repeat(damping, 3, axis=1)
         multipliers = np.linalg.solve(system, residuals.reshape(count, -1, 1)).reshape(count, limbs, 1, 3)
-        rotations = (
-            rotvec_to_matrix(compliance[:, None] * np.cross(rotated, multipliers).sum(axis=1)) @ rotations
-        )
+        steps = rotvec_to_matrix(compliance[:, None] * np.cross(rotated, multipliers).sum(axis=1))
+        rotations = steps @ rotations
         rotated = np.einsum("nkij,ngkj->ngki", rotations, levers)
         achieved = (rotated - levers).sum(axis=2)
     return rotations, moves - achieved

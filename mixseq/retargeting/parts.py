@@ -172,10 +172,7 @@ class Pivots:
         """Find the pivots of a target."""
         attachments = gradients.attachments
         boundaries = Boundaries.from_labels(gradients.target.topology, decomposition.part_of_face)
-        ends = (
-            (attachments.pieces, attachments.vertices),
-            (attachments.holders, attachments.holder_vertices),
-        )
+        ends = (attachments.pieces, attachments.vertices), (attachments.holders, attachments.holder_vertices)
         attached_parts = np.stack(
             [_parts_at_vertices(gradients, decomposition, pieces, vertices) for pieces, vertices in ends],
             axis=1,

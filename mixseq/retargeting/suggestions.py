@@ -367,9 +367,7 @@ def examine_markers(source: MeshSequence, target: MeshSequence, markers: Markers
     target_ids, coarse_target = _decimate_mesh(y, target.faces, np.unique(markers.target))
     coarse = Markers(np.searchsorted(source_ids, markers.source), np.searchsorted(target_ids, markers.target))
     with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore", MixseqWarning
-        )  # suspicions are returned, and stiff maps have poor matches
+        warnings.simplefilter("ignore", MixseqWarning)  # stiff registrations have poor matches
         try:
             _, quality = correspond_and_assess(coarse_source, coarse_target, coarse, settings=STIFF_SETTINGS)
         except SettingsError as error:

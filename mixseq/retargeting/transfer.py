@@ -123,26 +123,23 @@ def plan_transfer(
     settings = settings or TransferSettings()
     check_frames(target)
     with one_blas_thread():
-        motion = (
-            source
-            if isinstance(source, SourceMotion)
-            else prepare_source(source, settings.rest, settings.parts, progress)
-        )
+        if not isinstance(source, SourceMotion):
+            source = prepare_source(source, settings.rest, settings.parts, progress)
         rest = next(iter(target.blocks(1)))[0].astype(np.float64)
         topology = Topology(target.header.faces, target.header.vertex_count)
-        correspondence, quality = _find_correspondence(motion, rest, target.header, settings, progress)
-        gradients = gradient_transfer(motion.topology, motion.rest, topology, rest, correspondence)
-        header = target.header.with_times(motion.header.times, motion.header.fps)
+        correspondence, quality = _find_correspondence(source, rest, target.header, settings, progress)
+        gradients = gradient_transfer(source.topology, source.rest, topology, rest, correspondence)
+        header = target.header.with_times(source.header.times, source.header.fps)
         if settings.method == "gradients":
-            return Transfer(header, motion, rest, correspondence, gradients, quality)
+            return Transfer(header, source, rest, correspondence, gradients, quality)
         progress(0, 1, "finding parts")
         shell = settings.shell or ShellSettings()
-        mixed = mixed_transfer(gradients, motion.points, motion.part_of_face(), settings.joint_width, shell)
+        mixed = mixed_transfer(gradients, source.points, source.part_of_face(), settings.joint_width, shell)
         if not settings.contacts:
-            return Transfer(header, motion, rest, correspondence, mixed, quality)
+            return Transfer(header, source, rest, correspondence, mixed, quality)
         run = workers or thread_executor()
-        planted = plant_contacts(mixed, motion.points, header, settings.contacts, run, progress)
-        return Transfer(header, motion, rest, correspondence, planted.method, quality, planted)
+        planted = plant_contacts(mixed, source.points, header, settings.contacts, run, progress)
+        return Transfer(header, source, rest, correspondence, planted.method, quality, planted)
 
 
 def _find_correspondence(

@@ -404,7 +404,7 @@ def test_more_pages_than_there_is_room_for(
         with page.open() as third:
             check_it_hears(page, third)
         check_it_hears(page, first)
-    assert "there are 2 already" in capfd.readouterr().err
+    assert "2 are open already" in capfd.readouterr().err
 
 
 def test_read_only(model: Model, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
