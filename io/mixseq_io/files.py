@@ -265,7 +265,7 @@ def atomic_folder(path: str | os.PathLike[str], own: Container[str]) -> Iterator
     """
     target = Path(os.path.realpath(path))
     with _translate_write_errors(target):
-        _check_parent(target)
+        _check_target(target, is_folder=True)
         with temporary_prefix(target.parent) as prefix:
             temporary = Path(f"{prefix}.new")
             temporary.mkdir()
@@ -302,14 +302,10 @@ def _exchange(source: Path, target: Path, own: Container[str], old: Path) -> Non
         raise
 
 
-def _check_target(target: Path) -> None:
+def _check_target(target: Path, is_folder: bool = False) -> None:
     """Raise an error for a target that cannot be replaced."""
-    if target.is_dir():
+    if target.is_dir() and not is_folder:
         raise OutputError(f"{target} is a folder; give the name of a file")
-    _check_parent(target)
-
-
-def _check_parent(target: Path) -> None:
     if not target.parent.is_dir():
         raise OutputError(f"{target}: the folder {target.parent} does not exist; make it first")
 

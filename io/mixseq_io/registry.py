@@ -41,8 +41,8 @@ def _numbered_format(name: str, module: str, *signatures: bytes, **capabilities:
         name=name,
         extensions=(f".{name.lower()}",),
         capabilities=Capabilities(animation="a file per frame", times="no", **capabilities),
-        reader=f"mixseq_io.numbered.{module}:{name}.open",
-        writer=f"mixseq_io.numbered.{module}:{name}.write",
+        reader=f"mixseq_io.numbered.{module}:{name}_FORMAT.open",
+        writer=f"mixseq_io.numbered.{module}:{name}_FORMAT.write",
         read_options={"fps": _FPS_OPTION, "allow_gaps": _GAPS_OPTION},
         write_options={"start": _START_OPTION},
         signatures=signatures,
@@ -154,7 +154,7 @@ FORMATS: tuple[Format, ...] = (
     ),
     _numbered_format("OBJ", "obj", points="all digits", colours=OPAQUE_PER_VERTEX),
     _numbered_format("PLY", "ply", b"ply", points="float32, float64", **_BARE_MESH),
-    _numbered_format("STL", "stl_off", polygons="triangles", uvs=False, colours=False, **_BARE_MESH),
+    _numbered_format("STL", "stl_off", **_TRIANGLES, colours=False),
     _numbered_format(
         "OFF", "stl_off", b"OFF", b"COFF", points="all digits", **_TRIANGLES, colours=PER_VERTEX
     ),

@@ -83,9 +83,8 @@ def exaggerate(model: Model, gain: float, modes: Sequence[int] | None = None) ->
     scaled = replace(model, time=_scale_about_mean(model, model.time, gains))
     if modes is not None:
         return scaled
-    return replace(
-        scaled, correction=_scale_about_mean(model, model.correction, np.full(model.correction.dim, gain))
-    )
+    gains = np.full(model.correction.dim, gain)
+    return replace(scaled, correction=_scale_about_mean(model, model.correction, gains))
 
 
 def _scale_about_mean(model: Model, curve: Curve, gains: Float) -> Curve:
@@ -165,9 +164,7 @@ def smooth_curve(curve: Curve, frames: Float, seconds: float, steady: SteadyRota
     min_step = 1e-6 * (ends[1] - ends[0]) / len(times)
     times = np.append(times[:-1][np.diff(times) > min_step], ends[1])
     if len(times) < MIN_SMOOTHED_VALUES:
-        raise SettingsError(
-            f"{len(times)} frames and knots cannot be smoothed; {MIN_SMOOTHED_VALUES} or more are needed"
-        )
+        raise SettingsError(f"{len(times)} frames and knots; smoothing needs {MIN_SMOOTHED_VALUES} or more")
     if not curve.dim:
         return curve
     steps = np.diff(times)

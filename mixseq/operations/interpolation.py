@@ -127,9 +127,8 @@ class PoseInterpolator(PickledWithoutCaches):
                 making = replace(making, parts=segment_faces(frames, making, topology), purpose="blends")
             blended = FrameStore(frames.header.with_times(np.arange(len(ids))), frames.points[ids])
             shape_space = make_space(blended, space, making, executor, stages.at(1, SPACE_STAGES))
-            encoded = encode_sequence(
-                blended, shape_space, workers=executor, progress=stages.at(1 + SPACE_STAGES)
-            )
+            encoding = stages.at(1 + SPACE_STAGES)
+            encoded = encode_sequence(blended, shape_space, workers=executor, progress=encoding)
             vectors = np.concatenate([encoded.shapes[:], encoded.placement], axis=1)
             vectors = np.pad(vectors, ((0, 0), (0, shape_space.correction_dim)))
         return cls(frames.header, shape_space, vectors)

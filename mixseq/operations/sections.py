@@ -53,9 +53,8 @@ def centre_columns(space: ShapeSpace) -> Index:
 
 def align_quaternion_signs(space: ShapeSpace, placement: Curve, time: float, reference: Float) -> Curve:
     """Flip quaternion signs of a placement so that it continues a reference ``(P,)`` at a time."""
-    after, before = (
-        space.unpack_placements(vectors).rotations[0] for vectors in (placement([time]), reference[None])
-    )
+    before = space.unpack_placements(reference[None]).rotations[0]
+    after = space.unpack_placements(placement([time])).rotations[0]
     signs = np.where(np.einsum("gi,gi->g", after, before) < 0, -1.0, 1.0)
     if (signs > 0).all():
         return placement
@@ -166,9 +165,8 @@ def fade_window(times: Float, rise: tuple[float, float] | None, fall: tuple[floa
 def smoothstep(times: Float, start: float, end: float) -> Float:
     """Return the C2 step ``(N,)`` from 0 at `start` to 1 at `end`, of three cubics of equal length."""
     x = np.clip((times - start) / (end - start), 0.0, 1.0) * 3.0
-    return np.asarray(
-        (x**3 - 3.0 * np.maximum(x - 1.0, 0.0) ** 3 + 3.0 * np.maximum(x - 2.0, 0.0) ** 3) / 6.0
-    )
+    cubics = x**3 - 3.0 * np.maximum(x - 1.0, 0.0) ** 3 + 3.0 * np.maximum(x - 2.0, 0.0) ** 3
+    return np.asarray(cubics / 6.0)
 
 
 def shape_norm(model: Model, metric: Float | None = None) -> DeviationNorm:
@@ -293,9 +291,6 @@ class _SeamOffset(NamedTuple):
         return np.asarray(ramps**3 @ self.coefficients)
 
 
-# Models ---------------------------------------------------------------------------------------------------
-
-
 def map_times(model: Model, offset: float, scale: float = 1.0) -> Model:
     """Map times t of a model to ``scale * t + offset``; a negative scale reverses it."""
     times = scale * model.times + offset
@@ -379,9 +374,6 @@ def merge_frame_times(sections: Sequence[ModelSection]) -> Float:
     return frames if len(frames) else np.array([start, end])
 
 
-# Times ----------------------------------------------------------------------------------------------------
-
-
 def snap_time(model: Model, time: float, name: str = "time") -> float:
     """Snap a time to the nearest end, frame or knot of a model within rounding."""
     slack = TIME_TOLERANCE_FRAMES / model.header.fps
@@ -391,9 +383,8 @@ def snap_time(model: Model, time: float, name: str = "time") -> float:
             f"{name} is {time:g} s; the model is from {format_span(model.start, model.end, fps)}, give a time within"
             f"{hint_frame_number(time, model.start, model.end, fps)}"
         )
-    targets = np.concatenate(
-        [[model.start, model.end], model.times, *(curve.times for curve in model.curves)]
-    )
+    knots = (curve.times for curve in model.curves)
+    targets = np.concatenate([[model.start, model.end], model.times, *knots])
     nearest = float(targets[np.abs(targets - time).argmin()])
     return nearest if abs(nearest - time) <= slack else float(time)
 

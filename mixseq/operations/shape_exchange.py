@@ -128,9 +128,8 @@ def with_shapes(model: Model, keys: Frames | Model) -> Model:
     before = first.unpack_placements(model.placement(_key_times(model)))
     rotation, shift = _mean_motion(before, second.unpack_placements(placements))
     poses = first.unpack_placements(model.placement.values)
-    moved_poses = Poses(
-        align_quat_signs(quat_multiply(normalise_quat(poses.rotations), rotation)), poses.centres + shift
-    )
+    rotations = quat_multiply(normalise_quat(poses.rotations), rotation)
+    moved_poses = Poses(align_quat_signs(rotations), poses.centres + shift)
     return Model(
         header.with_times(model.header.times, model.header.fps),
         second,
@@ -149,7 +148,6 @@ def _key_times(model: Model) -> Float:
 
 def _mean_motion(before: Poses, after: Poses) -> tuple[Float, Float]:
     """Return the mean rotations ``(B, 4)`` and shifts ``(B, 3)`` between poses of bodies ``(K, B)``."""
-    turns = quat_to_matrix(
-        quat_multiply(quat_conjugate(normalise_quat(before.rotations)), normalise_quat(after.rotations))
-    )
+    a, b = (normalise_quat(poses.rotations) for poses in (before, after))
+    turns = quat_to_matrix(quat_multiply(quat_conjugate(a), b))
     return matrix_to_quat(nearest_rotations(turns.sum(axis=0))), (after.centres - before.centres).mean(axis=0)

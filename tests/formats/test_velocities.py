@@ -131,8 +131,8 @@ def test_reading_in_blocks(path: Path) -> None:
 
 
 def test_large_velocities_wait_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mixseq_io.npz._MOST_IN_MEMORY", 100)
-    monkeypatch.setattr("mixseq_io.npz._COPIED_AT_ONCE", 7)
+    monkeypatch.setattr("mixseq_io.npz._MAX_SPOOLED_BYTES", 100)
+    monkeypatch.setattr("mixseq_io.npz._COPY_CHUNK_BYTES", 7)
     write(tmp_path / "walk.npz", moving(40))
     assert_same(read(tmp_path / "walk.npz"), moving(40))
     assert [file.name for file in tmp_path.iterdir()] == ["walk.npz"]

@@ -298,7 +298,11 @@ def read_signals(file: Contents, header: SequenceHeader, space: StoredSpace) -> 
     knots = read_increasing_times(file, "signals/time/times")
     time = Curve(knots, read_floats(file, "signals/time/values", (len(knots), pose.dim)))
     shapes = _read_blocks(file, "signals/shape", shape_blocks(space), len(pose.offset))
-    placement = _read_placement(file, space)
+    placement_knots = read_increasing_times(file, "signals/placement/times")
+    placements = _read_blocks(file, "signals/placement", placement_blocks(space), len(placement_knots))
+    if (np.linalg.norm(space.unpack_placements(placements).rotations, axis=2) < _MIN_QUATERNION_NORM).any():
+        raise FormatError(f"{file.path}: signals/placement/rotations has quaternions that are nearly zero")
+    placement = Curve(placement_knots, placements)
     _check_time_range(file, header, time=time, placement=placement)
     if not space.correction_dim:
         return Model(header, space, time, pose, shapes, placement)
@@ -318,15 +322,6 @@ def _check_time_range(file: Contents, header: SequenceHeader, **curves: Curve) -
                 f"{file.path}: signals/time/frames has times from {first:g} to {last:g} s, but "
                 f"signals/{name}/times are only from {curve.start:g} to {curve.end:g} s"
             )
-
-
-def _read_placement(file: Contents, space: StoredSpace) -> Curve:
-    knots = read_increasing_times(file, "signals/placement/times")
-    placements = _read_blocks(file, "signals/placement", placement_blocks(space), len(knots))
-    norms = np.linalg.norm(space.unpack_placements(placements).rotations, axis=2)
-    if (norms < _MIN_QUATERNION_NORM).any():
-        raise FormatError(f"{file.path}: signals/placement/rotations has quaternions that are nearly zero")
-    return Curve(knots, placements)
 
 
 def _write_blocks(file: h5py.File, group: str, blocks: Blocks, values: Float) -> None:

@@ -22,7 +22,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from mixseq.errors import InvalidSequenceError, SettingsError
@@ -251,10 +251,7 @@ def _influences(mesh: UsdGeom.Mesh, point_count: int) -> Iterator[NDArray[np.flo
 
 @dataclass(frozen=True, eq=False)
 class TimeMap:
-    """Time codes ``(T,)`` of a layer's frames, and what they show of the original: its `source_times` ``(T,)`` in s.
-
-    Rates are in time codes per second. Without `source_times`, times in seconds are the same.
-    """
+    """Time codes ``(T,)`` of a layer's frames, and the times of the original that they show, in s, if they differ."""
 
     original_rate: float
     rate: float
@@ -295,16 +292,6 @@ class TimeMap:
         for code, original_code in zip(codes.tolist(), original_codes.tolist(), strict=True):
             value = attribute.Get(Usd.TimeCode(original_code))
             yield code, Sdf.ValueBlock() if value is None else value
-
-
-def check_source_times(header: SequenceHeader, sources: ArrayLike) -> NDArray[np.float64]:
-    """Return the source times ``(T,)`` of all frames, in seconds."""
-    times = np.asarray(sources, dtype=np.float64)
-    if times.shape != header.times.shape:
-        raise SettingsError(
-            f"sources are {times.size} times for {header.frame_count} frames; give one for every frame"
-        )
-    return times
 
 
 @dataclass(frozen=True, eq=False)

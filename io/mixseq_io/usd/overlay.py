@@ -161,11 +161,6 @@ class Original:
     stage: Usd.Stage
     meshes: tuple[MatchedMesh, ...]
 
-    @property
-    def rate(self) -> float:
-        """Time codes per second."""
-        return self.stage.GetTimeCodesPerSecond()
-
 
 def open_original(path: Path, header: SequenceHeader) -> Original:
     """Open a file that a sequence may be laid over; raise an error if it does not match."""

@@ -172,7 +172,7 @@ def _header(path: Path, animation: _Animation, warnings: PrimWarnings) -> Sequen
     rate = stage.GetTimeCodesPerSecond()
     ends = np.cumsum([mesh.vertex_count for mesh in meshes]).tolist()
     scene_meshes = [
-        read_scene_mesh(mesh, end - mesh.vertex_count, animation.codes, warnings)
+        read_scene_mesh(mesh, end - mesh.vertex_count, warnings)
         for mesh, end in zip(meshes, ends, strict=True)
     ]
     polygons, surface = join_meshes(scene_meshes, Origin("USD", absolute_path(path)))

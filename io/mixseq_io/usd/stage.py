@@ -30,6 +30,7 @@ from mixseq_io.files import out_of_memory_error, raise_system_error
 from mixseq_io.reader import check_regular_file, warn
 from mixseq_io.scene_meshes import SceneObject, format_names, select_meshes
 
+ROUNDING_TOLERANCE = 1e-9
 _MAX_REASON_LENGTH = 200
 
 _TEMPORARY_NAME = re.compile(r"\.mixseq\.[\w-]+\.[0-9a-f]{8}(?:(\.new)|\.\w+)")
@@ -99,9 +100,6 @@ PART_NUMBER_KEY = "mixseq:part"
 
 UDIM_PLACEHOLDER = "<UDIM>"
 """Placeholder for the tile number, from 1001 on, in the file name of a texture."""
-
-
-ROUNDING_TOLERANCE = 1e-9
 
 
 def time_codes(times: NDArray[np.float64], fps: float) -> NDArray[np.float64]:

@@ -17,6 +17,7 @@ from mixseq.errors import InvalidSequenceError
 from mixseq.mesh.measures import hard_edges_from_normals
 from mixseq.mesh.polygons import Polygons, reversed_winding
 from mixseq.mesh.surface import CornerValues, FaceSet
+from mixseq.types import IntArray
 from mixseq_io.reader import prefix_errors
 from mixseq_io.scene_meshes import SceneMesh, base_face_set
 from mixseq_io.surfaces import are_valid_indices, ensure_alpha
@@ -41,14 +42,12 @@ _COLOUR_TYPES = (
 _MATERIAL_PURPOSES = (UsdShade.Tokens.allPurpose, UsdShade.Tokens.full, UsdShade.Tokens.preview)
 
 
-def read_scene_mesh(
-    animated: AnimatedMesh, first_vertex: int, codes: NDArray[np.float64], warnings: PrimWarnings
-) -> SceneMesh:
-    """Read a mesh in the first of the frames ``(T,)``, with faces counter-clockwise in world space."""
+def read_scene_mesh(animated: AnimatedMesh, first_vertex: int, warnings: PrimWarnings) -> SceneMesh:
+    """Read a mesh in the first frame, with faces counter-clockwise in world space."""
     mesh, code = animated.mesh, Usd.TimeCode(animated.start)
     path = str(mesh.GetPath())
     with prefix_errors(path):
-        polygons = _read_polygons(animated, codes)
+        polygons = _read_polygons(animated)
     scheme = str(mesh.GetSubdivisionSchemeAttr().Get())
     if mesh.GetHoleIndicesAttr().Get(code):
         warnings.add(mesh.GetPrim(), "holes cannot be kept; these faces become visible")
@@ -80,10 +79,11 @@ def _reverse_corners(scene_mesh: SceneMesh) -> SceneMesh:
     )
 
 
-def _read_polygons(animated: AnimatedMesh, codes: NDArray[np.float64]) -> Polygons:
+def _read_polygons(animated: AnimatedMesh) -> Polygons:
     """Return the polygons of a mesh's points."""
-    counts = _read_constant(animated.mesh.GetFaceVertexCountsAttr(), codes)
-    polygons = Polygons(counts, _read_constant(animated.mesh.GetFaceVertexIndicesAttr(), codes))
+    counts = _read_constant(animated.mesh.GetFaceVertexCountsAttr(), animated.start)
+    indices = _read_constant(animated.mesh.GetFaceVertexIndicesAttr(), animated.start)
+    polygons = Polygons(counts, indices)
     is_invalid = (polygons.indices < 0) | (polygons.indices >= animated.point_count)
     if is_invalid.any():
         corner = int(np.argmax(is_invalid))
@@ -94,9 +94,9 @@ def _read_polygons(animated: AnimatedMesh, codes: NDArray[np.float64]) -> Polygo
     return polygons
 
 
-def _read_constant(attribute: Usd.Attribute, codes: NDArray[np.float64]) -> NDArray[np.int32]:
+def _read_constant(attribute: Usd.Attribute, start: float) -> NDArray[np.int32]:
     """Return the value of an attribute that must be constant; some exporters repeat it at every sample."""
-    first = np.array(attribute.Get(Usd.TimeCode(codes[0])) or (), dtype=np.int32)
+    first = np.array(attribute.Get(Usd.TimeCode(start)) or (), dtype=np.int32)
     for code in attribute.GetTimeSamples():
         if not np.array_equal(first, np.array(attribute.Get(Usd.TimeCode(code)) or (), dtype=np.int32)):
             raise InvalidSequenceError(
@@ -163,9 +163,7 @@ def _read_primvar(
     return CornerValues(values.reshape(-1, width), value_ids)
 
 
-def _read_hard_edges(
-    animated: AnimatedMesh, polygons: Polygons, warnings: PrimWarnings
-) -> NDArray[np.int32] | None:
+def _read_hard_edges(animated: AnimatedMesh, polygons: Polygons, warnings: PrimWarnings) -> IntArray | None:
     """Return the normal's index at every corner; ``primvars:normals`` takes precedence over ``normals``."""
     mesh, code = animated.mesh, Usd.TimeCode(animated.start)
     primvar = UsdGeom.PrimvarsAPI(mesh.GetPrim()).GetPrimvar("normals")

@@ -44,7 +44,7 @@ from mixseq_io.usd.layers import (
     save_clips,
     write_package,
 )
-from mixseq_io.usd.motion import MeshMotion, TimeMap, check_source_times, find_skins
+from mixseq_io.usd.motion import MeshMotion, TimeMap, find_skins
 from mixseq_io.usd.overlay import (
     Original,
     author_overlay,
@@ -417,8 +417,12 @@ def write_usd(
         raise OutputError(
             f"{path} stands alone, without a stage that could be retimed; leave out whole_stage"
         )
-    times = None if sources is None else check_source_times(header, sources)
-    original_rate = original.rate if original else header.fps
+    times = None if sources is None else np.asarray(sources, dtype=np.float64)
+    if times is not None and times.shape != header.times.shape:
+        raise SettingsError(
+            f"sources are {times.size} times for {header.frame_count} frames; give one for every frame"
+        )
+    original_rate = original.stage.GetTimeCodesPerSecond() if original else header.fps
     time_map = TimeMap.from_header(header, original_rate, times if whole_stage else None)
     _, frame_blocks = validate_blocks(header, blocks, velocities)
 
@@ -468,7 +472,8 @@ def write_usd_parts(path: Path, header: SequenceHeader, parts: FaceParts) -> boo
         return False
     with atomic_file(path) as temporary, capture_diagnostics(), translate_usd_write_errors(path):
         layer = Sdf.Layer.CreateNew(str(temporary))
-        author_time_range(layer, header, TimeMap.from_header(header, original.rate), original)
+        time_map = TimeMap.from_header(header, original.stage.GetTimeCodesPerSecond())
+        author_time_range(layer, header, time_map, original)
         author_sublayer(layer, path, original)
         paths = [str(matched.mesh.GetPath()) for matched in original.meshes]
         _author_parts(layer, paths, parts, original)
