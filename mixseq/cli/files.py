@@ -145,8 +145,8 @@ def write_sequence(
     mixseq.write_blocks(
         path,
         conversion.convert_header(header),
-        conversion.convert_blocks(blocks),
-        None if velocities is None else conversion.convert_blocks(velocities),
+        map(conversion.convert, blocks),
+        None if velocities is None else map(conversion.convert, velocities),
         **options,
         **extra,
     )

@@ -269,14 +269,9 @@ def crossing_pairs(
     return count
 
 
-MAX_LEAF_TRIANGLES = 4
-"""Queries take the same time with 2 to 8."""
-
-BOX_MARGIN = 1e-14
-"""Margin of boxes against rounding, relative to the largest coordinate."""
-
-DEGENERATE_HEIGHT_RATIO = 1e-12
-"""Ratio of height to longest side up to which a triangle counts as without area, as its normal is rounding error."""
+MAX_LEAF_TRIANGLES = 4  # queries take the same time with 2 to 8
+BOX_MARGIN = 1e-14  # against rounding, relative to the largest coordinate
+DEGENERATE_HEIGHT_RATIO = 1e-12  # height to longest side, up to which a triangle counts as without area
 
 
 def triangle_corners(points: FloatArray, faces: IntArray) -> Float:

@@ -220,14 +220,9 @@ def collapse(
     return removed
 
 
-SPACING_WEIGHT = 0.02
-"""Weight of even spacing against distance from the surface."""
-
-MIN_ROTATION_COSINE = 0.2
-"""Least cosine of the rotation of a face's normal by a collapse."""
-
-MIN_ROUNDNESS = 0.15
-"""Least roundness of a face after a collapse (1: equilateral), unless it was less round before."""
+SPACING_WEIGHT = 0.02  # of even spacing against distance from the surface
+MIN_ROTATION_COSINE = 0.2  # of the rotation of a face's normal by a collapse
+MIN_ROUNDNESS = 0.15  # of a face after a collapse (1: equilateral), unless it was less round before
 
 
 def decimate(points: Float, faces: Index, count: int, keep: Index | None = None) -> tuple[Index, Index]:

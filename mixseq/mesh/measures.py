@@ -111,11 +111,8 @@ def hard_edges_from_normals(polygons: Polygons, normals: FloatArray) -> NDArray[
 
 _FULL_TURN = 2.0 * np.pi
 
-MIN_EDGE_LENGTH_RATIO = 1e-6
-"""Least length of an edge relative to its typical length."""
-
-MIN_DIRECTED_LENGTH = 1e-12
-"""Length in diagonals up to which edges have no direction and no weight."""
+MIN_EDGE_LENGTH_RATIO = 1e-6  # least length of an edge relative to its typical length
+MIN_DIRECTED_LENGTH = 1e-12  # in diagonals; shorter edges have no direction and no weight
 
 
 def edge_lengths(points: FloatArray, edges: IntArray) -> Float:

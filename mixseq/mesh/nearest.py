@@ -59,8 +59,7 @@ def _position_ids(corners: Float) -> Index:
     return ids.reshape(-1, 3)
 
 
-COSINE_TOLERANCE = 1e-12
-"""Rounding error of cosines, so that limits of 0 and 180 degrees include equal and opposite directions."""
+COSINE_TOLERANCE = 1e-12  # so that limits of 0 and 180 degrees include equal and opposite directions
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,22 +117,10 @@ class ClosestPointQuery:
         if not 0 <= largest_angle <= 180:
             raise SettingsError(f"the largest angle is {largest_angle}; give degrees from 0 to 180")
         min_cosine = float(np.cos(np.radians(largest_angle))) - COSINE_TOLERANCE
-        count = len(queries)
+        count, tree = len(queries), self.tree
         faces, sorted_weights, squares = np.empty(count, np.int64), np.empty((count, 3)), np.empty(count)
-        closest(
-            self.corners,
-            self.normals,
-            self.tree.order,
-            self.tree.leaf_starts,
-            self.tree.boxes,
-            self.normal_bounds,
-            queries,
-            directions,
-            min_cosine,
-            faces,
-            sorted_weights,
-            squares,
-        )
+        arrays = self.corners, self.normals, tree.order, tree.leaf_starts, tree.boxes, self.normal_bounds
+        closest(*arrays, queries, directions, min_cosine, faces, sorted_weights, squares)
         weights = np.zeros((count, 3))
         hits = np.flatnonzero(faces >= 0)
         weights[hits[:, None], self.corner_order[faces[hits]]] = np.maximum(sorted_weights[hits], 0.0)

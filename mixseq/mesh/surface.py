@@ -27,10 +27,8 @@ from mixseq.types import FloatArray, Index, IntArray
 
 SUBDIVISIONS = ("none", "catmullClark", "loop", "bilinear")
 
-DEFAULT_UV = (0.0, 0.0)
-"""Texture coordinates of corners without any, in meshes with texture coordinates."""
-DEFAULT_COLOUR = (1.0, 1.0, 1.0, 1.0)
-"""Colour (RGBA) of corners without any, in meshes with colours."""
+DEFAULT_UV = (0.0, 0.0)  # of corners without texture coordinates, in meshes that have some
+DEFAULT_COLOUR = (1.0, 1.0, 1.0, 1.0)  # RGBA, of corners without a colour, in meshes that have some
 
 
 @dataclass(frozen=True, eq=False)

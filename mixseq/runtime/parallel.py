@@ -15,7 +15,7 @@ import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import lru_cache
 from threading import Lock
 from typing import Any, Protocol, TypeVar
@@ -33,7 +33,7 @@ def one_blas_thread() -> Iterator[None]:
     global _user_count
     with _lock:
         if _user_count == 0:
-            _blas_limit.enter_context(_limit_blas())
+            _blas_limit.enter_context(_blas_controller(len(sys.modules)).limit(limits=1, user_api="blas"))
         _user_count += 1
     try:
         yield
@@ -54,12 +54,6 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_renew_lock)
 
 
-def _limit_blas() -> AbstractContextManager[object]:
-    controller = _blas_controller(module_count=len(sys.modules))
-    limit: AbstractContextManager[object] = controller.limit(limits=1, user_api="blas")
-    return limit
-
-
 @lru_cache(maxsize=1)
 def _blas_controller(module_count: int) -> Any:
     """Find the BLAS libraries, which takes milliseconds; again only after more modules were imported."""
@@ -68,8 +62,7 @@ def _blas_controller(module_count: int) -> Any:
     return ThreadpoolController()
 
 
-_MAX_QUEUED_TASKS = 4
-"""Largest number of tasks that wait in a `WorkQueue`, to bound memory."""
+_MAX_QUEUED_TASKS = 4  # of a `WorkQueue`, to bound memory
 
 Shared = TypeVar("Shared")
 Item = TypeVar("Item")

@@ -1,7 +1,7 @@
 """Cut a mesh into near-rigid parts and the joints between them.
 
-`methods` finds parts by `motion` or by `silhouettes` (and a spanning tree), on the `elements` of the mesh; `joints`
-completes them to a decomposition.
+`methods` finds parts by `motion` or `silhouettes` (and a spanning tree), on the `elements` of the mesh; `joints` adds
+the joints between them.
 """
 
 from __future__ import annotations
@@ -37,20 +37,12 @@ __all__ = [
     "segment_by_motion",
 ]
 
+_NAMES = {
+    "joints": ("PartShapes", "decompose", "join_part_motion", "measure_part_motion", "sample_frame_ids"),
+    "methods": ("METHODS", "segment", "segment_by_labels"),
+    "motion": ("MotionSettings", "segment_by_motion"),
+    "silhouettes": ("SilhouetteSettings", "SpanningTreeSettings"),
+}
 __getattr__ = lazy_getattr(
-    __name__,
-    {
-        "METHODS": "mixseq.segmentation.methods",
-        "MotionSettings": "mixseq.segmentation.motion",
-        "SilhouetteSettings": "mixseq.segmentation.silhouettes",
-        "SpanningTreeSettings": "mixseq.segmentation.silhouettes",
-        "PartShapes": "mixseq.segmentation.joints",
-        "decompose": "mixseq.segmentation.joints",
-        "sample_frame_ids": "mixseq.segmentation.joints",
-        "join_part_motion": "mixseq.segmentation.joints",
-        "measure_part_motion": "mixseq.segmentation.joints",
-        "segment": "mixseq.segmentation.methods",
-        "segment_by_labels": "mixseq.segmentation.methods",
-        "segment_by_motion": "mixseq.segmentation.motion",
-    },
+    __name__, {name: f"{__name__}.{module}" for module, names in _NAMES.items() for name in names}
 )

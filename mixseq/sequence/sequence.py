@@ -1,8 +1,8 @@
 """Mesh sequences: one fixed mesh, with new vertex positions in every frame.
 
 `MeshSequence` adds points to a `SequenceHeader`. Readers stream ``(header, blocks of points)``; `Frames` is their
-common interface with `MeshSequence`. Points are validated here and headers in theirs, so that every `MeshSequence` is
-valid.
+common interface with `MeshSequence`. Points and headers are validated when they are made, so that every
+`MeshSequence` is valid.
 
 Files are read sequentially and often slowly, while fitting needs several passes and single frames. So streams are
 copied once to a `FrameStore` with random access, in memory or in a temporary file.
@@ -258,11 +258,8 @@ def _as_points(points: ArrayLike) -> FloatArray:
 MAX_BLOCK_FRAMES = 8
 MAX_BLOCK_VERTICES = 1 << 20  # in all frames of a block of several frames: 24 MB of float64
 
-MIN_LENGTH, MAX_LENGTH = 1e-60, 1e60
-"""Bounds of the diagonal of the first frame, and of coordinates, in the units of the sequence."""
-
-_RELATIVE_ROUNDING_ERROR = 2.0**-40
-"""Largest relative error of a coordinate in computations without cancellation."""
+MIN_LENGTH, MAX_LENGTH = 1e-60, 1e60  # of the diagonal of the first frame, and of coordinates, in any unit
+_RELATIVE_ROUNDING_ERROR = 2.0**-40  # of a coordinate in computations without cancellation
 
 
 @dataclass(frozen=True, eq=False)
@@ -398,10 +395,6 @@ class UnitConversion:
         with np.errstate(over="ignore", under="ignore"):  # overflow is an error of `MeshSequence`
             scaled: FloatArray = (rotated.astype(np.float64) * self.scale).astype(values.dtype)
         return scaled
-
-    def convert_blocks(self, blocks: Iterable[FloatArray]) -> Iterator[FloatArray]:
-        """Rotate and scale streamed blocks ``(B, V, 3)``."""
-        return map(self.convert, blocks)
 
 
 @public

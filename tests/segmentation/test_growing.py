@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 
 from mixseq.errors import SettingsError
 from mixseq.mesh.topology import Topology, face_patches
-from mixseq.segmentation.elements import Boundaries, Passes, Rim, check_part_count, flood
+from mixseq.segmentation.elements import Boundaries, Passes, Rim, check_part_count, find_passes
 from mixseq.segmentation.methods import segment_by_labels
 from mixseq.types import Float, Index
 from tests.meshes import Mesh, flipped, grid, joined, pages, rotation, seeds, tetrahedron, topology_of, tube
@@ -22,7 +22,9 @@ def chain(heights: list[float], areas: list[float] | None = None) -> Passes:
     faces = np.array([[k, k + 1, k + 2] if k % 2 == 0 else [k + 1, k, k + 2] for k in range(count)])
     h = np.array(heights)
     bottoms = np.minimum(np.append(h, np.inf), np.insert(h, 0, np.inf))
-    return flood(Topology(faces, count + 2), h, bottoms, np.ones(count) if areas is None else np.array(areas))
+    return find_passes(
+        Topology(faces, count + 2), h, bottoms, np.ones(count) if areas is None else np.array(areas)
+    )
 
 
 LANDSCAPE = [1.0, 5.0, 2.0, 3.0, 9.0, 0.0]
@@ -79,7 +81,11 @@ def random_landscape(seed: int) -> tuple[Topology, Float, Passes]:
     heights = rng.integers(0, 9, len(topology.hinges)).astype(float)
     bottoms = np.full(len(topology.faces), np.inf)
     np.minimum.at(bottoms, topology.hinge_faces.reshape(-1), np.repeat(heights, 2))
-    return topology, heights, flood(topology, heights, bottoms, rng.uniform(0.1, 1.0, len(topology.faces)))
+    return (
+        topology,
+        heights,
+        find_passes(topology, heights, bottoms, rng.uniform(0.1, 1.0, len(topology.faces))),
+    )
 
 
 @settings(max_examples=20, deadline=None)
