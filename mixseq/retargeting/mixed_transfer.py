@@ -130,10 +130,10 @@ class MixedTransfer(PickledWithoutCaches):
         """Return poses of the target's parts for a frame ``(V, 3)``, from the poses of the target by gradients."""
         source_points = points.astype(np.float64) / self.gradients.source.scale
         _, source_poses = self._source_rest_shapes.register(source_points)
-        rotations, centres = (values[self.parts.source_parts] for values in source_poses)
-        source_gaps = self._alignment.map_vectors(self.source_body.gaps(rotations, centres))
+        source_rotations, source_centres = (values[self.parts.source_parts] for values in source_poses)
+        source_gaps = self._alignment.map_vectors(self.source_body.gaps(source_rotations, source_centres))
         root = self.body.root
-        travel = self._alignment.map_vectors(centres[root] - self.source_body.centres[root])
+        travel = self._alignment.map_vectors(source_centres[root] - self.source_body.centres[root])
         gaps = self._pivot_solver.limit_gaps(source_gaps, self.body.gaps(*deformed_poses))
         root_centre = self.body.centres[root] + self.stride_ratio * travel
         rotations = deformed_poses.rotations

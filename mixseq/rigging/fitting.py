@@ -401,7 +401,7 @@ def _check_bone_settings(settings: dict[str, object], bind_pose: MeshSequence | 
     """Raise for several settings of the bones, and for a bind pose without a skeleton."""
     given = [name for name, value in settings.items() if value is not None]
     if len(given) > 1:
-        raise SettingsError(f"{given[0]} and {given[1]} both define the bones; give one of them")
+        raise SettingsError(f"{given[0]} and {given[1]} both choose the bones; give one of them")
     if bind_pose is not None and given != ["skeleton"]:
         raise SettingsError("bind_pose is the mesh that is bound to a skeleton; give the skeleton, too")
 

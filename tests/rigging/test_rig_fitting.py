@@ -394,9 +394,9 @@ def test_files_take_the_place_of_skeleton_and_bind_pose(tmp_path: Path) -> None:
 def test_what_does_not_fit_is_refused() -> None:
     true = hinge(3)
     sequence, skeleton = played(true), true.skeleton
-    with pytest.raises(SettingsError, match=r"bones and skeleton both define the bones; give one"):
+    with pytest.raises(SettingsError, match=r"bones and skeleton both choose the bones; give one"):
         fit_skin(sequence, 3, skeleton=skeleton)
-    with pytest.raises(SettingsError, match=r"skeleton and kg both define"):
+    with pytest.raises(SettingsError, match=r"skeleton and kg both choose"):
         fit_skin(sequence, skeleton=skeleton, kg=1)
     with pytest.raises(
         SettingsError, match=r"bind_pose is the mesh that is bound to a skeleton; give the skeleton"
@@ -407,7 +407,7 @@ def test_what_does_not_fit_is_refused() -> None:
     ):
         fit_skin(sequence, kg=-1)
     with pytest.raises(
-        InvalidSequenceError, match=r"the bind pose has 4 vertices, the sequence has \d+; the same"
+        InvalidSequenceError, match=r"the bind pose has 4 vertices, the sequence has \d+; give the same"
     ):
         few = MeshSequence.from_arrays([np.eye(4, 3)], [[0, 1, 2]])
         fit_skin(sequence, skeleton=skeleton, bind_pose=few)

@@ -74,10 +74,9 @@ class CodingParameters:
     uv_error: float | None = None
 
     def __post_init__(self) -> None:
-        if self.factors not in get_args(BasisKind):
-            raise SettingsError(
-                f"factors is {self.factors!r}; {' or '.join(get_args(BasisKind))} is expected"
-            )
+        kinds = get_args(BasisKind)
+        if self.factors not in kinds:
+            raise SettingsError(f"factors is {self.factors!r}; {' or '.join(kinds)} is expected")
         for name in ("rank", "frame_count"):
             value = getattr(self, name)
             if not (isinstance(value, int) and value > 0):
@@ -122,10 +121,8 @@ class TemporalInterpolation:
             raise SettingsError(
                 f"length is {length!r}; a number from {least:g} to {most:g} is expected, or infinity"
             )
-        are_weights = isinstance(cubic, tuple) and all(
-            _is_number(value) and 0 <= value <= 1 for value in cubic
-        )
-        if not (are_weights and len(cubic) == 2):
+        is_pair = isinstance(cubic, tuple) and len(cubic) == 2
+        if not (is_pair and all(_is_number(value) and 0 <= value <= 1 for value in cubic)):
             raise SettingsError(f"cubic is {cubic!r}; two numbers from 0 to 1 are expected")
 
 
@@ -167,13 +164,9 @@ def decode(coded: CompressedSequence) -> tuple[Model, TemporalInterpolation]:
         pose, shapes = pose_signal_from_modes(scores, mean, directions)
     residual_layer = None
     if any(chunk.residuals for chunk in coded.chunks):
+        chunks = tuple((chunk.count, chunk.residuals) for chunk in coded.chunks)
         residual_layer = CodedResidualLayer(
-            header.times,
-            tuple((chunk.count, chunk.residuals) for chunk in coded.chunks),
-            header.faces,
-            header.vertex_count,
-            parameters.correction,
-            graph,
+            header.times, chunks, header.faces, header.vertex_count, parameters.correction, graph
         )
     between = coded.between
     if between is None:

@@ -200,11 +200,8 @@ def _unlink(mesh: HalfEdges, side: int, vertex: int, edge: int) -> None:
         mesh.newest[side, vertex] = older
 
 
-GUESS_COUNT = 16
-"""Number of guesses at a corner. Frozen: breaks old files."""
-
-BASE_COUNT = 9
-"""Number of vertices from which unguessed vertices are counted. Frozen: breaks old files."""
+GUESS_COUNT, BASE_COUNT = 16, 9
+"""Number of guesses at a corner, and of vertices from which unguessed ones are counted. Frozen: breaks old files."""
 
 _REPEAT_SLOTS = 1 << 16
 """Slots of the table from three corner differences to the corner that followed. Frozen: breaks old files."""
@@ -503,16 +500,16 @@ def _code_number(bits: HashedBits, history: History, topic: int, number: int) ->
     stage = length = negative = shift = 0
     value = 1
     while True:
-        known, bit = negative, 1 if magnitude else 0
+        prefix, bit = negative, 1 if magnitude else 0
         if stage == 1:
-            known, bit = 0, 1 if number < 0 else 0
+            prefix, bit = 0, 1 if number < 0 else 0
         elif stage == 2:
-            known, bit = length << 1 | negative, 1 if magnitude >> length else 0
+            prefix, bit = length << 1 | negative, 1 if magnitude >> length else 0
         elif stage == 3:
-            known, bit = length << 6 | (value if value < 16 else 16 + shift), (magnitude >> shift) & 1
+            prefix, bit = length << 6 | (value if value < 16 else 16 + shift), (magnitude >> shift) & 1
         for i in range(CONTEXTS_PER_BIT):
             fact = history.facts[i] if value < 4 else 0
-            bits.contexts[i] = fact << 20 | known << 5 | topic << 2 | stage | 1 << 60
+            bits.contexts[i] = fact << 20 | prefix << 5 | topic << 2 | stage | 1 << 60
         bit = code_hashed_bit(bits, 4 * (GUESS_COUNT + topic) + stage, bit)
         if stage == 0:
             if not bit:

@@ -133,13 +133,16 @@ def _fit_stencils(
                 slope = 1.0 / (count * length)
                 for place in range(new_starts[neighbour], new_starts[neighbour + 1]):
                     other = level.new_adjacent[place]
-                    known = slot[other]
-                    if 0 <= known < degree and new_lengths[place] >= length + lengths[first + known]:
+                    other_slot = slot[other]
+                    if (
+                        0 <= other_slot < degree
+                        and new_lengths[place] >= length + lengths[first + other_slot]
+                    ):
                         continue
                     if turn == 0:
                         count += 1
                         continue
-                    if known < 0:
+                    if other_slot < 0:
                         slot[other], listed[size], weights[size] = size, other, 0.0
                         size += 1
                     weight = slope / (count * new_lengths[place])
@@ -213,11 +216,10 @@ RIDGE_PER_SIGNAL = 0.5
 ROUGHNESS_SCALE = 10.0
 """Mean squared difference of neighbours, in squared steps, above which trust falls. Frozen: breaks files."""
 
-TRUST_DOUBLING_SIGNALS = 16
-"""Signals after which trust is doubled, as newer signals resemble the next one most. Frozen: breaks files."""
-
-_MAX_TRUST_DOUBLINGS = 512
-"""Largest number of doublings of trust; reached by damaged files only. Frozen: breaks files."""
+TRUST_DOUBLING_SIGNALS, _MAX_TRUST_DOUBLINGS = 16, 512
+"""Signals after which trust is doubled, as newer signals resemble the next one most, and largest number of doublings,
+reached by damaged files only. Frozen: breaks files.
+"""
 
 RENEWAL_SHIFT = 2
 """Weights are updated after every signal, after 8 signals after every other, after 12 after every third, and so on.
@@ -289,12 +291,14 @@ class Predictor:
         self._pending = []
 
     def _add_similar_nodes(self) -> None:
-        """Join every node to the most similar nodes before it in all known signals."""
+        """Join every node to the most similar nodes before it in all sources signals."""
         graph = self._graph
         most = SIMILAR_FRAMES if graph.is_over_time else SIMILAR_VERTICES
         similar, counts = np.zeros((graph.size, most), dtype=np.int32), np.zeros(graph.size, dtype=np.int32)
-        known = graph.neighbours.astype(np.int32), graph.counts.astype(np.int32)
-        kernels.find_similar_nodes(np.array(self._signals), *known, EXHAUSTIVE_SEARCH_NODES, similar, counts)
+        sources = graph.neighbours.astype(np.int32), graph.counts.astype(np.int32)
+        kernels.find_similar_nodes(
+            np.array(self._signals), *sources, EXHAUSTIVE_SEARCH_NODES, similar, counts
+        )
         joined = graph.with_extra_neighbours(similar, counts)
         self._set_neighbours(joined.neighbours, joined.counts, joined.weights)
         self._pending, self._signals = self._signals, []

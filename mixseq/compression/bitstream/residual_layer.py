@@ -34,17 +34,11 @@ from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.parallel import two_thread_executor
 from mixseq.types import Float, Index
 
-CONTEXTS_PER_BIT = 3
-"""Number of contexts of a bit. Frozen: breaks old files."""
+CONTEXTS_PER_BIT, CONTEXT_VALUES = 3, 3 * NEIGHBOUR_COUNTS * NEIGHBOUR_COUNTS
+"""Number of contexts of a bit, and number of values of each. Frozen: breaks old files."""
 
-CONTEXT_VALUES = 3 * NEIGHBOUR_COUNTS * NEIGHBOUR_COUNTS
-"""Number of values of a context. Frozen: breaks old files."""
-
-_MAX_MODELLED_NUMBER = 8
-"""Largest number with models for all of its questions. Frozen: breaks old files."""
-
-_MAX_EXCESS_BITS = 62
-"""Largest bit length of the excess over that. Frozen: breaks old files."""
+_MAX_MODELLED_NUMBER, _MAX_EXCESS_BITS = 8, 62
+"""Largest number with models for all questions, and bit length of the excess over it. Frozen: breaks old files."""
 
 POSITION_COUNT = 4 + _MAX_MODELLED_NUMBER
 """Modelled questions: any vertex displaced, this one, zero coordinate, sign, above 1, 2, ... Frozen: breaks files."""
@@ -84,11 +78,11 @@ def code_residuals(
         last_displaced = 0  # adjacent nodes that were displaced in the last frame
         for place in range(starts[node], starts[node + 1]):
             last_displaced += _is_displaced(last, ring[place])
-        own = _is_displaced(last, node)
-        around = 2 if own else min(last_displaced, 1)
+        was_displaced = _is_displaced(last, node)
+        around = 2 if was_displaced else min(last_displaced, 1)
         contexts[0] = (displaced * NEIGHBOUR_COUNTS + count) * 3 + around
         last_displaced = min(last_displaced, NEIGHBOUR_COUNTS - 1)
-        contexts[1] = (last_displaced * NEIGHBOUR_COUNTS + min(displaced, 3)) * 2 + own
+        contexts[1] = (last_displaced * NEIGHBOUR_COUNTS + min(displaced, 3)) * 2 + was_displaced
         contexts[2] = min(displaced, 3) * 3 + around
         if not code_modelled_bit(stream, models, 1, _is_displaced(numbers, node)):
             for k in range(3):

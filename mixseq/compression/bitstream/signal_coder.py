@@ -24,7 +24,6 @@ decisions use integers, except the sums of `predictor_kernels.predict`, which ar
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -58,17 +57,11 @@ DEPTH_CLASSES = 18
 AGE_CLASSES = 8
 """Number of signal classes, by the number of earlier signals. Frozen: breaks old files."""
 
-CONTEXTS_PER_BIT = 5
-"""Number of contexts of a bit. Frozen: breaks old files."""
+CONTEXTS_PER_BIT, CONTEXT_VALUES = 5, SIZE_LEVELS * SIZE_LEVELS
+"""Number of contexts of a bit, and number of values of each. Frozen: breaks old files."""
 
-CONTEXT_VALUES = SIZE_LEVELS * SIZE_LEVELS
-"""Number of values of a context. Frozen: breaks old files."""
-
-_MAX_MODELLED_BITS = 24
-"""Largest bit length of numbers whose questions all have models. Frozen: breaks old files."""
-
-_MAX_NUMBER_BITS = 55
-"""Largest bit length of a number. Frozen: breaks old files."""
+_MAX_MODELLED_BITS, _MAX_NUMBER_BITS = 24, 55
+"""Largest bit length of numbers whose questions all have models, and of all numbers. Frozen: breaks old files."""
 
 POSITION_COUNT = 2 * _MAX_MODELLED_BITS
 """Number of modelled questions about a number. Frozen: breaks old files."""
@@ -174,20 +167,18 @@ def code_signed_number(stream: BitStream, models: BitModels, number: int) -> int
     """Write or read a number: bit length, highest of the bits after the first, the other bits, sign."""
     magnitude = abs(number)
     bits = bit_length(magnitude)
-    length = 0
-    while length < _MAX_MODELLED_BITS and code_modelled_bit(
-        stream, models, length, 1 if bits > length else 0
-    ):
-        length += 1
-    if length == _MAX_MODELLED_BITS:
-        while length < _MAX_NUMBER_BITS and code_raw_bits(stream, 1, 1 if bits > length else 0):
-            length += 1
-    if length == 0:
+    size = 0
+    while size < _MAX_MODELLED_BITS and code_modelled_bit(stream, models, size, 1 if bits > size else 0):
+        size += 1
+    if size == _MAX_MODELLED_BITS:
+        while size < _MAX_NUMBER_BITS and code_raw_bits(stream, 1, 1 if bits > size else 0):
+            size += 1
+    if size == 0:
         return 0
     value = 1
-    if length > 1:
-        rest = length - 2  # bits without a model
-        position = _MAX_MODELLED_BITS + min(length, _MAX_MODELLED_BITS) - 2
+    if size > 1:
+        rest = size - 2  # bits without a model
+        position = _MAX_MODELLED_BITS + min(size, _MAX_MODELLED_BITS) - 2
         top = code_modelled_bit(stream, models, position, (magnitude >> rest) & 1)
         value = ((2 + top) << rest) | code_raw_bits(stream, rest, magnitude & ((1 << rest) - 1))
     return -value if code_raw_bits(stream, 1, 1 if number < 0 else 0) else value
@@ -293,7 +284,7 @@ class Reader:
         data, self._expected_checksum = split_checksum(data)
         self._stream = arithmetic.new_input_stream(data)
         self._checksum = 0
-        self._queue = WorkQueue()
+        self.queue = WorkQueue()  # of the second thread
 
     def stream(self) -> BitStream:
         """Return the stream; raise `FormatError` if it ended early."""
@@ -305,17 +296,9 @@ class Reader:
         """Add decoded values to the checksum."""
         self._checksum = checksum_of(values, self._checksum)
 
-    def queue(self, work: Callable[[], None], count: int) -> None:
-        """Queue work on `count` numbers, after all earlier work."""
-        self._queue.submit(work, count >= _MIN_NUMBERS_TO_QUEUE)
-
-    def wait(self) -> None:
-        """Wait until all queued work is done."""
-        self._queue.wait()
-
     def finish(self) -> None:
         """Verify that the decoded values are those that were written."""
-        self.wait()
+        self.queue.wait()
         if self._checksum != self._expected_checksum:
             raise FormatError(
                 "the decoded numbers are not those that were coded: the file is damaged, or this machine or a library "
@@ -366,7 +349,7 @@ class SignalCoder:
     def read(self, reader: Reader) -> Float:
         """Return the values ``(N,)`` in steps of the next signal; raise `FormatError` if the stream ends early."""
         values = self.read_ahead(reader)
-        reader.wait()
+        reader.queue.wait()
         return values
 
     def read_ahead(self, reader: Reader) -> Float:
@@ -391,9 +374,9 @@ class SignalCoder:
             reader.add_to_checksum(predictor.values)
             self._finish_values(values)
 
-        reader.queue(reconstruct, len(numbers))
+        reader.queue.submit(reconstruct, len(numbers) >= _MIN_NUMBERS_TO_QUEUE)
         if self._signal_count == predictor.similarity_search_at:  # later numbers have other neighbours
-            reader.wait()
+            reader.queue.wait()
         return values
 
     def _add_numbers(self, numbers: Index) -> None:

@@ -263,11 +263,11 @@ def assemble_basis(
     if kind == "shapes":
         nonzero_masks[0][:1] = True  # the mean, which may be zero
     part_bases, part_ids = [], [np.arange(len(vertices) if kind == "trajectories" else 0)]
-    for of_part, own, nonzero_mask in zip(vertices, vectors, nonzero_masks, strict=True):
-        own = own[nonzero_mask]
+    for ids, values, nonzero_mask in zip(vertices, vectors, nonzero_masks, strict=True):
+        values = values[nonzero_mask]
         if kind == "trajectories":
-            own = np.concatenate([np.full((1, 1, len(of_part)), 1 / np.sqrt(len(of_part))), own])
-        part_bases.append(PartBasis(of_part, own))
+            values = np.concatenate([np.full((1, 1, len(ids)), 1 / np.sqrt(len(ids))), values])
+        part_bases.append(PartBasis(ids, values))
     for group in part_groups(list(map(len, vectors))):
         part_ids += [np.full(np.count_nonzero(nonzero_masks[part][span]), part) for part, span in group]
     return SpatialBasis(kind, tuple(part_bases), np.concatenate(part_ids), frame_count)

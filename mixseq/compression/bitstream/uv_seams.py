@@ -11,7 +11,7 @@ numbered in order of first use.
 ==========  =========================================================================================================
 `AROUND`    the mean of :math:`a + b - z` over all polygons around the node: of a quad, *z* is the corner across; of a
             triangle, the corner before the half-edge beyond the one from *b* to *a*
-`BEYOND`    the mean of :math:`2 a - e` and :math:`2 b - e`, as far as there are any: *e* is beside *a* (*b*) in the
+`BEYOND`    the mean of :math:`2 a - e` and :math:`2 b - e`, or the one that exists: *e* is adjacent to *a* (*b*) in the
             polygon beyond the edge of this polygon that runs into *a* (out of *b*)
 `BESIDE`    the mean of *a* and *b*, or the one that is known
 `ANYWHERE`  the last known node, (0, 0) at the start

@@ -70,9 +70,8 @@ def trajectory_components(sequence: FrameStore, min_norm: float) -> PrincipalCom
         curves, vectors = rotation @ curves, rotation @ vectors
     energy = sum(float(np.square(block).sum()) for _, block in column_blocks(table))
     left_out = max(energy - float(np.square(vectors).sum()), 0.0)
-    return PrincipalComponents(
-        "trajectories", means, curves.reshape(-1, count, 3), vectors[:, None], left_out
-    )
+    curves = curves.reshape(-1, count, 3)
+    return PrincipalComponents("trajectories", means, curves, vectors[:, None], left_out)
 
 
 def shape_components(components: PrincipalComponents, min_norm: float) -> PrincipalComponents:
@@ -94,9 +93,8 @@ def shape_components(components: PrincipalComponents, min_norm: float) -> Princi
     loadings = (shape_curves @ table).reshape(len(shape_curves), 3, -1) / scales
     shapes = loadings[..., :-1] @ vectors + loadings[..., -1:]
     left_out = max(float(np.square(table).sum() - np.square(loadings * scales).sum()), 0.0)
-    return PrincipalComponents(
-        "shapes", mean, shape_curves[..., None], shapes, components.left_out + left_out
-    )
+    left_out += components.left_out
+    return PrincipalComponents("shapes", mean, shape_curves[..., None], shapes, left_out)
 
 
 def _leading_eigenvectors(gram: Float, min_norm: float) -> Float:

@@ -75,8 +75,8 @@ Layout = tuple[BasisKind, int]
 """Kind of basis, and number of parts."""
 
 
-class _Mesh(NamedTuple):
-    """Some vertices ``(n,)`` of a mesh, triangles of these, their graph, and their share of all vertices."""
+class TrialMesh(NamedTuple):
+    """Vertices ``(n,)`` of a mesh, triangles of these, their graph, and their share of all vertices."""
 
     vertices: Index
     faces: NDArray[np.integer]
@@ -85,10 +85,7 @@ class _Mesh(NamedTuple):
 
 
 class Candidates:
-    """Candidates by layout, on a coarse mesh and on the whole one, for an expected error.
-
-    Components with a norm below `min_norm` are ignored.
-    """
+    """Candidates of an expected error, without components of norms below `min_norm`."""
 
     def __init__(
         self,
@@ -100,21 +97,17 @@ class Candidates:
     ) -> None:
         faces = sequence.header.faces
         self._components, self._min_norm, self._error = components, min_norm, error
-        self._whole_mesh = self._coarse_mesh = _Mesh(np.arange(graph.size), faces, graph, 1.0)
+        self.whole_mesh = self.coarse_mesh = TrialMesh(np.arange(graph.size), faces, graph, 1.0)
         if graph.size > LARGE_MESH_RATIO * COARSE_VERTICES:
             vertices, edges = coarsen_mesh(faces, graph.size, COARSE_VERTICES)
-            coarse_graph = mesh_graph(edges, len(vertices))
-            self._coarse_mesh = _Mesh(vertices, edges, coarse_graph, len(vertices) / graph.size)
+            share = len(vertices) / graph.size
+            self.coarse_mesh = TrialMesh(vertices, edges, mesh_graph(edges, len(vertices)), share)
         self._labels = {1: np.zeros(graph.size, dtype=np.int64)}
         if "trajectories" in BASIS_KINDS:
             self._labels |= initial_parts(sequence, PART_COUNTS)
-        self._one_part = self._candidate(components, self._labels[1], self._whole_mesh)
+        self.part_counts = list(self._labels)  # increasing
+        self._one_part = self._candidate(components, self._labels[1], self.whole_mesh)
         self._step = step_for_error(self._one_part, error)
-
-    @property
-    def part_counts(self) -> list[int]:
-        """Possible numbers of parts, increasing."""
-        return list(self._labels)
 
     @cached_property
     def _shapes(self) -> PrincipalComponents:
@@ -122,19 +115,12 @@ class Candidates:
 
     def are_shapes_competitive(self) -> bool:
         """Return whether the norms of the components do not exclude that shapes take fewer bytes."""
-        shapes = self._candidate(self._shapes, self._labels[1], self._whole_mesh)
+        shapes = self._candidate(self._shapes, self._labels[1], self.whole_mesh)
         bits = _unpredicted_bits(shapes, step_for_error(shapes, self._error))
         return bits < MAX_SHAPES_BIT_RATIO * _unpredicted_bits(self._one_part, self._step)
 
-    def on_coarse_mesh(self, layout: Layout) -> Candidate:
-        """Return the candidate of a layout on the coarse mesh."""
-        return self._on_mesh(self._coarse_mesh, layout)
-
-    def on_whole_mesh(self, layout: Layout) -> Candidate:
-        """Return the candidate of a layout on the whole mesh."""
-        return self._on_mesh(self._whole_mesh, layout)
-
-    def _on_mesh(self, mesh: _Mesh, layout: Layout) -> Candidate:
+    def on_mesh(self, mesh: TrialMesh, layout: Layout) -> Candidate:
+        """Return the candidate of a layout on the coarse or the whole mesh."""
         kind, part_count = layout
         components = self._components if kind == "trajectories" else self._shapes
         components, labels = _restrict(components, mesh.vertices), self._labels[part_count][mesh.vertices]
@@ -142,7 +128,7 @@ class Candidates:
             labels = refine_parts(components, labels, mesh.faces, self._step)
         return self._candidate(components, labels, mesh)
 
-    def _candidate(self, components: PrincipalComponents, labels: Index, mesh: _Mesh) -> Candidate:
+    def _candidate(self, components: PrincipalComponents, labels: Index, mesh: TrialMesh) -> Candidate:
         min_norm = self._min_norm * mesh.share**0.5
         return Candidate.from_labels(components, labels, mesh.faces, mesh.graph, min_norm, mesh.share)
 
@@ -249,7 +235,7 @@ class Search:
 
         @cache
         def size_of(layout: Layout) -> float:
-            candidate = candidates.on_coarse_mesh(layout)
+            candidate = candidates.on_mesh(candidates.coarse_mesh, layout)
             trial = self._try_step(candidate, step_for_error(candidate, error / self._error_ratio))
             self._error_ratio *= float(np.clip(trial.error / error, 0.5, 2.0))
             tried.append((_size_at_error(trial, error), layout, trial))
@@ -271,20 +257,16 @@ class Search:
             if size <= RUNNER_UP_RATIO * tried[0][0]:
                 if trial.candidate.share < 1:
                     step = _next_step(trial.step, error / trial.error, _error_exponent(trial))
-                    trial = self._try_step(candidates.on_whole_mesh(layout), step)
+                    trial = self._try_step(candidates.on_mesh(candidates.whole_mesh, layout), step)
                 trials.append(trial)
         return trials
 
     def find_for_error(self, error: float) -> Trial:
         """Find the coarsest step with an error below a given one (root of the sum of squares)."""
         best: Trial | None = None
-        trials = self._compare_candidates(error)
+        trials, least = self._compare_candidates(error), MIN_RELATIVE_ERROR * error
         while trials and (best is None or best.size > _size_at_error(trials[0], error)):
-            found = _find_step(
-                self._try_step,
-                lambda trial: error / max(trial.error, MIN_RELATIVE_ERROR * error),
-                trials.pop(0),
-            )
+            found = _find_step(self._try_step, lambda trial: error / max(trial.error, least), trials.pop(0))
             if found is not None and (best is None or found.size < best.size):
                 best = found
         for _ in range(MAX_ROUNDS):
@@ -307,14 +289,14 @@ class Search:
                 break
             error *= float(np.clip(target / error, 1 / MAX_RESTART_RATIO, MAX_RESTART_RATIO))
             trials = self._compare_candidates(error)
-        found: list[Trial] = []
+        feasible: list[Trial] = []
         while trials:
             best = _find_step(self._try_step, lambda trial: size / trial.size, trials.pop(0), -SIZE_EXPONENT)
             if best is not None:
-                found.append(best)
-        if not found:
+                feasible.append(best)
+        if not feasible:
             raise SettingsError(f"the signals do not fit into {size} bytes; give more")
-        return min(found, key=lambda trial: trial.error)
+        return min(feasible, key=lambda trial: trial.error)
 
     def find_for_bound(self, bound: float) -> Trial:
         """Find the cheapest of some steps whose residual layer keeps a bound, in the units of the sequence."""

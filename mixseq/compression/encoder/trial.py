@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -110,7 +110,7 @@ def round_coefficients(
     dim, part_count = coefficients.shape[2], len(vector_ids)
     chunk_signals = []
     for first in range(0, len(signals), part_count):
-        by_part = [signal for some in signals[first : first + part_count] for signal in some]
+        by_part = list(chain.from_iterable(signals[first : first + part_count]))
         chunk_signals.append([by_part[dim * k + coordinate] for k in order for coordinate in range(dim)])
     return decoded, chunk_signals
 

@@ -96,11 +96,11 @@ def find_regions(coded: CodedUVs, max_candidates: int, max_distance: float, min_
         np.zeros(len(bits), dtype=np.int64),
     )
     stamp = 0
-    for polygon, found in zip(tested.tolist(), nearest.reshape(len(tested), -1).tolist(), strict=True):
+    for polygon, candidates in zip(tested.tolist(), nearest.reshape(len(tested), -1).tolist(), strict=True):
         if search.copied[polygon]:
             continue
         best, best_saving = (0, False), min_saving
-        for shape in shape_ids[[place for place in found if place < len(shape_ids)]].tolist():
+        for shape in shape_ids[[place for place in candidates if place < len(shape_ids)]].tolist():
             image, mirrored = shape % corner_count, shape >= corner_count
             if places[corners.polygon[image]] < places[polygon]:
                 stamp += 1

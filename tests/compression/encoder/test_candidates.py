@@ -38,7 +38,7 @@ def test_a_coarse_mesh_tells_about_the_same(way: search.Layout, monkeypatch: pyt
     graph = mesh_graph(sequence.header.faces, sequence.header.vertex_count)
     monkeypatch.setattr(search, "COARSE_VERTICES", 1200)
     ways = Candidates(sequence, graph, trajectory_components(sequence, 1e-3), 1e-3, 1.0)
-    whole, coarse = ways.on_whole_mesh(way), ways.on_coarse_mesh(way)
+    whole, coarse = ways.on_mesh(ways.whole_mesh, way), ways.on_mesh(ways.coarse_mesh, way)
     assert 0.2 < coarse.share < 0.5 < whole.share == 1
     assert step_for_error(coarse, 1.0) == pytest.approx(step_for_error(whole, 1.0), rel=0.1)
     trials = [try_step(sequence, one, step_for_error(whole, 1.0)) for one in (whole, coarse)]
@@ -51,4 +51,5 @@ def test_small_meshes_are_not_made_coarser() -> None:
     graph = mesh_graph(sequence.header.faces, sequence.header.vertex_count)
     ways = Candidates(sequence, graph, trajectory_components(sequence, 1e-3), 1e-3, 0.1)
     assert ways.part_counts[0] == 1
-    np.testing.assert_array_equal(ways.on_coarse_mesh((BASIS_KINDS[0], 1)).graph.order, graph.order)
+    coarse = ways.on_mesh(ways.coarse_mesh, (BASIS_KINDS[0], 1))
+    np.testing.assert_array_equal(coarse.graph.order, graph.order)
