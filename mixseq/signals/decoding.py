@@ -186,7 +186,7 @@ def _decode_blocks(
     progress: Progress,
     workers: Executor | None,
 ) -> Iterator[Decoded]:
-    """Yield results of `decode` (`_points` or `_moving_points`) at times ``(N,)`` in blocks of `size` frames."""
+    """Yield results of `decode` (`_decode_points` or `_decode_moving`) at times ``(N,)`` in blocks of `size` frames."""
     blocks = (times[start : start + size] for start in range(0, len(times), size))
     executor = workers or (thread_executor() if len(times) > size else serial_executor)
     model.space.precompute()

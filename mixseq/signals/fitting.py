@@ -45,11 +45,8 @@ from mixseq.spaces.mixed.mixed_space import MixedBlocks, MixedSpace
 from mixseq.spaces.temporal import FrameWeights
 from mixseq.types import Float, Index, evenly_spaced
 
-MAX_VALIDATION_FRAMES = 16
-"""Largest number of frames that are left out."""
-
-MIN_VALIDATION_FRAMES = 3
-"""Least number of frames that are left out, for meshes of any size."""
+MIN_VALIDATION_FRAMES, MAX_VALIDATION_FRAMES = 3, 16
+"""Least number of frames that are left out, for meshes of any size, and largest number."""
 
 MAX_VALIDATION_VERTICES = 2_000_000
 """Largest number of vertices in all left-out frames together."""
@@ -99,8 +96,8 @@ class CrossValidation:
 
     def improves_in_body_axes(self) -> bool:
         """Whether body axes lower the sum of the logarithms of the three errors."""
-        skinned = (self.space.skin(self._interpolated_vectors(in_body)) for in_body in (False, True))
-        world, body = (np.maximum(self._rms_errors(points), ERROR_FLOOR) for points in skinned)
+        vectors = map(self._interpolated_vectors, (False, True))
+        world, body = (np.maximum(self._rms_errors(self.space.skin(v)), ERROR_FLOOR) for v in vectors)
         return bool(np.log(body / world).sum() < 0.0)
 
     def choose_share(self, in_body_axes: bool) -> float:
@@ -135,8 +132,8 @@ class CrossValidation:
         padding = space.placement_dim + space.correction_dim
         shapes = space.split(np.pad(self._interpolated_shapes, ((0, 0), (0, padding))))
         corrections = np.zeros((len(self.frame_ids), space.correction_dim))
-        relations = space.articulation.add_relations(part_poses)
-        return space.join(MixedBlocks(*shapes[:3], *relations, *body_poses, corrections))
+        poses = space.articulation.add_relations(part_poses)
+        return space.join(MixedBlocks(*shapes[:3], *poses, *body_poses, corrections))
 
     def _rms_errors(self, points: Float) -> Float:
         """Root mean square errors ``(3,)`` of positions, relative lengths and angles in frames ``(n, V, 3)``."""
@@ -244,8 +241,8 @@ def fit(
     Raises
     ------
     SettingsError
-        If a setting is out of range, contradicts another one, or is unused by the space; or if the sequence is so far
-        from the origin, relative to its size, that double precision cannot resolve the tolerance.
+        If a setting is out of range, contradicts another one, or is unused by the space; or if double precision cannot
+        resolve the tolerance because the sequence is far from the origin, relative to its size.
     ReconstructionError
         If the most accurate model exceeds the tolerance for another reason.
     SegmentationError

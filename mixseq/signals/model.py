@@ -79,27 +79,19 @@ class Model(Decodable, PickledWithoutCaches):
         expected = (len(self.pose.offset), self.space.shape_dim)
         if self.shapes.shape != expected:
             raise SettingsError(f"the key shapes have shape {self.shapes.shape}; {expected} is expected")
-        if self.time.dim != self.pose.dim:
-            raise SettingsError(
-                f"the time signal has {self.time.dim} coordinates, the pose signal {self.pose.dim}"
-            )
-        if self.placement.dim != self.space.placement_dim:
-            raise SettingsError(
-                f"the placement has {self.placement.dim} coordinates; {self.space.placement_dim} are expected"
-            )
         if self.correction is None:
             ends = np.unique(self.placement.times[[0, -1]])
             zero = np.zeros((len(ends), self.space.correction_dim))
             object.__setattr__(self, "correction", Curve(ends, zero))
-        if self.correction.dim != self.space.correction_dim:
-            raise SettingsError(
-                f"the correction has {self.correction.dim} coordinates; {self.space.correction_dim} are expected"
-            )
-        for curve in self.curves:
-            if curve.start > self.times[0] or curve.end < self.times[-1]:
+        dims = self.pose.dim, self.space.placement_dim, self.space.correction_dim
+        first, last = self.times[[0, -1]]
+        for name, curve, dim in zip(("time", "placement", "correction"), self.curves, dims, strict=True):
+            if curve.dim != dim:
+                raise SettingsError(f"the {name} signal has {curve.dim} coordinates; {dim} are expected")
+            if curve.start > first or curve.end < last:
                 raise SettingsError(
-                    f"frames are from {self.times[0]:g} to {self.times[-1]:g} s, a signal only from "
-                    f"{curve.start:g} to {curve.end:g} s"
+                    f"frames are from {first:g} to {last:g} s, the {name} signal only from {curve.start:g} to "
+                    f"{curve.end:g} s"
                 )
 
     @property

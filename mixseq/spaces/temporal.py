@@ -19,8 +19,7 @@ frame next to that end.
    s_i = (y_{i+1} - y_i) / h_i
 
 at inner knots, and between two knots, with :math:`b = (t - t_i) / h_i` and :math:`a = 1 - b`, the value
-:math:`a y_i + b y_{i+1} + h_i^2 / 6\, ((a^3 - a) m_i + (b^3 - b) m_{i+1})`, linear in the values. Importing scipy's
-splines would take longer than decoding a frame.
+:math:`a y_i + b y_{i+1} + h_i^2 / 6\, ((a^3 - a) m_i + (b^3 - b) m_{i+1})`, linear in the values.
 
 *Poses.* Centres are weighted sums. Rotations are chained: with :math:`c_k = \sum_{j \ge k} w_j`,
 

@@ -155,8 +155,6 @@ class Articulation:
         np.add.at(matrix, (j, i), -relation_weights)
         return part_weights, relation_weights, np.asarray(np.linalg.inv(matrix))
 
-    # From frames -------------------------------------------------------------------------------------------
-
     def fit_bodies(self, poses: Poses) -> Poses:
         """Fit poses ``(T, B)`` of bodies, rotations since the reference, to part poses ``(T, p)``."""
         centres = self._body_means(poses.centres)
@@ -198,8 +196,6 @@ class Articulation:
         pivots = rotate_vectors(quat_to_matrix(poses.rotations[:, j]), self.pivots) + poses.centres[:, j]
         points = rotate_vectors(quat_to_matrix(back), pivots - poses.centres[:, i])
         return PartPoses(*poses, quat_multiply(back, poses.rotations[:, j]), points)
-
-    # To frames ---------------------------------------------------------------------------------------------
 
     def reconcile(self, poses: PartPoses) -> Poses:
         """Return the part poses ``(T, p)`` that fit poses and relations ``(T, ...)`` best."""

@@ -232,8 +232,6 @@ class MixedSpace(ShapeSpace):
             return self.joint_projection, self.joint_projection.shell
         return (self.joint_projection,) if self.projection.share else ()
 
-    # The vector --------------------------------------------------------------------------------------------
-
     @cached_property
     def _block_shapes(self) -> tuple[tuple[int, ...], ...]:
         """Array shapes of the blocks of a vector, in order."""
@@ -347,8 +345,6 @@ class MixedSpace(ShapeSpace):
         shaped = zip(blocks, self._block_shapes[block_range], strict=True)
         return (block.reshape(len(columns), *shape) for block, shape in shaped)
 
-    # Encoding ----------------------------------------------------------------------------------------------
-
     def encode_independently(self, points: FloatArray) -> Float:
         """Implement `ShapeSpace.encode_independently`: wrapped angles, and quaternions with w >= 0."""
         frames = [frame.astype(np.float64) / self.scale for frame in points]
@@ -396,8 +392,6 @@ class MixedSpace(ShapeSpace):
         bodies = np.ascontiguousarray(frame.body_rotations), np.ascontiguousarray(frame.body_centres)
         correction = np.ascontiguousarray(frame.corrections)
         return self.articulation.part_motions(frame.part_poses, bodies, correction)
-
-    # Decoding ----------------------------------------------------------------------------------------------
 
     def decode(self, vectors: Float, progress: Progress = no_progress) -> Float:
         """Implement `ShapeSpace.decode`: the projection P_m, frame by frame."""
@@ -465,8 +459,6 @@ class MixedSpace(ShapeSpace):
         rest_change = self._unskin(motions, second) - self._unskin(motions, first)
         changes = new_lengths - lengths, wrap_angles(new_angles - angles), rest_change.reshape(-1)
         return np.concatenate([*changes, np.zeros(self.pose_dim)])
-
-    # Between frames ----------------------------------------------------------------------------------------
 
     def interpolate_poses(
         self, operator: TemporalOperator, poses: Float, placements: Float, times: Float, in_body_axes: bool
