@@ -42,7 +42,7 @@ from mixseq.mesh.topology import Topology
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.segmentation.joints import Joint
 from mixseq.shells.face_frames import HingeFrames, flat_triangles, triangle_frames
-from mixseq.shells.gauss_newton import BlockSparsePattern, ShellReport, ShellSettings
+from mixseq.shells.gauss_newton import BlockPattern, ShellReport, ShellSettings
 from mixseq.shells.kernels import conjugate_gradients, shell_equations, shell_residuals
 from mixseq.shells.solvers import Factor, factorise, index_of
 from mixseq.types import Float, Index, Mask
@@ -56,7 +56,7 @@ class NormalEquations:
     hinges: Index  # (h', 4) hinges with a free vertex
     free_ids: Index  # (f,) free vertices
     free_index: Index  # (n,) index of every vertex among them, -1 if fixed
-    pattern: BlockSparsePattern  # pattern of the matrix, a triple of unknowns per free vertex
+    pattern: BlockPattern  # pattern of the matrix, a triple of unknowns per free vertex
     edge_blocks: Index  # (e',) block that couples the two vertices of an edge, -1 if one is fixed
     hinge_blocks: Index  # (h', 6) blocks of the vertices ba, ca, cb, da, db, dc of a hinge, -1 if fixed
 
@@ -69,7 +69,7 @@ class NormalEquations:
         p, o = np.tril_indices(4, -1)
         first, second = corners[:, p], corners[:, o]
         pairs = np.concatenate([ends, np.stack([first, second], axis=-1).reshape(-1, 2)])
-        pattern = BlockSparsePattern.from_pairs(len(free), pairs, threads)
+        pattern = BlockPattern.from_pairs(len(free), pairs, threads)
         return cls(
             edges=np.ascontiguousarray(edges),
             hinges=np.ascontiguousarray(hinges),
@@ -146,10 +146,10 @@ class Patch(PickledWithoutCaches):
         return NormalEquations.from_elements(edges, hinges, self.free_ids, self.free_index, self.threads)
 
     @cached_property
-    def frame_pattern(self) -> BlockSparsePattern:
+    def frame_pattern(self) -> BlockPattern:
         """Block pattern of unknown frames of faces, coupled by hinges."""
         count, pairs = int((self.unknown_face_index >= 0).sum()), self.unknown_face_index[self.hinge_faces]
-        return BlockSparsePattern.from_pairs(count, pairs, self.threads)
+        return BlockPattern.from_pairs(count, pairs, self.threads)
 
     @cached_property
     def unknown_face_index(self) -> Index:
@@ -280,15 +280,15 @@ def fit_shell(
         if np.abs(residuals).max(initial=0.0) <= settings.exact:
             return points, ShellReport(energy, iteration, True)
         values, gradient = problem.normal_equations(points, residuals)
-        volume_row, diagonal = problem.volume_gradient(points), values[pattern.diagonal]
-        if volume_row is not None:
-            gradient += residuals[-1] * volume_row
+        row, diagonal = problem.volume_gradient(points), values[pattern.diagonal]
+        if row is not None:
+            gradient += residuals[-1] * row
         while True:
             values[pattern.diagonal] = diagonal + damping * diagonal + 1e-12 * diagonal.max(initial=0.0)
-            if volume_row is None:
+            if row is None:
                 step, use_cg = _solve_step(pattern, values, gradient, use_cg)
             else:
-                step = _solve_step_with_volume(pattern, values, gradient, volume_row)
+                step = _solve_step_with_volume(pattern, values, gradient, row)
             predicted_gain = -float(gradient @ step)  # of the linear model, for small damping
             if predicted_gain <= settings.tolerance * energy:
                 return points, ShellReport(energy, iteration, damping <= MAX_CONVERGED_DAMPING)
@@ -309,9 +309,7 @@ def fit_shell(
     return points, ShellReport(energy, settings.iterations, False)
 
 
-def _solve_step(
-    pattern: BlockSparsePattern, values: Float, gradient: Float, use_cg: bool
-) -> tuple[Float, bool]:
+def _solve_step(pattern: BlockPattern, values: Float, gradient: Float, use_cg: bool) -> tuple[Float, bool]:
     """Solve for a step, optionally by conjugate gradients; return whether these converged.
 
     If all positions are constrained, the matrix is well conditioned, and a few conjugate gradients cost a tenth of a
@@ -326,13 +324,11 @@ def _solve_step(
     return -pattern.analysis.factor(values).solve(gradient), False
 
 
-def _solve_step_with_volume(
-    pattern: BlockSparsePattern, values: Float, gradient: Float, volume_row: Float
-) -> Float:
+def _solve_step_with_volume(pattern: BlockPattern, values: Float, gradient: Float, row: Float) -> Float:
     """Solve ``(A + row row^T) step = -gradient`` with the factor of A (Sherman and Morrison 1950)."""
-    columns = np.stack([-gradient, volume_row], axis=1)
+    columns = np.stack([-gradient, row], axis=1)
     step, change = pattern.analysis.factor(values).solve(columns).T
-    return np.asarray(step - change * (volume_row @ step) / (1.0 + volume_row @ change))
+    return np.asarray(step - change * (row @ step) / (1.0 + row @ change))
 
 
 MAX_GUESS_RESIDUAL = 0.5

@@ -19,7 +19,7 @@ from mixseq.types import Index
 
 
 @dataclass(frozen=True, eq=False)
-class BlockSparsePattern(PickledWithoutCaches):
+class BlockPattern(PickledWithoutCaches):
     """The lower triangle of a symmetric matrix of n x n blocks, with all diagonal blocks."""
 
     starts: Index  # (3n + 1,) where the values of every column start
@@ -31,7 +31,7 @@ class BlockSparsePattern(PickledWithoutCaches):
     threads: int | None = None  # threads that factor one matrix; by default from its size
 
     @classmethod
-    def from_pairs(cls, count: int, pairs: Index, threads: int | None = None) -> BlockSparsePattern:
+    def from_pairs(cls, count: int, pairs: Index, threads: int | None = None) -> BlockPattern:
         """Make the pattern of `count` triples of unknowns, coupled in pairs ``(k, 2)``; ignore negative indices."""
         low, high = pairs.min(axis=1, initial=count), pairs.max(axis=1, initial=-1)
         coupled = (low >= 0) & (low < high)

@@ -86,15 +86,7 @@ def wrap_angle(angle: float) -> float:
 
 @inlined
 def _write_gradient(
-    e: Vector,
-    p: Vector,
-    q: Vector,
-    n: Vector,
-    m: Vector,
-    scale: float,
-    min_c: float,
-    min_d: float,
-    g: Float,
+    e: Vector, p: Vector, q: Vector, n: Vector, m: Vector, scale: float, min_c: float, min_d: float, g: Float
 ) -> None:
     """Write the gradient of an angle, times `scale`, as `angle_gradient` does."""
     square = max(_dot(e, e), MIN_DOUBLE)
@@ -310,7 +302,7 @@ def shell_equations(
     """Write the lower triangle ``(N,)`` of ``J^T J`` and the gradient ``J^T r`` ``(3f,)`` of half the energy.
 
     `free_index` ``(n,)`` is the index of vertices among the free ones, -1 if fixed; blocks ``(e',), (h', 6)`` are as in
-    `NormalEquations`, places ``(f + m, 3)`` as in `BlockSparsePattern`.
+    `NormalEquations`, places ``(f + m, 3)`` as in `BlockPattern`.
     """
     values[:] = 0.0
     gradient[:] = 0.0

@@ -129,10 +129,8 @@ class Shell(PickledWithoutCaches):
     @cached_property
     def degenerate_face_ids(self) -> Index:
         """Degenerate faces, whose frames do not determine their sides."""
-        return np.flatnonzero(
-            self._normal_lengths
-            <= np.maximum(ZERO_AREA_HEIGHT_RATIO * self._longest_sides, ROUNDED_HEIGHT) * self._longest_sides
-        )
+        min_heights = np.maximum(ZERO_AREA_HEIGHT_RATIO * self._longest_sides, ROUNDED_HEIGHT)
+        return np.flatnonzero(self._normal_lengths <= min_heights * self._longest_sides)
 
     @cached_property
     def relative_angle_weights(self) -> Float:

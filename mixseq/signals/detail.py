@@ -436,10 +436,7 @@ def verify_tolerance(
 
 
 def largest_error(
-    model: Model,
-    sequence: FrameStore | MeshSequence,
-    stop: float = np.inf,
-    workers: Executor | None = None,
+    model: Model, sequence: FrameStore | MeshSequence, stop: float = np.inf, workers: Executor | None = None
 ) -> float:
     """Return the largest distance of a vertex from the frames in diagonals; stop early above `stop`."""
     unit = bounding_diagonal(sequence.points[:1][0]) or 1.0

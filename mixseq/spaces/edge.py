@@ -51,13 +51,7 @@ from mixseq.mesh.topology import Topology, connected_components
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.progress import Progress, no_progress
 from mixseq.segmentation.joints import make_joint
-from mixseq.shells.face_frames import (
-    FrameGraph,
-    bridging_mask,
-    flat_triangles,
-    rotate_sides,
-    triangle_frames,
-)
+from mixseq.shells.face_frames import FrameGraph, bridging_mask, flat_triangles, rotate_sides, triangle_frames
 from mixseq.shells.fitting import Patch, ShellProblem, fit_shell, linear_initialisation
 from mixseq.shells.gauss_newton import ShellReport, ShellSettings
 from mixseq.shells.shell import ZERO_AREA_HEIGHT_RATIO, Relaxation, Relaxed, Shell

@@ -14,8 +14,7 @@ vertex along the normal, so with the columns ``D = [e_1, e_2, n / sqrt |n|]`` of
    that the centres of pieces are stored as well.
 
 A vector is ``[rotation vectors (F, 3) | stretches (F, 6) | centres]``. The normal makes ``det J >= 0``: reflections
-are rotations of the surface. Affine maps of the reference are reproduced. Blends of uniform scales, and of stretches
-along the axes of a box's faces, are blends of their matrices.
+are rotations of the surface. Affine maps of the reference are reproduced.
 
 *Vertices from sides* (`PoissonSystem`). From sides ``ij`` of a mesh, the vertices are
 

@@ -28,7 +28,7 @@ import numpy as np
 
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.triangle_mesh import DEGENERATE_HEIGHT_RATIO, normalise, perpendicular, vertex_normals
-from mixseq.shells.gauss_newton import BlockSparsePattern
+from mixseq.shells.gauss_newton import BlockPattern
 from mixseq.shells.solvers import index_of
 from mixseq.spaces.gradient import PoissonSystem
 from mixseq.spaces.pieces import PosedSpace
@@ -79,10 +79,10 @@ class LRISpace(PosedSpace):
         return index_of(self.poisson_system.unknown_ids, len(self.pieces.vertex_of_row))
 
     @cached_property
-    def frame_pattern(self) -> BlockSparsePattern:
+    def frame_pattern(self) -> BlockPattern:
         """Block pattern of unknown frames, coupled by edges."""
         count = len(self.poisson_system.unknown_ids)
-        return BlockSparsePattern.from_pairs(count, self.unknown_index[self.edge_rows])
+        return BlockPattern.from_pairs(count, self.unknown_index[self.edge_rows])
 
     def cached_values(self) -> tuple[object, ...]:
         """Implement `PickledWithoutCaches.cached_values`."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, TypedDict
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mixseq.choices import SPACES, PlacementName, ProjectionName, SpaceName
 from mixseq.errors import SettingsError
@@ -32,6 +32,7 @@ from mixseq.spaces.lri import LRISpace
 from mixseq.spaces.mixed.construction import Purpose, mixed_space
 from mixseq.spaces.mixed.mixed_space import MixedSpace
 from mixseq.spaces.vertex import VertexSpace
+from mixseq.types import Index
 
 SPACE_STAGES = 3
 """Number of stages of progress, each as long as one pass over all frames."""
@@ -138,9 +139,7 @@ def make_space(
     return EdgeSpace(topology, scale, reference, lengths, settings)
 
 
-def segment_faces(
-    frames: FrameStore | MeshSequence, settings: MixedSettings, topology: Topology
-) -> NDArray[np.int64]:
+def segment_faces(frames: FrameStore | MeshSequence, settings: MixedSettings, topology: Topology) -> Index:
     """Return the part ``(F,)`` of every triangle, from settings or segmentation."""
     points, parts = frames.points, settings.parts
     if not (parts is None or isinstance(parts, int | np.integer)):

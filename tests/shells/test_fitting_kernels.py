@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
 from mixseq.shells.fitting import NormalEquations, Patch, ShellProblem, SoftConstraint
-from mixseq.shells.gauss_newton import BlockSparsePattern
+from mixseq.shells.gauss_newton import BlockPattern
 from mixseq.shells.kernels import conjugate_gradients
 from mixseq.types import Float
 from tests.meshes import seeds
@@ -17,7 +17,7 @@ from tests.shells.formulas import jacobian
 from tests.shells.test_fitting import MESHES, problem_of
 
 
-def dense(pattern: BlockSparsePattern, values: Float) -> Float:
+def dense(pattern: BlockPattern, values: Float) -> Float:
     size = 3 * pattern.block_count
     lower = np.zeros((size, size))
     columns = np.repeat(np.arange(size), np.diff(pattern.starts))
@@ -99,7 +99,7 @@ def test_two_faces_on_the_same_vertices() -> None:
 def test_pattern_and_conjugate_gradients(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     pairs = rng.integers(-1, count, size=(2 * count, 2))
-    pattern = BlockSparsePattern.from_pairs(count, pairs)
+    pattern = BlockPattern.from_pairs(count, pairs)
     values = rng.normal(size=len(pattern.rows))
     values[pattern.diagonal] = 60.0
     matrix = dense(pattern, values)
@@ -132,7 +132,7 @@ def test_conjugate_gradients_give_up() -> None:
 
 
 def test_no_right_hand_side_no_steps() -> None:
-    pattern = BlockSparsePattern.from_pairs(2, np.array([[0, 1]]))
+    pattern = BlockPattern.from_pairs(2, np.array([[0, 1]]))
     values = np.zeros(len(pattern.rows))
     values[pattern.diagonal] = 1.0
     out = np.ones(6)
@@ -149,7 +149,7 @@ def test_nothing_free() -> None:
 
 @pytest.mark.parametrize("worst", [-1.0, 0.0, np.nan])
 def test_conjugate_gradients_refuse_what_is_not_definite(worst: float) -> None:
-    pattern = BlockSparsePattern.from_pairs(2, np.array([[0, 1]]))
+    pattern = BlockPattern.from_pairs(2, np.array([[0, 1]]))
     values = np.zeros(len(pattern.rows))
     values[pattern.diagonal] = [1.0, 1.0, 1.0, 1.0, worst, 1.0]
     out = np.empty(6)

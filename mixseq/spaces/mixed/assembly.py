@@ -24,13 +24,7 @@ from mixseq.mesh.rigid import kabsch
 from mixseq.mesh.rotations import matrix_to_quat, quat_conjugate, quat_multiply, quat_to_matrix
 from mixseq.mesh.topology import Topology, connected_components
 from mixseq.runtime.lazy import PickledWithoutCaches
-from mixseq.shells.face_frames import (
-    FrameGraph,
-    bridging_mask,
-    flat_triangles,
-    rotate_sides,
-    triangle_frames,
-)
+from mixseq.shells.face_frames import FrameGraph, bridging_mask, flat_triangles, rotate_sides, triangle_frames
 from mixseq.shells.kernels import lengths_and_angles
 from mixseq.shells.shell import ZERO_AREA_HEIGHT_RATIO, Relaxation, Relaxed, Shell
 from mixseq.types import Float, Index, Mask

@@ -158,7 +158,7 @@ def fit_skinning_weights(
     """Fit skinning weights ``(V, p)``, rows adding up to one, to frames ``(S, V, 3)``; shapes ``(N, 3)``."""
     fitted, rigid, part_of_rigid = _split_vertices(topology, decomposition)
     graph = topology.vertex_adjacency[fitted][:, fitted]
-    parts, weights = _diffuse(graph, _parts_around_vertices(topology, decomposition, fitted))
+    parts, weights = _diffuse(graph, _parts_near(topology, decomposition, fitted))
     blended = np.flatnonzero(parts[:, 1] >= 0)
     if len(blended):
         _, rest_rotations, rest_centres = register_parts(shapes, decomposition.parts, reference)
@@ -202,9 +202,7 @@ def _split_vertices(topology: Topology, decomposition: Decomposition) -> tuple[I
     return np.flatnonzero(mask), rigid, part[rigid]
 
 
-def _parts_around_vertices(
-    topology: Topology, decomposition: Decomposition, vertex_ids: Index
-) -> sparse.csr_array:
+def _parts_near(topology: Topology, decomposition: Decomposition, vertex_ids: Index) -> sparse.csr_array:
     """Return the fractions ``(n, p)`` of parts among the faces of vertices ``(n,)``."""
     row_of_vertex = np.full(topology.vertex_count, -1)
     row_of_vertex[vertex_ids] = np.arange(len(vertex_ids))
